@@ -25,8 +25,7 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.bench import markdown
-from scoup_lab.evaluate.metrics import Interval, any_inside, bootstrap_interval, iou
-from scoup_lab.evaluate.plots import IntervalPlot
+from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 
 RULES = ("peak", "mask", "everyday", "always", "asked", "best level", "localisation")
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
@@ -38,7 +37,6 @@ COMPARED = (
     ("default", "best-effort"),
     ("paper", "dense"),
 )
-PLOTTED = ("peak", "always", "asked")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,18 +140,6 @@ class Answers(StudyOfScenes):
     def table(record: Record) -> str:
         keys = next(iter(record["ways"].values()))
         return "\n".join(f"\n{key}\n\n" + table_of(record, key) for key in keys)
-
-    @staticmethod
-    def plot(record: Record) -> IntervalPlot | None:
-        rows = [
-            (f"{pair}: {key}", rule, Interval(*of[rule]).scaled(100, 1))
-            for pair, sets in record["differences"].items()
-            for key, of in sets.items()
-            for rule in PLOTTED
-            if of[rule]
-        ]
-        label = "difference of mIoU in points, with 95 % intervals over queries"
-        return IntervalPlot(rows, "Ways of building a field", label, 1, 0.0) if rows else None
 
 
 def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:

@@ -1,4 +1,4 @@
-"""The base of all studies, and the one runner: options, environment, rows that are kept, table, JSON and plot.
+"""The base of all studies, and the one runner: options, environment, rows that are kept, table and JSON.
 
 A study is a dataclass whose fields are its options and whose docstring is its help. It yields rows, says what record
 is made of them, and how a table is made of a record. Everything else is here.
@@ -17,7 +17,6 @@ from scoup.base.errors import InputError
 from scoup.io import check_output, write_text
 from scoup_lab.bench import describe_environment, write_json
 from scoup_lab.bench.environment import in_one_line
-from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, Plot, can_draw, png
 
 Record: TypeAlias = dict[str, Any]
 """Content of JSON."""
@@ -28,7 +27,7 @@ class Study:
     """Options of the runner, and what a study has to say."""
 
     out: Path | None = None
-    """JSON file for the figures, the machine and the commit; a plot goes beside it."""
+    """JSON file for the figures, the machine and the commit."""
     rows: Path | None = None
     """File that keeps rows while the study runs; a run with the same options continues from it."""
     overwrite: bool = False
@@ -56,11 +55,6 @@ class Study:
     def table(record: Record) -> str:
         """Return Markdown of a record."""
         raise NotImplementedError
-
-    @staticmethod
-    def plot(record: Record) -> Plot | None:
-        """Return a plot of a record, if there is one."""
-        return None
 
     @staticmethod
     def failed(record: Record) -> bool:
@@ -95,7 +89,6 @@ def run(study: Study, name: str) -> Record:
     print(study.table(record))
     if study.out is not None:
         write_json(study.out, record, study.overwrite)
-        _draw(study, record, study.out)
     return record
 
 
@@ -118,13 +111,3 @@ def _kept(study: Study) -> dict[str, Any]:
     if kept["settings"] != json.loads(json.dumps(_identity(study)["settings"])):
         raise InputError(f"{study.rows}: its rows were measured with {kept['settings']}; pass another --rows")
     return kept["rows"]
-
-
-def _draw(study: Study, record: Record, out: Path) -> None:
-    plot = study.plot(record)
-    if plot is None:
-        return
-    if can_draw():
-        out.with_suffix(".png").write_bytes(png(plot))
-    else:
-        print(HOW_TO_GET_THEM, file=sys.stderr)

@@ -14,8 +14,6 @@ from benchmarks.study import Record, Study, run
 
 from scoup.base.errors import InputError, OutputExistsError
 from scoup.cli.parsing import Family
-from scoup_lab.evaluate.metrics import Interval
-from scoup_lab.evaluate.plots import IntervalPlot, can_draw
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +37,6 @@ class Squares(Study):
         return f"| {record['rows']} |"
 
     @staticmethod
-    def plot(record: Record) -> IntervalPlot:
-        return IntervalPlot([("", "two", Interval(1.0, 0.0, 2.0))], "title", "x")
-
-    @staticmethod
     def failed(record: Record) -> bool:
         return 49 in record["rows"].values()
 
@@ -56,7 +50,6 @@ def test_a_record_has_settings_machine_and_rows(tmp_path: Path, capsys: pytest.C
     assert set(record["machine"]) >= {"cpu", "commit", "torch"}
     assert json.loads(out.read_text()) == record
     assert "| {'2': 4, '3': 9} |" in capsys.readouterr().out
-    assert out.with_suffix(".png").is_file() == can_draw()
     with pytest.raises(OutputExistsError):
         run(Squares(out=out, numbers=(-1,)), "squares")
     assert run(Squares(out=out, numbers=(5,), overwrite=True), "squares")["rows"] == {"5": 25}

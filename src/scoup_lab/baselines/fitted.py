@@ -80,17 +80,14 @@ class FittedChannels:
         canonical: Tensor,
         size: tuple[int, int] | None = None,
     ) -> Tensor:
-        """See ``FittedMethod``."""
         images = (raster.render_channels(projection, channels)[0] for channels in self.channels)
         return _of_images(images, self.cosines, queries, canonical, size)
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
-        """See ``FittedMethod``."""
         rows = (channels[None] for channels in self.channels)
         return _of_images(rows, self.cosines, queries, canonical, None)[:, :, 0]
 
     def coded(self) -> Tensor:
-        """See ``FittedMethod``."""
         return torch.stack([channels.any(1) for channels in self.channels])
 
 
@@ -103,7 +100,6 @@ class FittedField:
 
     @property
     def bytes_per_gaussian(self) -> float:
-        """See ``FittedMethod``."""
         indices, weights = self.field.code_indices, self.field.code_weights
         atom = weights.element_size() + (0 if self.all_kept else indices.element_size())
         count = self.field.n_atoms if self.all_kept else indices.shape[2]
@@ -112,7 +108,6 @@ class FittedField:
 
     @property
     def shared_bytes(self) -> float:
-        """See ``FittedMethod``."""
         return 4.0 * self.field.codebook.numel()
 
     def relevancy(
@@ -135,11 +130,9 @@ class FittedField:
         return _of_images(images, cosines, queries.cpu(), canonical.cpu(), size)
 
     def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
-        """See ``FittedMethod``."""
         return self.field.gaussian_relevancy(queries, canonical)
 
     def coded(self) -> Tensor:
-        """See ``FittedMethod``."""
         return self.field.code_weights.any(-1).T
 
 

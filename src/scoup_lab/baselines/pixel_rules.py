@@ -71,7 +71,6 @@ class AllPixels:
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        """See ``PixelRule``."""
         return region_sums(gaussians, cameras, regions, raster_preset)
 
 
@@ -87,7 +86,6 @@ class EveryNthPixel:
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        """See ``PixelRule``."""
         return region_sums(gaussians, cameras, every_nth_pixel(regions, self.stride), raster_preset)
 
 
@@ -106,7 +104,6 @@ class PairRule(ABC):
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        """See ``PixelRule``."""
         sums = RegionSums.of(gaussians, regions.levels, raster_preset)
         for camera in cameras_with_regions(cameras, regions):
             labels = regions.load_labels(camera.name, camera.width, camera.height)

@@ -37,7 +37,6 @@ class AdamCoder:
     logit_scale: float = 4.0  # first logits are this times the cosine to each atom; 0 starts all equal
 
     def __call__(self, embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-        """See ``Coder``."""
         adam = AdamSettings(settings.epochs, logit_scale=self.logit_scale)
         codes, atoms = [], []
         for rows in embeddings:
@@ -69,7 +68,6 @@ class SparseUplift:
         self.changes = changes
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
-        """See ``Uplift``."""
         build = replace(settings.build, seed=settings.seed, **self.changes)
         found, codebook = vote_codes(inputs, build, self.coder)
         if self.dropped is not None:

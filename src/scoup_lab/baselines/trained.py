@@ -25,7 +25,6 @@ class QuantisedUplift:
     parts: int = 64  # M, bytes of a feature; where D is no multiple of it, the largest divisor of D below
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
-        """See ``Uplift``."""
         features = []
         dim = inputs.embeddings[0].shape[1]
         parts = next(n for n in range(min(self.parts, dim), 0, -1) if dim % n == 0)
@@ -49,7 +48,6 @@ class AutoencodedUplift:
     scene_rows: int = 0
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
-        """See ``Uplift``."""
         rows = torch.cat(list(inputs.embeddings))
         schedule = settings.autoencoder
         if self.scene_rows:

@@ -58,7 +58,6 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         progress: Progress = no_progress,
         say: Say = say_nothing,
     ) -> PixelResult:
-        """See ``Evaluation``."""
         vectors = encode_labels(scene, source, self.device)
         path = out / "fields" / f"{scene.name}.scoup"
         field = self.field(scene, path, source, progress, say)

@@ -48,7 +48,6 @@ class CurvePlot:
     y_label: str
 
     def figure(self) -> Figure:
-        """See ``Plot``."""
         for curve in self.curves:
             if not curve.x or len(curve.x) != len(curve.y):
                 raise InputError(f"the curve {curve.name!r} has {len(curve.x)} x and {len(curve.y)} y")
@@ -75,7 +74,6 @@ class IntervalPlot:
     reference: float | None = None
 
     def figure(self) -> Figure:
-        """See ``Plot``."""
         if not self.rows:
             raise InputError("a plot needs rows")
         places, names, headings, y = [], [], [], 0

@@ -91,7 +91,6 @@ class Ablations(Study[AblationResult]):
         return [AblationResult(each, found[each.name]) for each in self.rows]
 
     def report(self, results: Sequence[AblationResult], protocol: str, described: dict[str, Any]) -> Report:
-        """See ``Study``."""
         pairs = pair_names(next(iter(results[0].scores.values())))
         record = {"protocol": protocol, **described, "pairs": pairs, "rows": ablation_record(results)}
         plots = {"ablations.png": ablation_plot(results, protocol)}

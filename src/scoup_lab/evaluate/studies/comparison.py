@@ -66,7 +66,6 @@ class Comparison(Study[MethodResult]):
         return found
 
     def report(self, results: Sequence[MethodResult], protocol: str, described: dict[str, Any]) -> Report:
-        """See ``Study``."""
         scenes = f"{len({result.score.scene for result in results})} scenes"
         first = self.methods[0].name
         tables = [

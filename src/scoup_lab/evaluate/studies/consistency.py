@@ -119,7 +119,6 @@ class Consistency(Study[ConsistencyResult]):
     def results(
         self, scenes: Sequence[StudyScene], progress: Progress = no_progress
     ) -> list[ConsistencyResult]:
-        """See ``Study``."""
         found = []
         for done, scene in enumerate(scenes):
             progress("consistency", done, len(scenes))

@@ -111,7 +111,6 @@ class Curves(Study[CurvePoint]):
         return [CurvePoint(*key, scores) for key, scores in found.items()]
 
     def report(self, results: Sequence[CurvePoint], protocol: str, described: dict[str, Any]) -> Report:
-        """See ``Study``."""
         record = {
             "protocol": protocol,
             **described,
