@@ -470,13 +470,13 @@ def test_a_file_that_is_no_table_of_words(name):
     Path("README").write_text("no words")
     message = refused(*ASK["query"], "--text", name)
     assert message.startswith(f"{name}: is no")
-    assert "give a table (.npz with names and vectors, .json with name: numbers, or .safetensors" in message
+    assert "pass a table (.npz with names and vectors, .json with name: numbers, or .safetensors" in message
 
 
 def test_a_file_where_a_model_belongs():
     pytest.importorskip("skimage")
     extract = ("extract", "scene", "--segmenter", "felzenszwalb", "--out", "regions")
-    assert "it is a file; give a folder with config.json" in refused(*extract, "--embedder", PLY)
+    assert "it is a file; pass a folder with config.json" in refused(*extract, "--embedder", PLY)
 
 
 @pytest.mark.parametrize(

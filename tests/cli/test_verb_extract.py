@@ -85,7 +85,7 @@ def test_what_extract_refuses(here) -> None:
     assert "bits: 32, not 16" in refused("extract", "scene", *FREE, "--bits", "32")
     Path("file").write_text("")
     assert "is a file" in refused("extract", "scene", *FREE, "--out", "file")
-    assert "holds no photographs" in refused("extract", "scene/language_features", *FREE)
+    assert "contains no photographs" in refused("extract", "scene/language_features", *FREE)
 
 
 def test_unreadable_photographs_are_warned_of(here) -> None:

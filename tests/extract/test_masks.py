@@ -30,9 +30,9 @@ def test_packed_masks_are_the_masks(dense: np.ndarray) -> None:
     filled = np.asarray(dense.any((1, 2)), np.bool_)
     assert (masks.select(filled).dense() == dense[filled]).all()
     height, width = dense.shape[1:]
-    moved = masks.moved(3, 2, (height + 5, width + 4)).dense()
+    moved = masks.translate(3, 2, (height + 5, width + 4)).dense()
     assert (moved == np.pad(dense, ((0, 0), (2, 3), (3, 1)))).all()
-    again = Masks.joined(masks.size, [masks, masks.select(chosen)])
+    again = Masks.concatenate(masks.size, [masks, masks.select(chosen)])
     assert (again.dense() == np.concatenate([dense, dense[chosen]])).all()
 
 
@@ -42,8 +42,8 @@ def test_masks_of_labels() -> None:
     masks = Masks.from_labels(labels)
     assert (masks.dense() == np.stack([labels == value for value in range(labels.max() + 1)])).all()
     assert len(Masks.from_labels(np.full((3, 3), -1))) == 0
-    with pytest.raises(InputError, match="cannot be joined"):
-        Masks.joined((9, 7), [masks, Masks.from_dense(np.ones((1, 2, 2), bool))])
+    with pytest.raises(InputError, match="cannot be concatenated"):
+        Masks.concatenate((9, 7), [masks, Masks.from_dense(np.ones((1, 2, 2), bool))])
 
 
 @given(mask_stacks())

@@ -110,7 +110,7 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="no such scene"):
         find_photographs(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingFileError, match="holds no photographs"):
+    with pytest.raises(MissingFileError, match="contains no photographs"):
         find_photographs(tmp_path / "empty")
 
 

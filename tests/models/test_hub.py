@@ -43,7 +43,7 @@ def test_without_a_hub_nothing_is_tried_and_the_way_round_is_told(monkeypatch) -
     assert len(calls) == 1
     message = str(caught.value)
     assert message.startswith(
-        "embedder 'some/model' cannot be loaded: it is not, or not wholly, on this machine"
+        "embedder 'some/model' cannot be loaded: it is not, or not completely, on this machine"
     )
     assert "HUB cannot be reached" in message
     assert "hf download some/model --local-dir FOLDER" in message

@@ -87,7 +87,7 @@ def test_other_files_are_refused(weights, tmp_path: Path) -> None:
     ):
         torch.save(changed, path)
         with pytest.raises(
-            ScoupError, match=r"other.pt' cannot be loaded: it (is not MobileSAM|holds no weights)"
+            ScoupError, match=r"other.pt' cannot be loaded: it (is not MobileSAM|contains no weights)"
         ):
             open_sam(str(path))
     path.write_bytes(b"no archive")

@@ -136,7 +136,7 @@ def test_a_pair_segments_an_image_and_its_files_are_in_the_record(tmp_path: Path
 def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="there is no such folder"):
         open_onnx_sam(f"onnx:{tmp_path / 'none'}")
-    with pytest.raises(MissingFileError, match=r"holds 0 files named \*encoder\*"):
+    with pytest.raises(MissingFileError, match=r"contains 0 files named \*encoder\*"):
         open_onnx_sam(f"onnx:{tmp_path}")
     save_encoder(tmp_path, second=True)
     (tmp_path / "a_decoder.onnx").write_bytes(b"no model")
@@ -144,14 +144,14 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         open_onnx_sam(f"onnx:{tmp_path}")
     (tmp_path / "a_decoder.onnx").unlink()
     save_decoder(tmp_path, second=False)
-    with pytest.raises(FileFormatError, match="does not take what its encoder gives"):
+    with pytest.raises(FileFormatError, match="does not take its encoder"):
         open_onnx_sam(f"onnx:{tmp_path}")
     save_encoder(tmp_path, second=False)
     save_decoder(tmp_path, second=False, masks=1)
     with pytest.raises(FileFormatError, match="gives one mask for a point"):
         open_onnx_sam(f"onnx:{tmp_path}")
     save_decoder(tmp_path, second=False, name="other_decoder")
-    with pytest.raises(MissingFileError, match=r"holds 2 files named \*decoder\*"):
+    with pytest.raises(MissingFileError, match=r"contains 2 files named \*decoder\*"):
         open_onnx_sam(f"onnx:{tmp_path}")
 
 

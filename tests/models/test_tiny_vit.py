@@ -57,7 +57,7 @@ def test_windows_cover_the_image_row_by_row_and_padding_is_cut_off(size: tuple[i
             tokens = padded[:, top : top + 4, left : left + 4].flatten(1).T
             mixed: Tensor = block.attn(tokens[None])[0]
             attended[:, top : top + 4, left : left + 4] = mixed.T.view(8, 4, 4)
-    torch.testing.assert_close(block._attended(image)[0], attended[:, :height, :width], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(block._attend(image)[0], attended[:, :height, :width], atol=1e-5, rtol=1e-5)
 
 
 def test_an_image_gives_embeddings_at_a_sixteenth_of_its_size() -> None:

@@ -128,7 +128,7 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         (None, {}, "got NoneType"),
         ({"word 1"}, {}, "got set"),
         ("word 1", {"encoder": 3}, "encoder is of type int"),
-        ("word 1", {"encoder": {"object": "abc"}}, "must hold vectors"),
+        ("word 1", {"encoder": {"object": "abc"}}, "must contain vectors"),
         ("word 1", {"preset": None}, "preset is of type NoneType"),
         ("word 1", {"present_from": float("nan")}, "must be a number, got nan"),
     ],

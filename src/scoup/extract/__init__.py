@@ -1,8 +1,4 @@
-"""From photographs to region maps and embeddings (docs/extract.md).
-
-``extract`` is a loop over photographs that takes any segmenter and any embedder (``interfaces``). ``open_segmenter``
-and ``open_embedder`` open those by name (``registry``).
-"""
+"""From photographs to region maps and embeddings (docs/extract.md): a loop that takes any segmenter and embedder."""
 
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.masks import Masks, paint

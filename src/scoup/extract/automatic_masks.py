@@ -19,21 +19,15 @@ from scoup.extract.small_parts import without_small_parts
 from scoup.models.sam import EncodedImage, PointModel
 from scoup.scene.regions import LEVELS
 
-CHUNK_BYTES = 128 << 20
-"""Of logits at the size of the image that are in memory at once."""
+CHUNK_BYTES = 128 << 20  # of logits at the size of the image in memory at once
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Masks that passed the filters of one mask at a time, in the order of the points.
-
-    Attributes:
-        masks: over a crop, later over the image.
-        channels: [N] which of the three masks of a point each is: 0, 1, 2 for s, m, l.
-    """
+    """Masks over a crop that passed the filters of one mask at a time, in the order of the points."""
 
     masks: Masks
-    channels: NDArray[np.int64]  # [N]
+    channels: NDArray[np.int64]  # [N], 0, 1, 2 for the masks s, m, l of a point
 
     def select(self, chosen: NDArray[np.integer] | NDArray[np.bool_]) -> Candidates:
         return Candidates(self.masks.select(chosen), self.channels[chosen])
@@ -41,7 +35,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class _Coarse:
-    """Low-resolution masks of a batch of points that passed the filters of one mask at a time."""
+    """Low-resolution ``Candidates`` of a batch of points."""
 
     logits: Tensor  # [N, h, w]
     iou: Tensor  # [N]
@@ -50,12 +44,9 @@ class _Coarse:
 
 
 class SamSegmenter:
-    """The segmenter of the pipeline over a model that predicts masks from points.
+    """A segmenter over a model that predicts masks from points.
 
-    Args:
-        model: from ``sam.open_sam``.
-        settings: see ``MaskSettings``.
-        with_default: also make LangSplat's level "default": all three masks of each point in one list.
+    ``with_default`` also makes LangSplat's level "default": all three masks of each point in one list.
     """
 
     def __init__(self, model: PointModel, settings: MaskSettings, with_default: bool = False) -> None:
@@ -82,7 +73,7 @@ class SamSegmenter:
 def automatic_masks(
     image: NDArray[np.uint8], model: PointModel, settings: MaskSettings, with_default: bool = False
 ) -> dict[str, Masks]:
-    """Level -> masks of an image [H, W, 3], in painting order, by the protocol of ``docs/extract.md``."""
+    """Return level -> masks of an image [H, W, 3], in painting order, by the rules of docs/extract.md."""
     size = (image.shape[0], image.shape[1])
     boxes = crop_boxes(*size, settings.crop_layers, settings.crop_share)
     names = (*(("default",) if with_default else ()), *LEVELS)
@@ -92,8 +83,8 @@ def automatic_masks(
         for name in names:
             masks = _channel(candidates, name)
             keep = keep_by_boxes(masks.corners(), masks.predicted_iou, settings.box_overlap)
-            found[name].append(masks.select(keep).moved(box[0], box[1], size))
-    return {name: _finished(parts, boxes, size, settings) for name, parts in found.items()}
+            found[name].append(masks.select(keep).translate(box[0], box[1], size))
+    return {name: _suppress(parts, boxes, size, settings) for name, parts in found.items()}
 
 
 def _channel(candidates: Candidates, name: str) -> Masks:
@@ -102,9 +93,9 @@ def _channel(candidates: Candidates, name: str) -> Masks:
     return candidates.masks.select(candidates.channels == LEVELS.index(name))
 
 
-def _finished(parts: list[Masks], boxes: list[Box], size: tuple[int, int], settings: MaskSettings) -> Masks:
-    """The rules over all crops: duplicates between crops, small parts, and the mask rule."""
-    masks = Masks.joined(size, parts)
+def _suppress(parts: list[Masks], boxes: list[Box], size: tuple[int, int], settings: MaskSettings) -> Masks:
+    """Apply the rules over all crops: duplicates between crops, small parts, and the mask rule."""
+    masks = Masks.concatenate(size, parts)
     if len(boxes) > 1:
         # Masks from smaller crops are preferred.
         areas = [
@@ -121,7 +112,7 @@ def _finished(parts: list[Masks], boxes: list[Box], size: tuple[int, int], setti
 
 
 def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings: MaskSettings) -> Candidates:
-    """The masks of one crop of the image, in pixels of the crop."""
+    """Return the masks of one crop of the image, in pixels of the crop."""
     x0, y0, x1, y1 = box
     encoded = model.encode(np.ascontiguousarray(image[y0:y1, x0:x1]))
     crop_size, image_size = (y1 - y0, x1 - x0), (image.shape[0], image.shape[1])
@@ -141,17 +132,16 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
             parts += _upscaled(encoded, logits, iou, channels, good, settings, crop_size)
     if settings.coarse_filters:
         parts = _from_coarse(encoded, coarse, settings, crop_size)
-    joined = Masks.joined(crop_size, [part.masks for part in parts])
+    masks = Masks.concatenate(crop_size, [part.masks for part in parts])
     channels = np.concatenate([np.zeros(0, np.int64), *(part.channels for part in parts)])
-    inside = ~touches_inner_edge(joined.corners(), box, *image_size)
-    return Candidates(joined, channels).select(inside)
+    return Candidates(masks, channels).select(~touches_inner_edge(masks.corners(), box, *image_size))
 
 
 def _batches(encoded: EncodedImage, coarse: list[_Coarse], settings: MaskSettings) -> Iterator[Tensor]:
-    """Points [P, 2] in 0..1 to predict at a time; ``coarse`` has what came of those before.
+    """Yield points [P, 2] in 0..1 to predict at a time; ``coarse`` has the results of earlier points.
 
     Where points may be skipped, every second row and column of the grid comes first, then the points between both,
-    then the rest: whether a point is skipped is decided before its round, and does not depend on the batches.
+    then the rest: whether a point is skipped is decided before its round and does not depend on the batches.
     """
     side = settings.points_per_side
     grid = point_grid(side).reshape(side, side, 2)
@@ -170,7 +160,7 @@ def _batches(encoded: EncodedImage, coarse: list[_Coarse], settings: MaskSetting
 
 
 def _covered(points: NDArray[np.float64], encoded: EncodedImage, coarse: list[_Coarse]) -> NDArray[np.bool_]:
-    """[P] whether points lie in masks of level s found so far."""
+    """Return [P] whether points lie in masks of level s found so far."""
     inside = np.zeros(len(points), np.bool_)
     for found in coarse:
         covered = (encoded.without_padding(found.logits[found.channels == 0]) > 0).any(0).cpu().numpy()
@@ -189,7 +179,7 @@ def _upscaled(
     size: tuple[int, int],
     stability: Tensor | None = None,
 ) -> list[Candidates]:
-    """Low-resolution masks at the size of the crop, a few at a time; stability is computed there unless given."""
+    """Upscale masks to the size of the crop, a few at a time; stability is computed there unless passed."""
     result: list[Candidates] = []
     for chunk in numbers.split(max(1, CHUNK_BYTES // (4 * size[0] * size[1]))):
         large = encoded.upscale(logits[chunk].float())
@@ -231,7 +221,7 @@ def _from_coarse(
 
 
 def _stability(logits: Tensor, settings: MaskSettings) -> Tensor:
-    """[N] float32 area above +offset over area above -offset; not a number for a mask without any."""
+    """Return [N] float32 area above +offset over area above -offset; NaN for an empty mask."""
     high = (logits > settings.stability_offset).sum((-2, -1), dtype=torch.int32)
     low = (logits > -settings.stability_offset).sum((-2, -1), dtype=torch.int32)
     return high / low

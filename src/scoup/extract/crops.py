@@ -16,23 +16,14 @@ BATCH = 16
 def mask_crops(
     image: Tensor, masks: Masks, side: int, cut_last: bool = True, batch: int = BATCH
 ) -> Iterator[Tensor]:
-    """Crops of all masks, in order, some at a time.
+    """Yield crops [B, side, side, 3] uint8 of all masks, in order, ``batch`` at a time, on the device of the image.
 
-    Pixels outside the mask become black; what lies in the box is centred on a black square (an odd pixel goes to the
-    right and below) and resized bilinearly, as cv2.resize does, by looking up the four neighbours of each new
-    pixel: the cost does not depend on the size of the mask.
-
-    Args:
-        image: [H, W, 3] uint8, on the device the work is done on.
-        side: of the crops in pixels.
-        cut_last: leave out the last row and column of each box, as LangSplat does (its boxes name the last pixel,
-            its slices end before it).
-        batch: masks at a time.
-
-    Yields:
-        [B, side, side, 3] uint8 on the same device.
+    Pixels outside the mask become black; the box is centred on a black square (an odd pixel goes to the right and
+    below) and resized bilinearly, as cv2.resize does, from the four neighbours of each new pixel: the cost does not
+    depend on the size of the mask. ``cut_last`` leaves out the last row and column of each box, as LangSplat does (its
+    boxes name the last pixel, its slices end before it).
     """
-    # One number holds all colours of a pixel: looking up one is several times faster than three.
+    # One number contains all colours of a pixel: looking up one is several times faster than three.
     alpha = image.new_zeros(*image.shape[:2], 1)
     pixels = torch.cat([image, alpha], dim=2).view(torch.int32)[..., 0]
     for start in range(0, len(masks), batch):
@@ -40,7 +31,7 @@ def mask_crops(
 
 
 def _crops(pixels: Tensor, masks: Masks, numbers: range, side: int, cut_last: bool) -> Tensor:
-    """Crops of some masks; ``pixels`` [H, W] int32 holds red, green and blue from the lowest byte up."""
+    """Return crops of some masks; ``pixels`` [H, W] int32 contains red, green and blue from the lowest byte up."""
     device, image_width = pixels.device, pixels.shape[1]
     boxes = torch.from_numpy(masks.boxes[numbers.start : numbers.stop].astype(np.int64)).to(device)
     x0, y0 = boxes[:, 0], boxes[:, 1]
@@ -74,7 +65,7 @@ def _crops(pixels: Tensor, masks: Masks, numbers: range, side: int, cut_last: bo
 
 
 def _taps(square: Tensor, length: Tensor, side: int) -> tuple[Tensor, Tensor]:
-    """For each new pixel along one axis, the two old ones and their weights, [B, side, 2]; 0 in the margins."""
+    """Return the two old pixels of each new one along an axis and their weights, [B, side, 2]; 0 in the margins."""
     margin = (square - length) // 2
     centers = torch.arange(side, device=square.device, dtype=torch.float32) + 0.5
     source = (centers * (square[:, None].float() / side) - 0.5).clamp(min=0)

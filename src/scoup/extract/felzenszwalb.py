@@ -12,16 +12,15 @@ from scoup.extract.masks import Masks
 from scoup.scene.regions import LEVELS
 
 NAME = "felzenszwalb"
-_SCALES = {"s": (80.0, 250), "m": (300.0, 1500), "l": (900.0, 6000)}
-"""Level -> scale, and least region in pixels of an image of ``_REFERENCE`` pixels."""
-_REFERENCE = 1_000_000
+_REFERENCE = 1_000_000  # pixels of an image for which the scales are meant
+_SCALES = {"s": (80.0, 250), "m": (300.0, 1500), "l": (900.0, 6000)}  # level -> scale, least region in pixels
 _SIGMA = 0.8
 
 
 class Felzenszwalb:
     """Regions of even colour, from scikit-image; each level covers the whole image.
 
-    It knows no objects: it lets the path from photographs to a field run anywhere, and is no substitute for SAM.
+    They are unrelated to objects: a way from photographs to a field on any machine, not a substitute for SAM.
     """
 
     levels = LEVELS
@@ -29,19 +28,10 @@ class Felzenszwalb:
     drop_hidden = False
 
     def record(self) -> dict[str, Any]:
-        """The settings that decide the result."""
-        return {
-            "segmenter": NAME,
-            "scales": {level: list(values) for level, values in _SCALES.items()},
-            "sigma": _SIGMA,
-        }
+        scales = {level: list(values) for level, values in _SCALES.items()}
+        return {"segmenter": NAME, "scales": scales, "sigma": _SIGMA}
 
     def segment(self, image: NDArray[np.uint8]) -> dict[str, Masks]:
-        """Masks of each level of an image [H, W, 3].
-
-        Raises:
-            ScoupError: scikit-image is not installed.
-        """
         try:
             from skimage.segmentation import felzenszwalb
         except ImportError as error:
@@ -51,12 +41,7 @@ class Felzenszwalb:
         share = image.shape[0] * image.shape[1] / _REFERENCE
         result = {}
         for level, (scale, least) in _SCALES.items():
-            labels = felzenszwalb(
-                image,
-                scale=scale * share**0.5,
-                sigma=_SIGMA,
-                min_size=max(1, round(least * share)),
-                channel_axis=2,
-            )
+            size = max(1, round(least * share))
+            labels = felzenszwalb(image, scale * share**0.5, _SIGMA, size, channel_axis=2)
             result[level] = Masks.from_labels(np.asarray(labels, np.int32))
         return result

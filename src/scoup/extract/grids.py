@@ -8,21 +8,19 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-Box = tuple[int, int, int, int]
-"""x0, y0, x1, y1 in pixels, x1 and y1 one past the last."""
+Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in pixels, x1 and y1 one past the last
 
 
 def point_grid(points_per_side: int) -> NDArray[np.float64]:
-    """[n^2, 2] x, y in 0..1: the centres of n x n equal cells, row by row."""
+    """Return [n^2, 2] x, y in 0..1: the centres of n x n equal cells, row by row."""
     line = (np.arange(points_per_side) + 0.5) / points_per_side
     return np.stack([np.tile(line, points_per_side), np.repeat(line, points_per_side)], axis=1)
 
 
 def crop_boxes(height: int, width: int, layers: int, share: float) -> list[Box]:
-    """The image itself, then 2^n x 2^n overlapping crops for each further layer n, as in SAM's code.
+    """Return the image itself, then 2^n x 2^n overlapping crops for each further layer n, as in SAM's code.
 
-    Args:
-        share: overlap of neighbours in the first layer, as a share of the shorter side; halved in each next.
+    Neighbours overlap by ``share`` of the shorter side in the first layer, by half of it in each next.
     """
     boxes: list[Box] = [(0, 0, width, height)]
     for layer in range(1, layers + 1):
@@ -38,12 +36,8 @@ def crop_boxes(height: int, width: int, layers: int, share: float) -> list[Box]:
 def touches_inner_edge(
     corners: NDArray[np.integer], crop: Box, height: int, width: int, near: float = 20.0
 ) -> NDArray[np.bool_]:
-    """[N] whether a box ends at an edge of its crop that is not an edge of the image: it is cut off there.
-
-    Args:
-        corners: [N, 4] x0, y0, x1, y1 within the crop.
-        near: pixels that still count as touching.
-    """
+    """Return [N] whether boxes [N, 4] within a crop end within ``near`` pixels of an edge of the crop that is not an
+    edge of the image: they are cut off there."""
     place = corners + np.array([crop[0], crop[1], crop[0], crop[1]])
     near_crop = np.abs(place - np.array(crop)) <= near
     near_image = np.abs(place - np.array([0, 0, width, height])) <= near

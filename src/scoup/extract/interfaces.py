@@ -14,12 +14,7 @@ from scoup.extract.masks import Masks
 
 
 class Segmenter(Protocol):
-    """Cuts an image into masks.
-
-    Attributes:
-        cut_last: as in ``MaskSettings``.
-        drop_hidden: as in ``MaskSettings``.
-    """
+    """A model or rule that cuts an image into masks; the properties are those of ``MaskSettings``."""
 
     @property
     def cut_last(self) -> bool: ...
@@ -27,56 +22,46 @@ class Segmenter(Protocol):
     def drop_hidden(self) -> bool: ...
 
     def record(self) -> dict[str, Any]:
-        """What decides the result, as plain values for the manifest."""
+        """Return the settings that decide the result, as plain values for the manifest."""
         ...
 
     def segment(self, image: NDArray[np.uint8]) -> dict[str, Masks]:
-        """Level -> masks of an image [H, W, 3], in painting order; levels s, m, l, or default, s, m, l."""
+        """Return level -> masks of an image [H, W, 3], in painting order; levels s, m, l, or default, s, m, l."""
         ...
 
 
-class Embeds(Protocol):
-    """What all embedders have in common.
-
-    Attributes:
-        name: id of the model, as ``TextEncoder.open`` takes it.
-        dim: D.
-        device: where it wants its images.
-    """
+class _AnyEmbedder(Protocol):
+    """The part that all embedders share."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str: ...  # id of the model, as ``TextEncoder.open`` takes it
     @property
     def dim(self) -> int: ...
     @property
-    def device(self) -> torch.device | str: ...
+    def device(self) -> torch.device | str: ...  # of the images that it takes
 
     def record(self) -> dict[str, Any]:
-        """What decides the result, as plain values for the manifest."""
+        """Return the settings that decide the result, as plain values for the manifest."""
         ...
 
 
-class CropEmbedder(Embeds, Protocol):
-    """Turns crops into unit vectors.
-
-    Attributes:
-        side: of the crops it takes, in pixels.
-    """
+class CropEmbedder(_AnyEmbedder, Protocol):
+    """A model that turns crops into vectors."""
 
     @property
-    def side(self) -> int: ...
+    def side(self) -> int: ...  # of the crops, in pixels
 
     def embed(self, crops: Tensor) -> Tensor:
-        """[B, D] float32 unit vectors of crops [B, side, side, 3] uint8."""
+        """Return [B, D] float32 unit vectors of crops [B, side, side, 3] uint8."""
         ...
 
 
 @runtime_checkable
-class RegionEmbedder(Embeds, Protocol):
-    """Looks at a photograph once, and turns all of its regions into unit vectors."""
+class RegionEmbedder(_AnyEmbedder, Protocol):
+    """A model that looks at a photograph once and turns all of its regions into vectors."""
 
     def embed_regions(self, image: Tensor, masks: Mapping[str, Masks]) -> dict[str, Tensor]:
-        """Level -> [N, D] float32 unit vectors of masks over an image [H, W, 3] uint8."""
+        """Return level -> [N, D] float32 unit vectors of masks over an image [H, W, 3] uint8."""
         ...
 
 

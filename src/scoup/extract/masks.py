@@ -1,4 +1,4 @@
-"""Many masks over one image, each kept as the packed bits of its bounding box."""
+"""Masks over one image, each stored as the packed bits of its bounding box."""
 
 from __future__ import annotations
 
@@ -13,21 +13,18 @@ from scoup.base.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """N masks over an image of H x W pixels. Memory follows the boxes, not the image.
-
-    Attributes:
-        size: (H, W).
-        boxes: [N, 4] int32 x0, y0, x1, y1 in pixels; x1 and y1 one past the last. An empty mask has zeros.
-        bits: N arrays of uint8, ``numpy.packbits`` of the mask within its box, row by row.
-        predicted_iou: [N] float32, the model's own estimate of a mask's quality; 1 where nothing is known.
-        stability: [N] float32, how little a mask depends on the threshold; 1 where nothing is known.
-    """
+    """N masks over an image of H x W pixels. Memory is proportional to the boxes, not the image."""
 
     size: tuple[int, int]
-    boxes: NDArray[np.int32]  # [N, 4]
+    """(H, W)."""
+    boxes: NDArray[np.int32]
+    """[N, 4] x0, y0, x1, y1 in pixels; x1 and y1 one past the last. An empty mask has zeros."""
     bits: tuple[NDArray[np.uint8], ...]
-    predicted_iou: NDArray[np.float32]  # [N]
-    stability: NDArray[np.float32]  # [N]
+    """N arrays, ``numpy.packbits`` of the mask within its box, row by row."""
+    predicted_iou: NDArray[np.float32]
+    """[N] the model's own estimate of a mask's quality; 1 where unknown."""
+    stability: NDArray[np.float32]
+    """[N] how little a mask depends on the threshold; 1 where unknown."""
 
     @classmethod
     def from_dense(
@@ -36,26 +33,20 @@ class Masks:
         predicted_iou: NDArray[np.float32] | None = None,
         stability: NDArray[np.float32] | None = None,
     ) -> Masks:
-        """Masks of a boolean array [N, H, W]."""
-        count = len(dense)
-        boxes = np.zeros((count, 4), np.int32)
-        bits: list[NDArray[np.uint8]] = []
-        for row, mask in enumerate(dense):
-            box, crop = _cropped(mask)
-            boxes[row] = box
-            bits.append(np.packbits(crop))
-        ones = np.ones(count, np.float32)
+        """Return the masks of an array [N, H, W]."""
+        crops = [_crop_to_box(mask) for mask in dense]
+        ones = np.ones(len(dense), np.float32)
         return cls(
             (int(dense.shape[1]), int(dense.shape[2])),
-            boxes,
-            tuple(bits),
+            np.array([box for box, _ in crops], np.int32).reshape(-1, 4),
+            tuple(np.packbits(crop) for _, crop in crops),
             ones if predicted_iou is None else predicted_iou.astype(np.float32),
             ones if stability is None else stability.astype(np.float32),
         )
 
     @classmethod
     def from_labels(cls, labels: NDArray[np.integer]) -> Masks:
-        """One mask for each value from 0 to the maximum of labels [H, W], in order; -1 is no mask."""
+        """Return a mask for each value from 0 to the maximum of labels [H, W], in order; -1 is not a mask."""
         from scipy import ndimage
 
         boxes: list[tuple[int, int, int, int]] = []
@@ -73,10 +64,11 @@ class Masks:
         return cls((labels.shape[0], labels.shape[1]), table, tuple(bits), ones, ones)
 
     @classmethod
-    def joined(cls, size: tuple[int, int], parts: Sequence[Masks]) -> Masks:
-        """All masks of ``parts``, one after another; they must be over the same image."""
+    def concatenate(cls, size: tuple[int, int], parts: Sequence[Masks]) -> Masks:
+        """Return all masks of ``parts``, one after another."""
         if any(part.size != size for part in parts):
-            raise InputError(f"masks over images of {sorted({part.size for part in parts})} cannot be joined")
+            sizes = sorted({part.size for part in parts})
+            raise InputError(f"masks over images of {sizes} cannot be concatenated; use masks over one image")
         empty = np.zeros(0, np.float32)
         return cls(
             size,
@@ -90,34 +82,34 @@ class Masks:
         return len(self.bits)
 
     def crop(self, number: int) -> NDArray[np.bool_]:
-        """[h, w] the mask of that number within its box."""
+        """Return [h, w] a mask within its box."""
         x0, y0, x1, y1 = self.boxes[number].tolist()
         height, width = y1 - y0, x1 - x0
         return np.unpackbits(self.bits[number], count=height * width).view(np.bool_).reshape(height, width)
 
     def place(self, number: int) -> tuple[slice, slice]:
-        """Rows and columns of a mask's box."""
+        """Return rows and columns of a mask's box."""
         x0, y0, x1, y1 = self.boxes[number].tolist()
         return slice(y0, y1), slice(x0, x1)
 
     def dense(self) -> NDArray[np.bool_]:
-        """[N, H, W] bool."""
+        """Return [N, H, W] bool."""
         result = np.zeros((len(self), *self.size), np.bool_)
         for number in range(len(self)):
             result[number][self.place(number)] = self.crop(number)
         return result
 
     def areas(self) -> NDArray[np.int64]:
-        """[N] pixels of each mask."""
+        """Return [N] pixels of each mask."""
         return np.array([int(_BITS_IN[bits].sum()) for bits in self.bits], np.int64)
 
     def corners(self) -> NDArray[np.int32]:
-        """[N, 4] x0, y0, x1, y1 with the last column and row themselves, as SAM's code writes boxes."""
+        """Return [N, 4] x0, y0, x1, y1 with the last column and row themselves, as SAM's code writes boxes."""
         filled = self.boxes[:, 2:] > self.boxes[:, :2]
         return np.concatenate([self.boxes[:, :2], self.boxes[:, 2:] - filled], axis=1)
 
     def select(self, chosen: NDArray[np.integer] | NDArray[np.bool_] | Iterable[int]) -> Masks:
-        """The chosen masks (numbers in the order given, or a boolean [N])."""
+        """Return the chosen masks: by numbers, in their order, or by a boolean [N]."""
         numbers = np.asarray(chosen if isinstance(chosen, np.ndarray) else list(chosen))
         if numbers.dtype == np.bool_:
             numbers = np.flatnonzero(numbers)
@@ -130,19 +122,19 @@ class Masks:
             self.stability[numbers],
         )
 
-    def moved(self, x: int, y: int, size: tuple[int, int]) -> Masks:
-        """The same masks in a larger image of ``size``, their own image's corner at (x, y)."""
+    def translate(self, x: int, y: int, size: tuple[int, int]) -> Masks:
+        """Return the masks in a larger image of ``size``, with the corner of their own image at (x, y)."""
         filled = (self.boxes[:, 2:3] > self.boxes[:, :1]).astype(np.int32)
         shift = np.array([x, y, x, y], np.int32)
         return replace(self, size=size, boxes=self.boxes + shift * filled)
 
-    def replaced(
+    def replace_masks(
         self, number_to_mask: dict[int, NDArray[np.bool_]], corner: dict[int, tuple[int, int]]
     ) -> Masks:
-        """The same, with some masks given anew: number -> [h, w], and number -> (x, y) of that array's corner."""
+        """Replace some masks: number -> [h, w], and number -> (x, y) of that array's corner."""
         boxes, bits = self.boxes.copy(), list(self.bits)
         for number, mask in number_to_mask.items():
-            box, crop = _cropped(mask)
+            box, crop = _crop_to_box(mask)
             x, y = corner[number]
             boxes[number] = np.array(box, np.int32) + np.array([x, y, x, y], np.int32) * bool(crop.size)
             bits[number] = np.packbits(crop)
@@ -150,7 +142,7 @@ class Masks:
 
 
 def paint(masks: Masks) -> NDArray[np.int32]:
-    """[H, W] labels: the number of the last mask that covers a pixel, -1 for none."""
+    """Return [H, W] labels: the number of the last mask that covers a pixel, -1 for none."""
     labels = np.full(masks.size, -1, np.int32)
     for number in range(len(masks)):
         labels[masks.place(number)][masks.crop(number)] = number
@@ -160,7 +152,7 @@ def paint(masks: Masks) -> NDArray[np.int32]:
 _BITS_IN = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(1).astype(np.int64)
 
 
-def _cropped(mask: NDArray[np.bool_]) -> tuple[tuple[int, int, int, int], NDArray[np.bool_]]:
+def _crop_to_box(mask: NDArray[np.bool_]) -> tuple[tuple[int, int, int, int], NDArray[np.bool_]]:
     rows = np.flatnonzero(mask.any(1))
     if not len(rows):
         return (0, 0, 0, 0), mask[:0, :0]

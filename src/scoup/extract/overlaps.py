@@ -1,8 +1,7 @@
-"""Which masks to drop because of others: box suppression, and the mask rule of LangSplat, at full resolution.
+"""Box suppression, and the mask rule of LangSplat, at full resolution.
 
-Intersections of all pairs come from the arrangement of the masks: pixels covered by the same masks form one cell, an
-image has far fewer cells than pixels, and the table of intersections is one sparse product over the cells. Nothing
-is sampled; the counts are those of a loop over pairs.
+Pixels covered by the same masks form one cell. An image has far fewer cells than pixels, and the intersections of all
+pairs of masks are one sparse product over the cells: the same counts as in a loop over pairs.
 """
 
 from __future__ import annotations
@@ -14,21 +13,14 @@ from numpy.typing import NDArray
 
 from scoup.extract.masks import Masks
 
-_COLLISION = "two cells of masks share a hash"
-
 
 def keep_by_boxes(
     corners: NDArray[np.integer], scores: NDArray[np.floating], most_overlap: float
 ) -> NDArray[np.int64]:
-    """Greedy suppression of boxes: the best stays, those that overlap it more than ``most_overlap`` go, and so on.
+    """Return the numbers of the boxes that greedy suppression keeps, best first.
 
-    Args:
-        corners: [N, 4] x0, y0, x1, y1; areas are (x1 - x0) (y1 - y0), as in torchvision.ops.nms.
-        scores: [N]; ties go to the lower number.
-        most_overlap: intersection over union that is still kept.
-
-    Returns:
-        Numbers of the boxes kept, best first.
+    The best box stays, those whose IoU with it exceeds ``most_overlap`` go, and so on. Areas of boxes [N, 4] are
+    (x1 - x0) (y1 - y0), as in torchvision.ops.nms; ties go to the lower number.
     """
     boxes = corners.astype(np.float32)
     x0, y0, x1, y1 = boxes.T
@@ -41,16 +33,14 @@ def keep_by_boxes(
         width = np.minimum(x1[best], x1[waiting]) - np.maximum(x0[best], x0[waiting])
         height = np.minimum(y1[best], y1[waiting]) - np.maximum(y0[best], y0[waiting])
         shared = width.clip(0) * height.clip(0)
-        with np.errstate(
-            invalid="ignore", divide="ignore"
-        ):  # two boxes without area: not a number, both stay
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN for two boxes without area: both stay
             overlap = shared / (areas[best] + areas[waiting] - shared)
         waiting = waiting[~(overlap > most_overlap)]
     return np.array(kept, np.int64)
 
 
 def intersections(masks: Masks) -> NDArray[np.int64]:
-    """[N, N] pixels that two masks share; the diagonal holds their areas."""
+    """Return [N, N] pixels that two masks share; their areas on the diagonal."""
     from scipy import sparse
 
     count = len(masks)
@@ -62,7 +52,7 @@ def intersections(masks: Masks) -> NDArray[np.int64]:
         weighted = sparse.csr_array(cells.multiply(weights[None, :]))
         if np.array_equal(np.asarray(weighted.sum(1)).ravel(), areas):
             return np.asarray((weighted @ cells.T).todense())
-    raise AssertionError(_COLLISION)  # eight hashes of 64 bits in a row
+    raise AssertionError("two cells of masks share a hash")  # eight hashes of 64 bits in a row
 
 
 def keep_by_masks(
@@ -73,22 +63,16 @@ def keep_by_masks(
     inside: float = 0.85,
     covered: float = 0.5,
 ) -> NDArray[np.int64]:
-    """The mask rule of LangSplat (docs of its protocol), for all pairs at once.
+    """Return the numbers of the masks that LangSplat's mask rule keeps, ascending: painting order stays.
 
-    A mask goes if its intersection over union with a better one exceeds ``most_overlap``; if its score is at most
-    ``least_score``; or if at least ``inside`` of it lies in another mask of which it covers less than ``covered``,
-    whichever is better. Masks that go still make others go.
-
-    Args:
-        scores: [N] stability times predicted IoU; ties go to the lower number.
-
-    Returns:
-        Numbers of the masks kept, ascending: painting order stays.
+    A mask goes if its IoU with a better one exceeds ``most_overlap``; if its score (stability times predicted IoU) is
+    at most ``least_score``; or if at least ``inside`` of it lies in another mask of which it covers less than
+    ``covered``, whichever is better. Masks that go still make others go; ties go to the lower number.
     """
     order = np.argsort(-scores, kind="stable")
     shared = intersections(masks)[np.ix_(order, order)].astype(np.float32)
     areas = np.diag(shared)
-    with np.errstate(invalid="ignore", divide="ignore"):  # empty masks: not a number, compares as false
+    with np.errstate(invalid="ignore", divide="ignore"):  # NaN of empty masks compares as false
         union = areas[:, None] + areas[None, :] - shared
         like_better = np.triu(shared / union > most_overlap, k=1).any(0)
         share = shared / areas[None, :]  # [i, j]: of mask j that lies in mask i
@@ -99,7 +83,7 @@ def keep_by_masks(
 
 
 def _cells(masks: Masks, seed: int) -> tuple[Any, NDArray[np.int64]]:
-    """The arrangement: which cell lies in which mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
+    """Return which cell lies in which mask [N, C] (sparse 0/1), and the pixels of each cell [C]."""
     from scipy import sparse
 
     height, width = masks.size

@@ -1,4 +1,4 @@
-"""Photographs of a scene: which there are, decoded one by one to upright RGB, a few ahead of their use."""
+"""Photographs of a scene, decoded one by one to upright RGB, a few ahead of their use."""
 
 from __future__ import annotations
 
@@ -27,36 +27,31 @@ _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right af
 
 @dataclass(frozen=True)
 class Photograph:
-    """A photograph on disk, under the name that the cameras give it."""
+    """A photograph on disk."""
 
     name: str
+    """As cameras name it."""
     path: Path
+    """Of the file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """A decoded photograph.
+    """A decoded photograph, turned from the orientation of the file, in which cameras and region maps are."""
 
-    Attributes:
-        image: [H, W, 3] uint8 RGB, upright.
-        turns, mirrored: how it was turned (quarter turns against the clock, then mirrored left to right) from the
-            orientation in the file, in which cameras and region maps are.
-        digest: SHA-256 of the file.
-    """
-
-    image: NDArray[np.uint8]
-    turns: int
-    mirrored: bool
-    digest: str
+    image: NDArray[np.uint8]  # [H, W, 3] RGB, upright
+    turns: int  # quarter turns against the clock
+    mirrored: bool  # left to right, after the turns
+    digest: str  # SHA-256 of the file
 
     def as_stored(self, labels: NDArray[Any]) -> NDArray[Any]:
-        """Labels [H, W] of the upright image, in the orientation of the file."""
+        """Turn labels [H, W] of the upright image to the orientation of the file."""
         unmirrored = labels[:, ::-1] if self.mirrored else labels
         return np.ascontiguousarray(np.rot90(unmirrored, -self.turns))
 
 
 def find_photographs(scene: str | Path, images: str | Path | None = None) -> list[Photograph]:
-    """The photographs of a scene, in order of their names.
+    """Return the photographs of a scene, in order of their names.
 
     Args:
         scene: a folder with cameras as ``load_cameras`` reads them (their photographs are taken), or a folder
@@ -64,7 +59,7 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         images: the folder of the photographs, where it is another.
 
     Raises:
-        MissingFileError: there are none.
+        MissingFileError: the scene or its photographs are missing.
         FileFormatError: the cameras are damaged.
     """
     scene = Path(scene)
@@ -83,9 +78,8 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         ]
         if found:
             return found
-    raise MissingFileError(
-        folders[0], "holds no photographs", f"give their folder with --images ({', '.join(EXTENSIONS)})"
-    )
+    remedy = f"pass their folder as images ({', '.join(EXTENSIONS)})"
+    raise MissingFileError(folders[0], "contains no photographs", remedy)
 
 
 def _image_folders(scene: Path) -> list[Path]:
@@ -94,16 +88,10 @@ def _image_folders(scene: Path) -> list[Path]:
 
 
 def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
-    """Decode a photograph: upright by its EXIF orientation, RGB, 8 bits.
+    """Decode a photograph: upright by its EXIF orientation, RGB, 8 bits; FileFormatError where it cannot be read.
 
-    Grey and palette images become RGB, 16-bit ones lose their lower byte, transparency is dropped.
-
-    Args:
-        max_height: higher images (as stored) are reduced to it, widths truncated, as LangSplat does; None for no
-            limit.
-
-    Raises:
-        FileFormatError: it is not an image, or damaged, or too large.
+    Grey and palette images become RGB, 16-bit ones lose their lower byte, transparency is dropped. Images higher than
+    ``max_height`` (as stored) are reduced to it, widths truncated, as LangSplat does.
     """
     from PIL import Image
 
@@ -129,7 +117,7 @@ def _to_rgb(image: Any) -> Any:
     if image.mode.startswith("I") or image.mode == "F":
         values = np.asarray(image).astype(np.float64)
         if image.mode == "F" or values.max(initial=0) > 65535 or values.min(initial=0) < 0:
-            raise ValueError(f"pixels of mode {image.mode} are not those of a photograph")
+            raise ValueError(f"image mode {image.mode} is not a photograph's")
         return Image.fromarray((values / 256).astype(np.uint8)).convert("RGB")
     return image.convert("RGB")
 
@@ -137,13 +125,13 @@ def _to_rgb(image: Any) -> Any:
 def read_ahead(
     photographs: Iterable[Photograph], max_height: int | None, ahead: int = 2
 ) -> Generator[tuple[Photograph, Pixels | ScoupError], None, None]:
-    """Photographs with their pixels, in order, the next ones decoded by threads meanwhile.
+    """Yield photographs with their pixels, or the error of one that cannot be decoded, in order.
 
-    One that cannot be decoded comes with its error. At most ``ahead`` + 1 images are in memory.
+    Threads decode the next ones meanwhile; at most ``ahead`` + 1 images are in memory.
     """
     waiting = iter(photographs)
     with warnings.catch_warnings(), ThreadPoolExecutor(max_workers=ahead) as pool:
-        # Not in the threads: filters belong to the process, and threads would restore those of each other.
+        # Not in the threads: filters belong to the process, and threads would restore each other's.
         warnings.filterwarnings("ignore", module=r"PIL\.")
         queue: list[tuple[Photograph, Future[Pixels]]] = []
 

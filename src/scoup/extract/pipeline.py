@@ -1,4 +1,4 @@
-"""From photographs to region maps with embeddings: a view at a time, resumable, in bounded memory."""
+"""From photographs to region maps with embeddings: view by view, resumable, in bounded memory."""
 
 from __future__ import annotations
 
@@ -31,41 +31,35 @@ MAX_HEIGHT = 1080  # LangSplat's
 
 @dataclass(frozen=True)
 class Output:
-    """How regions are made of photographs and stored, whatever the models.
-
-    Attributes:
-        layout: "compact", or "langsplat" for LangSplat's files.
-        bits: of a stored embedding number, 16 or 32 (LangSplat's files always hold 32).
-        max_height: higher photographs are reduced to it; None for no limit.
-    """
+    """Settings of the stored regions, whatever the models."""
 
     layout: Layout = "compact"
+    """"compact", or "langsplat" for LangSplat's files."""
     bits: int = 16
+    """Of a stored embedding number, 16 or 32; LangSplat's files always have 32."""
     max_height: int | None = MAX_HEIGHT
+    """Higher photographs are reduced to it; None for no limit."""
 
 
 @dataclass
 class ExtractReport:
-    """What an extraction did.
-
-    Attributes:
-        made: names of the views made in this run.
-        kept: how many were there already.
-        skipped: name -> why a photograph could not be read.
-        regions: of the views made.
-        bytes: of the views made.
-        seconds: stage -> seconds spent; "decode" is only the waiting for it.
-    """
+    """The results of an extraction."""
 
     made: list[str] = field(default_factory=list)
+    """Names of the views made in this run."""
     kept: int = 0
+    """Views that existed already."""
     skipped: dict[str, str] = field(default_factory=dict)
+    """Name -> why a photograph could not be read."""
     regions: int = 0
+    """Of the views made."""
     bytes: int = 0
+    """Of the views made."""
     seconds: dict[str, float] = field(default_factory=dict)
+    """Stage -> seconds; "decode" is only the waiting for it."""
 
     def add_time(self, stage: str, since: float) -> float:
-        """Add the time since a moment to a stage; returns the moment now."""
+        """Add the time since a moment to a stage; return the moment now."""
         now = time.perf_counter()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - since
         return now
@@ -81,14 +75,13 @@ def extract(
     share: Share = Share(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
 ) -> ExtractReport:
-    """Make region maps and embeddings of photographs. Interrupted, the same call continues where it stopped.
+    """Make region maps and embeddings of photographs. After an interruption, the same call continues.
 
     Args:
-        photographs: from ``find_photographs``.
         folder: of the results; ``load_regions`` reads it.
-        overwrite: make views anew that are there already.
-        share: of the photographs that this process extracts. Several processes may work on one folder; if one dies,
-            its current view is lost.
+        overwrite: make existing views again.
+        share: of the photographs that this process extracts. Several processes may work on one folder; one that dies
+            loses its current view.
 
     Raises:
         InputError: the folder was made with other settings, or two photographs share a stem.
@@ -117,7 +110,7 @@ def extract(
             moment = report.add_time("segment", moment)
             regions = describe_masks(item.name, pixels, masks, segmenter, embedder)
             moment = report.add_time("embed", moment)
-            if not report.made:  # not before there is something to keep
+            if not report.made:  # not before there is something to write
                 store.begin(overwrite)
             report.bytes += store.write(regions, overwrite=True)
             moment = report.add_time("write", moment)
@@ -132,14 +125,9 @@ def extract(
 def describe_masks(
     name: str, photograph: Pixels, masks: dict[str, Masks], segmenter: Segmenter, embedder: Embedder
 ) -> ViewRegions:
-    """The regions of a photograph: labels in its stored orientation, and the embedding of each mask.
-
-    Args:
-        name: of the photograph.
-        masks: level -> masks, in painting order.
-    """
+    """Return the regions of a photograph: labels in its stored orientation, and the embedding of each mask."""
     labels: dict[str, NDArray[np.int32]] = {}
-    seen: dict[str, Masks] = {}
+    visible_masks: dict[str, Masks] = {}
     for level, found in masks.items():
         painted = paint(found)
         if segmenter.drop_hidden:
@@ -148,21 +136,20 @@ def describe_masks(
             found = found.select(visible[1:])
             painted = paint(found)
         labels[level] = photograph.as_stored(painted)
-        seen[level] = found
+        visible_masks[level] = found
     pixels = torch.from_numpy(photograph.image).to(embedder.device)
     if isinstance(embedder, RegionEmbedder):
-        vectors = embedder.embed_regions(pixels, seen)
+        vectors = embedder.embed_regions(pixels, visible_masks)
     else:
         vectors = {
-            level: _of_crops(mask_crops(pixels, found, embedder.side, segmenter.cut_last), embedder)
-            for level, found in seen.items()
+            level: _embed_crops(mask_crops(pixels, found, embedder.side, segmenter.cut_last), embedder)
+            for level, found in visible_masks.items()
         }
-    return ViewRegions(
-        name, labels, {level: rows.numpy() for level, rows in vectors.items()}, photograph.digest
-    )
+    arrays = {level: rows.numpy() for level, rows in vectors.items()}
+    return ViewRegions(name, labels, arrays, photograph.digest)
 
 
-def _of_crops(crops: Iterator[Tensor], embedder: CropEmbedder) -> Tensor:
+def _embed_crops(crops: Iterator[Tensor], embedder: CropEmbedder) -> Tensor:
     rows = [embedder.embed(some).cpu() for some in crops]
     return torch.cat(rows) if rows else torch.zeros(0, embedder.dim)
 

@@ -21,9 +21,6 @@ class PlainColors:
 
     Regions of similar appearance get similar vectors, so that coding, voting and the tools run without a model. No text
     encoder shares this space: a field built from it cannot be queried in words.
-
-    Args:
-        device: where crops are described.
     """
 
     name = NAME
@@ -34,11 +31,10 @@ class PlainColors:
         self.device = device
 
     def record(self) -> dict[str, Any]:
-        """The settings that decide the result."""
         return {"embedder": NAME, "bins": _BINS, "directions": _DIRECTIONS}
 
     def embed(self, crops: Tensor) -> Tensor:
-        """[B, 72] float32 unit vectors of crops [B, side, side, 3] uint8; black pixels do not count."""
+        """See ``CropEmbedder``; black pixels do not count."""
         values = crops.float()
         inside = (crops > 0).any(-1).float().flatten(1)  # [B, P]
         place = (values.flatten(1, 2) / 255 * (_BINS - 1)).clamp(0, _BINS - 1)  # [B, P, 3]

@@ -1,4 +1,4 @@
-"""The numbers that decide which masks an image gets, with presets."""
+"""Settings of the masks, with presets."""
 
 from __future__ import annotations
 
@@ -12,46 +12,44 @@ Preset = Literal["langsplat", "fast"]
 
 @dataclass(frozen=True)
 class MaskSettings:
-    """How masks are made with a model that predicts them from points; the defaults are LangSplat's.
-
-    Attributes:
-        points_per_side: of the square grid of points, in the image and in each crop.
-        points_per_batch: points predicted at a time; decides memory, not the result.
-        predicted_iou: masks stay above it.
-        stability, stability_offset: masks stay from this share of area left when the threshold of their logits moves
-            from -offset to +offset.
-        box_overlap: most overlap of boxes within a crop; crop_overlap: across crops.
-        crop_layers: further layers of crops; layer n has 2^n x 2^n.
-        crop_share: overlap of neighbouring crops as a share of the image's shorter side, in the first layer.
-        least_area: smaller holes are filled and smaller islands removed, in pixels.
-        mask_overlap, least_score, inside, covered: of the mask rule, see ``overlaps.keep_by_masks``.
-        coarse_filters: filter by stability and boxes on the model's low-resolution masks, and upscale only the rest.
-        skip_covered: predict every second point in x and y first, and leave out further ones that lie in a mask of
-            level s found so far. Needs coarse_filters.
-        drop_hidden: leave out masks that later ones paint over entirely.
-        cut_last: crops leave out the last row and column of the box (``crops.mask_crops``).
-        half: run the model in 16 bits where the device can.
-    """
+    """Settings of a model that predicts masks from points; the defaults are LangSplat's."""
 
     points_per_side: int = 32
+    """Of the square grid of points, in the image and in each crop."""
     points_per_batch: int = 64
+    """Points predicted at a time; decides memory, not the result."""
     predicted_iou: float = 0.7
+    """Masks above it are kept."""
     stability: float = 0.85
+    """Least share of a mask's area that remains when the threshold of its logits moves from -offset to +offset."""
     stability_offset: float = 1.0
+    """See ``stability``."""
     box_overlap: float = 0.7
+    """Largest IoU of boxes within a crop."""
     crop_overlap: float = 0.7
+    """Largest IoU of boxes across crops."""
     crop_layers: int = 1
+    """Further layers of crops; layer n has 2^n x 2^n."""
     crop_share: float = 512 / 1500
+    """Overlap of neighbouring crops in the first layer, as a share of the image's shorter side."""
     least_area: int = 100
+    """Smaller holes are filled and smaller islands removed, in pixels."""
     mask_overlap: float = 0.8
+    """Of the mask rule, as the next three: see ``overlaps.keep_by_masks``."""
     least_score: float = 0.7
     inside: float = 0.85
     covered: float = 0.5
     coarse_filters: bool = False
+    """Filter by stability and boxes on the model's low-resolution masks, and upscale only the rest."""
     skip_covered: bool = False
+    """Predict every second point in x and y first, and leave out further ones that lie in a mask of level s found so
+    far. Needs coarse_filters."""
     drop_hidden: bool = False
+    """Leave out masks that later ones paint over entirely."""
     cut_last: bool = True
+    """Leave out the last row and column of a box in its crop (``crops.mask_crops``)."""
     half: bool = False
+    """Run the model in 16 bits where the device can."""
 
     def __post_init__(self) -> None:
         for name in ("points_per_side", "points_per_batch"):
@@ -65,7 +63,7 @@ class MaskSettings:
             raise InputError(f"least_area must not be negative, got {self.least_area}")
 
     def record(self) -> dict[str, Any]:
-        """What decides the result, as plain values for a manifest."""
+        """Return the settings that decide the result, as plain values for the manifest."""
         values = asdict(self)
         del values["points_per_batch"]
         return values
@@ -84,13 +82,13 @@ _FAST = replace(
 
 
 def mask_settings(preset: Preset = "langsplat", **changes: Any) -> MaskSettings:
-    """A preset with changes; those that are None count as not given.
+    """Return a preset with changes; changes that are None are ignored.
 
     ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, leaves out points that lie in masks
     found before, filters the model's low-resolution masks before upscaling them, and runs in 16 bits on a GPU.
 
     Raises:
-        InputError: there is no such preset, or a value makes no sense.
+        InputError: the preset is unknown, or a value is out of range.
     """
     if preset not in get_args(Preset):
         raise InputError(f"there is no preset {preset!r}; use one of {', '.join(get_args(Preset))}")

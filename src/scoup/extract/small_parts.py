@@ -1,7 +1,7 @@
-"""Clean-up of masks: small holes are filled, small islands removed.
+"""Small holes of masks are filled, small islands removed.
 
-Connected parts are found among runs of equal pixels, not among pixels: a row of a mask has few runs, and one pass over
-the runs of many masks at once finds the parts of all of them.
+Connected components are found among runs of equal pixels: a row of a mask has few runs, and one pass over the runs of
+many masks finds the components of all of them.
 """
 
 from __future__ import annotations
@@ -19,21 +19,11 @@ _CHUNK = 16 << 20  # pixels of boxes that are processed together
 
 
 def without_small_parts(masks: Masks, least_area: int, most_overlap: float) -> Masks:
-    """Fill holes and remove islands of fewer than ``least_area`` pixels, then suppress boxes anew.
+    """Fill holes and remove islands of fewer than ``least_area`` pixels, then suppress boxes again.
 
     As SAM's ``postprocess_small_regions``: pixels that touch at a corner belong together; a mask of small islands
-    alone keeps the largest; in the suppression the masks that needed nothing go first, and the result is in that
-    order.
-
-    Args:
-        most_overlap: intersection over union of boxes that is still kept.
+    alone keeps the largest; in the suppression the unchanged masks go first, and the result is in that order.
     """
-    cleaned, changed = cleaned_up(masks, least_area)
-    return cleaned.select(keep_by_boxes(cleaned.corners(), (~changed).astype(np.float32), most_overlap))
-
-
-def cleaned_up(masks: Masks, least_area: int) -> tuple[Masks, NDArray[np.bool_]]:
-    """Masks without small holes and islands, and [N] which of them had some."""
     changed: dict[int, NDArray[np.bool_]] = {}
     corner: dict[int, tuple[int, int]] = {}
     for numbers in _chunks(masks):
@@ -42,13 +32,14 @@ def cleaned_up(masks: Masks, least_area: int) -> tuple[Masks, NDArray[np.bool_]]
         touched = _fill_holes(parts, least_area) | _remove_islands(parts, least_area)
         for place in np.flatnonzero(touched).tolist():
             changed[numbers[place]], corner[numbers[place]] = padded[place]
-    marks = np.zeros(len(masks), np.bool_)
-    marks[list(changed)] = True
-    return masks.replaced(changed, corner), marks
+    cleaned = masks.replace_masks(changed, corner)
+    unchanged = np.ones(len(masks), np.float32)
+    unchanged[list(changed)] = 0
+    return cleaned.select(keep_by_boxes(cleaned.corners(), unchanged, most_overlap))
 
 
 def _chunks(masks: Masks) -> Iterator[list[int]]:
-    """Numbers of the masks that have a pixel, in chunks."""
+    """Yield the numbers of the masks that are not empty, in chunks."""
     sides = (masks.boxes[:, 2:] - masks.boxes[:, :2]).astype(np.int64)
     chunk: list[int] = []
     pixels = 0
@@ -65,11 +56,11 @@ def _chunks(masks: Masks) -> Iterator[list[int]]:
 
 
 def _with_margin(masks: Masks, number: int, least_area: int) -> tuple[NDArray[np.bool_], tuple[int, int]]:
-    """A mask within a box around it, and the corner (x, y) of that box."""
+    """Return a mask within a larger box, and the corner (x, y) of that box."""
     x0, y0, x1, y1 = masks.boxes[number].tolist()
     crop = masks.crop(number)
-    # What lies outside the box is at least one long strip. With a margin that holds ``least_area`` pixels a part
-    # that leaves the margin is large whatever lies beyond, so that nothing outside matters.
+    # A strip of the margin has ``least_area`` pixels: a component that leaves the margin is large whatever lies beyond,
+    # so that nothing outside matters.
     across, down = -(-least_area // crop.shape[0]), -(-least_area // crop.shape[1])
     left, right = min(x0, across), min(masks.size[1] - x1, across)
     top, bottom = min(y0, down), min(masks.size[0] - y1, down)
@@ -79,17 +70,17 @@ def _with_margin(masks: Masks, number: int, least_area: int) -> tuple[NDArray[np
 
 
 def _fill_holes(parts: list[NDArray[np.bool_]], least_area: int) -> NDArray[np.bool_]:
-    """Fill in place; [N] which were changed."""
+    """Fill in place; return [N] which masks changed."""
     runs = _runs_of([~part for part in parts])
     small = runs.sizes < least_area
     return _write(parts, runs, small[runs.labels], True)
 
 
 def _remove_islands(parts: list[NDArray[np.bool_]], least_area: int) -> NDArray[np.bool_]:
-    """Remove in place; [N] which needed it, those whose only island stays included."""
+    """Remove in place; return [N] which masks have small islands, one that stays alone included."""
     runs = _runs_of(parts)
     small = runs.sizes < least_area
-    # [islands] the mask each belongs to, and the masks that have only small ones.
+    # [islands], the mask of each island
     owner = np.zeros(len(runs.sizes), np.int64)
     owner[runs.labels] = runs.masks
     needed = np.bincount(owner, weights=small, minlength=len(parts)) > 0
@@ -109,8 +100,8 @@ class _Runs:
     rows: NDArray[np.int64]  # [R]
     starts: NDArray[np.int64]  # [R] first column
     stops: NDArray[np.int64]  # [R] one past the last column
-    labels: NDArray[np.int64]  # [R] connected part, numbered over all arrays in order of their first runs
-    sizes: NDArray[np.int64]  # [P] pixels of each part
+    labels: NDArray[np.int64]  # [R] component, numbered over all arrays in order of their first runs
+    sizes: NDArray[np.int64]  # [P] pixels of each component
 
 
 def _runs_of(parts: list[NDArray[np.bool_]]) -> _Runs:
@@ -148,7 +139,7 @@ def _runs_of(parts: list[NDArray[np.bool_]]) -> _Runs:
 def _write(
     parts: list[NDArray[np.bool_]], runs: _Runs, chosen: NDArray[np.bool_], value: bool
 ) -> NDArray[np.bool_]:
-    """Set the pixels of the chosen runs; [N] which arrays were changed."""
+    """Set the pixels of the chosen runs; return [N] which arrays changed."""
     touched = np.zeros(len(parts), np.bool_)
     numbers = np.flatnonzero(chosen)
     bounds = np.searchsorted(runs.masks[numbers], np.arange(len(parts) + 1))

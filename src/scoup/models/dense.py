@@ -1,9 +1,9 @@
 """CLIP and SigLIP image models as dense encoders: a map of features of a photograph, pooled for any region.
 
 CLIP: of the last layer's attention only values and output projection are used, without residual and perceptron, so that
-each token keeps to its place (Zhou et al., "Extract Free Dense Labels from CLIP", ECCV 2022, called MaskCLIP there).
-A region is the mean of its tokens' unit vectors. SigLIP: the pooling head that makes the vector of an image attends to
-the tokens of the region alone (Xiao et al., "TextRegion", 2025).
+each token keeps to its place (MaskCLIP: Zhou et al., "Extract Free Dense Labels from CLIP", ECCV 2022). A region is the
+mean of its tokens' unit vectors. SigLIP: the pooling head of the image attends to the tokens of the region alone (Xiao
+et al., "TextRegion", 2025).
 """
 
 from __future__ import annotations
@@ -17,28 +17,20 @@ from torch.nn import functional
 
 from scoup.base.errors import ScoupError
 from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
+from scoup.models.image import WITHOUT_MODEL
 from scoup.models.normalization import Normalization
 from scoup.models.towers import Tower, load_tower, normalization_of
 
-PREFIX = "dense:"
-"""Before the model in an embedder's name."""
+PREFIX = "dense:"  # before the model in an embedder's name
 _WINDOWS_AT_ONCE = 4
 
 
 @dataclass(frozen=True, eq=False)
 class DenseModel:
-    """An image tower that describes places.
+    """An image tower that describes places."""
 
-    Attributes:
-        name: id of the model, as ``TextEncoder.open`` takes it.
-        revision: commit it was loaded from, "" if there is none.
-        tower: of CLIP or SigLIP.
-        normalization: of its images.
-        device, dtype: of the model.
-    """
-
-    name: str
-    revision: str
+    name: str  # id of the model, as ``TextEncoder.open`` takes it
+    revision: str  # commit it was loaded from, "" if unknown
     tower: Tower
     normalization: Normalization
     device: torch.device | str
@@ -46,7 +38,7 @@ class DenseModel:
 
     @property
     def side(self) -> int:
-        """Of a window, in pixels."""
+        """Side of a window, in pixels."""
         return int(self.tower.config.image_size)
 
     @property
@@ -56,23 +48,18 @@ class DenseModel:
 
     @property
     def dim(self) -> int:
-        """D, the size of a vector."""
         config = self.tower.config
         return int(config.projection_dim if self.tower.is_clip else config.hidden_size)
 
     def record(self) -> dict[str, Any]:
-        """What decides the result, as plain values for the manifest."""
         return {"embedder": self.name, "embedder_revision": self.revision, "embedder_pooling": "dense"}
 
     def tokens(self, image: Tensor) -> Tensor:
-        """The features of all places of an image.
+        """Return [h / patch, w / patch, C] float32 features: CLIP's in the text space, unit vectors; SigLIP's before
+        its head.
 
-        Args:
-            image: [3, h, w] in 0..1; h and w are multiples of ``patch``, at least ``side``. It is covered by windows of
-                the model's size, as few as do, evenly placed; where they overlap, the mean is taken.
-
-        Returns:
-            [h / patch, w / patch, C] float32: CLIP's in the text space, unit vectors; SigLIP's before its head.
+        The image [3, h, w] in 0..1 (multiples of ``patch``, at least ``side``) is covered by as few windows of the
+        model's size as possible, evenly placed; where they overlap, the mean is taken.
         """
         patch, window = self.patch, self.side // self.patch
         rows, columns = image.shape[1] // patch, image.shape[2] // patch
@@ -94,24 +81,16 @@ class DenseModel:
         return functional.normalize(mean, dim=2) if self.tower.is_clip else mean
 
     def pool(self, tokens: Tensor, shares: Tensor) -> Tensor:
-        """The vectors of regions.
-
-        Args:
-            tokens: [h, w, C] from ``tokens``.
-            shares: [N, h, w] of each place's area that is in the region; a region has some.
-
-        Returns:
-            [N, D] float32 unit vectors.
-        """
+        """Return [N, D] float32 unit vectors of regions that have ``shares`` [N, h, w] of each place's area."""
         with torch.inference_mode():
             flat, weights = tokens.flatten(0, 1), shares.flatten(1).to(tokens)
             if self.tower.is_clip:
                 return functional.normalize(weights @ flat, dim=1)
-            pooled = _pooled_by_head(_vision(self.tower).head, flat, weights, self.dtype)
+            pooled = _pool_by_head(_vision(self.tower).head, flat, weights, self.dtype)
             return functional.normalize(pooled.float(), dim=1)
 
     def _window_tokens(self, pixels: Tensor) -> Tensor:
-        """[B, window, window, C] float32 of windows [B, 3, side, side]."""
+        """Return [B, window, window, C] float32 of windows [B, 3, side, side]."""
         vision = _vision(self.tower)
         window = self.side // self.patch
         states = vision.embeddings(pixels)
@@ -134,18 +113,13 @@ class DenseModel:
 def open_dense_model(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> DenseModel:
-    """Load an image model as a dense encoder; in 16 bits on a GPU.
-
-    Args:
-        name: "dense:MODEL", where MODEL is a folder or hub id of a CLIP or SigLIP model.
-        revision: branch, tag or commit of a hub model; the commit found is recorded.
+    """Load an image model ("dense:" and a folder or hub id) as a dense encoder; in 16 bits on a GPU.
 
     Raises:
         ScoupError: the package, the weights (safetensors) or a part of them are missing, or the model has no head.
     """
     model_id = name.removeprefix(PREFIX)
-    alternative = "use the embedder colors, which needs no model"
-    request = ModelRequest("embedder", name, alternative, model_id, revision)
+    request = ModelRequest("embedder", name, WITHOUT_MODEL, model_id, revision)
     dtype = torch.float16 if torch.device(device).type == "cuda" else torch.float32
 
     def load(files: Pretrained) -> DenseModel:
@@ -164,20 +138,20 @@ def _vision(tower: Tower) -> Any:
 
 
 def _first(output: Any) -> Tensor:
-    """Layers of older versions of transformers return tuples."""
+    """Return the hidden states: layers of older versions of transformers return tuples."""
     return output[0] if isinstance(output, tuple) else output
 
 
 def _starts(length: int, window: int) -> list[int]:
-    """First places of as few windows as cover a length, evenly placed."""
+    """Return the first places of as few windows as cover a length, evenly placed."""
     count = -(-length // window)
     if count == 1:
         return [0]
     return [(length - window) * number // (count - 1) for number in range(count)]
 
 
-def _pooled_by_head(head: Any, tokens: Tensor, weights: Tensor, dtype: torch.dtype) -> Tensor:
-    """SigLIP's attention pooling over tokens [T, C] for weights [N, T] -> [N, C].
+def _pool_by_head(head: Any, tokens: Tensor, weights: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return [N, C] SigLIP's attention pooling over tokens [T, C] for weights [N, T].
 
     A token's weight multiplies its exponential in the softmax: 0 leaves it out, 1 is the head as it is.
     """

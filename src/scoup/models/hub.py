@@ -1,7 +1,4 @@
-"""The one loader of models: by name and revision, what is on this machine first, safetensors only, quietly.
-
-``load_pretrained`` loads through transformers, ``load_open_clip`` through open_clip. Both raise the same errors.
-"""
+"""Models by name and revision, through transformers or open_clip: this machine's cache first, safetensors only."""
 
 from __future__ import annotations
 
@@ -25,53 +22,44 @@ from scoup.models.normalization import Normalization
 
 Loaded = TypeVar("Loaded")
 
-OPEN_CLIP = "open_clip:"
-"""Prefix of the names of models of open_clip."""
-_PATIENCE = 5.0
-"""Seconds within which a hub that can be reached answers; its own client would try for a minute."""
+OPEN_CLIP = "open_clip:"  # before the name of a model of open_clip
+_PATIENCE = (
+    5.0  # seconds within which a hub that can be reached answers; its own client would try for a minute
+)
 
 
 @dataclass(frozen=True)
 class ModelRequest:
-    """A model that is wanted, and the words for messages about it.
+    """A model to load, and the words for messages about it."""
 
-    Attributes:
-        role: what the model is for: "text model", "embedder" or "segmenter".
-        name: as the user wrote it.
-        alternative: what works without the model, as an imperative: "use --embedder colors".
-        model_id: a folder or hub id, where ``name`` is short for one.
-        revision: branch, tag or commit of a hub model.
-        by_hand: how to bring the model here where no hub can be reached; "" for a folder that the hub's own tool
-            makes.
-    """
-
-    role: str
-    name: str
-    alternative: str
-    model_id: str = ""
-    revision: str | None = None
-    by_hand: str = ""
+    role: str  # "text model", "embedder" or "segmenter"
+    name: str  # as the user wrote it
+    alternative: str  # what works without the model, as an imperative
+    model_id: str = ""  # a folder or hub id, where ``name`` is short for one
+    revision: str | None = None  # branch, tag or commit of a hub model
+    by_hand: str = (
+        ""  # how to bring the model here without a hub; "" for a folder that the hub's own tool makes
+    )
 
     @property
     def source(self) -> str:
-        """The folder or hub id."""
         return self.model_id or self.name
 
-    def failed(self, problem: str) -> ScoupError:
-        """The error for a model that was found but cannot be used."""
+    def unusable(self, problem: str) -> ScoupError:
+        """Return the error for a model that was found but cannot be used."""
         return ScoupError(f"{self.role} {self.name!r} cannot be loaded: {problem}")
 
-    def out_of_reach(self, hub: str) -> ScoupError:
-        """The error for a model that is not on this machine while no hub can be reached."""
+    def unreachable(self, hub: str) -> ScoupError:
+        """Return the error for a model that is not on this machine while no hub can be reached."""
         by_hand = self.by_hand or (
-            f"run 'hf download {self.source} --local-dir FOLDER' elsewhere and give FOLDER in place of the name"
+            f"run 'hf download {self.source} --local-dir FOLDER' elsewhere and pass FOLDER instead of the name"
         )
-        return self.failed(
-            f"it is not, or not wholly, on this machine, and {hub}; {by_hand}, or {self.alternative}"
+        return self.unusable(
+            f"it is not, or not completely, on this machine, and {hub}; {by_hand}, or {self.alternative}"
         )
 
-    def not_loaded(self, cause: BaseException) -> ScoupError:
-        """The error for a model whose files cannot be had or read."""
+    def unreadable(self, cause: BaseException) -> ScoupError:
+        """Return the error for a model whose files cannot be fetched or read."""
         lines = str(cause).strip().splitlines()
         reason = lines[0][:160] if lines else type(cause).__name__
         return ScoupError(
@@ -80,11 +68,7 @@ class ModelRequest:
         )
 
     def package(self, name: str, extra: str) -> Any:
-        """The package that loads the model.
-
-        Raises:
-            ScoupError: it is not installed.
-        """
+        """Import the package that loads the model; ScoupError where it is not installed."""
         try:
             return import_module(name)
         except ImportError as error:
@@ -96,17 +80,11 @@ class ModelRequest:
 
 @dataclass(frozen=True, eq=False)
 class Pretrained:
-    """The files of one model, as transformers reads them.
+    """The files of one model, as transformers reads them."""
 
-    Attributes:
-        transformers: the package.
-        model_id: a folder or hub id.
-        options: for every ``from_pretrained``: revision, and whether to stay offline.
-    """
-
-    transformers: Any
-    model_id: str
-    options: dict[str, Any]
+    transformers: Any  # the package
+    model_id: str  # a folder or hub id
+    options: dict[str, Any]  # for every ``from_pretrained``: revision, and whether to stay offline
 
     @cached_property
     def config(self) -> Any:
@@ -114,21 +92,16 @@ class Pretrained:
 
     @property
     def commit(self) -> str:
-        """The commit of a hub model, or the requested revision; "" where neither is known."""
+        """The commit of a hub model, or the requested revision; "" if unknown."""
         return getattr(self.config, "_commit_hash", None) or self.options.get("revision") or ""
 
     def tokenizer(self) -> Any:
         return self.transformers.AutoTokenizer.from_pretrained(self.model_id, **self.options)
 
     def model(self, kind: Any, **options: Any) -> Any:
-        """The model in evaluation mode, on the CPU, in 32 bits.
+        """Load a model class of transformers in evaluation mode, on the CPU, in 32 bits.
 
-        Args:
-            kind: a model class of transformers.
-            options: more for its ``from_pretrained``.
-
-        Raises:
-            ScoupError: the file lacks weights; transformers would invent them.
+        A file that lacks weights raises ScoupError: transformers would invent them.
         """
         # Safetensors only: loading a pickled checkpoint runs whatever it contains.
         model, loading = kind.from_pretrained(
@@ -140,10 +113,7 @@ class Pretrained:
         return model.eval()
 
     def normalization(self) -> Normalization | None:
-        """What preprocessor_config.json says; None where there is no such file.
-
-        Read here because transformers' own image processors need torchvision.
-        """
+        """Return the values of preprocessor_config.json, if any (transformers' image processors need torchvision)."""
         from transformers.utils.hub import cached_file
 
         try:
@@ -159,19 +129,14 @@ class Pretrained:
 
 
 def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded]) -> Loaded:
-    """``load(files)`` with what is on this machine; only if that fails, with the network too.
-
-    The hub's client would wait half a minute for a network that is not there.
-
-    Args:
-        load: makes the model from its files; may raise ScoupError where the model is of the wrong kind.
+    """Return ``load(files)`` with the files on this machine; only if that fails, with the network too.
 
     Raises:
         ScoupError: transformers, the weights (safetensors) or a part of them are missing, or ``load`` refused.
     """
     if os.path.isfile(request.source):
-        raise request.failed(
-            "it is a file; give a folder with config.json and weights (safetensors), or a hub id"
+        raise request.unusable(
+            "it is a file; pass a folder with config.json and weights (safetensors), or a hub id"
         )
     transformers = request.package("transformers", "models")
 
@@ -182,11 +147,7 @@ def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded])
 
 
 def hub_file(request: ModelRequest, name: str) -> Path:
-    """The path of one file of a hub model, fetched unless it is on this machine.
-
-    Raises:
-        ScoupError: the hub's client is missing, or the file can neither be found nor fetched.
-    """
+    """Return the path of one file of a hub model, fetched unless it is on this machine."""
     hub = request.package("huggingface_hub", "models")
     return Path(
         _here_or_from_hub(request, lambda options: hub.hf_hub_download(request.source, name, **options))
@@ -203,39 +164,37 @@ def is_cached(model_id: str, name: str) -> bool:
 
 
 def _here_or_from_hub(request: ModelRequest, load: Callable[[dict[str, Any]], Loaded]) -> Loaded:
-    """``load(options)`` with what is on this machine; if that fails, with the network too."""
+    """Return ``load(options)`` offline; if that fails, with the network too.
+
+    The hub's client alone would wait half a minute for a missing network.
+    """
     options: dict[str, Any] = {"revision": request.revision} if request.revision else {}
     with _quiet():
         try:
             return load({**options, "local_files_only": True})
         except ScoupError as error:
-            raise request.failed(str(error)) from error
+            raise request.unusable(str(error)) from error
         except Exception as error:  # hub, network, JSON and safetensors each raise kinds of their own
             if os.path.exists(request.source):
-                raise request.not_loaded(error) from error
+                raise request.unreadable(error) from error
         if problem := _no_hub():
-            raise request.out_of_reach(problem)
+            raise request.unreachable(problem)
         try:
             return load(options)
         except ScoupError as error:
-            raise request.failed(str(error)) from error
+            raise request.unusable(str(error)) from error
         except Exception as error:  # as above
-            raise request.not_loaded(error) from error
+            raise request.unreadable(error) from error
 
 
 def load_open_clip(
     request: ModelRequest, device: torch.device | str, with_tokenizer: bool = False
 ) -> tuple[Any, Any]:
-    """A model of open_clip in evaluation mode, and its tokenizer (None unless wanted).
-
-    Raises:
-        InputError: the name is not ``open_clip:ARCHITECTURE/PRETRAINED``.
-        ScoupError: open_clip or the weights are missing.
-    """
+    """Load a model of open_clip in evaluation mode, and its tokenizer (None unless requested)."""
     architecture, _, pretrained = request.name.removeprefix(OPEN_CLIP).partition("/")
     if not architecture or not pretrained:
         raise InputError(
-            f"{request.name!r}: write {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
+            f"invalid model {request.name!r}; expected {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
             f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
         )
     open_clip = request.package("open_clip", "open-clip")
@@ -243,11 +202,11 @@ def load_open_clip(
         model = open_clip.create_model(architecture, pretrained=pretrained, device=device).eval()
         return model, open_clip.get_tokenizer(architecture) if with_tokenizer else None
     except Exception as error:  # as above
-        raise request.not_loaded(error) from error
+        raise request.unreadable(error) from error
 
 
 def _no_hub() -> str:
-    """Why no hub can be reached; "" if one answers, or if a proxy stands between, which this does not ask."""
+    """Return why no hub can be reached; "" if one answers, or if there is a proxy, which is not asked."""
     from huggingface_hub import constants
 
     if constants.HF_HUB_OFFLINE:
@@ -265,13 +224,13 @@ def _no_hub() -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """No reports, retries and progress bars of transformers and its hub; errors are raised, not printed."""
+    """Silence transformers and its hub: errors are raised, not printed."""
     from huggingface_hub.utils import logging as hub_logging
     from transformers.utils import logging
 
     verbosity, shows_progress = logging.get_verbosity(), logging.is_progress_bar_enabled()
     hub_verbosity = hub_logging.get_verbosity()
-    logging.set_verbosity_error()  # it would list the weights of the towers that are not wanted
+    logging.set_verbosity_error()  # it would list the weights of unused towers
     logging.disable_progress_bar()
     hub_logging.set_verbosity_error()
     try:

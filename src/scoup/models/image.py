@@ -14,25 +14,17 @@ from scoup.models.hub import OPEN_CLIP, ModelRequest, Pretrained, load_open_clip
 from scoup.models.normalization import CLIP, Normalization
 from scoup.models.towers import Tower, load_tower, normalization_of
 
+WITHOUT_MODEL = "use the embedder 'colors', which needs no model"
+
 
 @dataclass(eq=False)
 class ImageModel:
-    """An image tower that embeds crops.
+    """An image tower that embeds crops."""
 
-    Attributes:
-        name: id of the model, as ``TextEncoder.open`` takes it.
-        revision: commit it was loaded from, "" if there is none.
-        encode: normalised pixels [B, 3, side, side] in ``dtype`` -> [B, D].
-        side: of its images, in pixels.
-        normalization: of its images.
-        device, dtype: of the model.
-        dim: D.
-    """
-
-    name: str
-    revision: str
-    encode: Callable[[Tensor], Tensor]
-    side: int
+    name: str  # id of the model, as ``TextEncoder.open`` takes it
+    revision: str  # commit it was loaded from, "" if unknown
+    encode: Callable[[Tensor], Tensor]  # normalised pixels [B, 3, side, side] in ``dtype`` -> [B, D]
+    side: int  # of its images, in pixels
     normalization: Normalization
     device: torch.device | str
     dtype: torch.dtype
@@ -42,11 +34,10 @@ class ImageModel:
         self.dim = int(self.embed(torch.zeros(1, self.side, self.side, 3, dtype=torch.uint8)).shape[1])
 
     def record(self) -> dict[str, Any]:
-        """What decides the result, as plain values for the manifest."""
         return {"embedder": self.name, "embedder_revision": self.revision, "embedder_side": self.side}
 
     def embed(self, crops: Tensor) -> Tensor:
-        """[B, D] float32 unit vectors of crops [B, side, side, 3] uint8."""
+        """Return [B, D] float32 unit vectors of crops [B, side, side, 3] uint8."""
         pixels = crops.to(self.device).permute(0, 3, 1, 2).float() / 255
         with torch.inference_mode():
             features = self.encode(self.normalization(pixels).to(self.dtype))
@@ -56,16 +47,12 @@ class ImageModel:
 def open_image_model(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> ImageModel:
-    """Load an image model; in 16 bits on a GPU.
-
-    Args:
-        name: a folder or hub id of a CLIP or SigLIP model, or "open_clip:ARCHITECTURE/PRETRAINED".
-        revision: branch, tag or commit of a hub model; the commit found is recorded.
+    """Load an image model (folder, hub id or "open_clip:ARCHITECTURE/PRETRAINED"); in 16 bits on a GPU.
 
     Raises:
         ScoupError: a package, the weights (safetensors) or a part of them are missing.
     """
-    request = ModelRequest("embedder", name, "use --embedder colors, which needs no model", revision=revision)
+    request = ModelRequest("embedder", name, WITHOUT_MODEL, revision=revision)
     dtype = torch.float16 if torch.device(device).type == "cuda" else torch.float32
     if name.startswith(OPEN_CLIP):
         model, _ = load_open_clip(request, device)
@@ -81,12 +68,9 @@ def open_image_model(
 
     tower, normalization, commit = load_pretrained(request, load)
     tower.model.to(device=device, dtype=dtype)
-    return ImageModel(
-        name,
-        commit,
-        lambda pixels: tower.features(pixel_values=pixels),
-        int(tower.config.image_size),
-        normalization,
-        device,
-        dtype,
-    )
+    side = int(tower.config.image_size)
+
+    def encode(pixels: Tensor) -> Tensor:
+        return tower.features(pixel_values=pixels)
+
+    return ImageModel(name, commit, encode, side, normalization, device, dtype)

@@ -36,21 +36,12 @@ _RENAMES = (  # a name in the checkpoint (a pattern) -> its name in transformers
 
 
 def sam_of_checkpoint(transformers: Any, path: Path) -> Any:
-    """Read MobileSAM's checkpoint.
+    """Read ``mobile_sam.pt`` as its authors publish it: a ``SamModel`` in evaluation mode, on the CPU, in 32 bits.
 
-    Args:
-        transformers: the package.
-        path: ``mobile_sam.pt`` as its authors publish it. Only tensors are read from it, no code.
-
-    Returns:
-        A ``SamModel`` in evaluation mode, on the CPU, in 32 bits.
-
-    Raises:
-        ScoupError: the file holds other weights.
-        Exception: of torch, where it cannot be read.
+    Only tensors are read, no code. Other weights raise ScoupError; files that torch cannot read, its exceptions.
     """
     weights = torch.load(path, map_location="cpu", weights_only=True)
-    return _filled(_empty_model(transformers), weights)
+    return _fill(_empty_model(transformers), weights)
 
 
 def _empty_model(transformers: Any) -> Any:
@@ -63,10 +54,10 @@ def _empty_model(transformers: Any) -> Any:
     return model.eval()
 
 
-def _filled(model: Any, weights: Any) -> Any:
+def _fill(model: Any, weights: Any) -> Any:
     if not isinstance(weights, dict):
-        raise ScoupError("it holds no weights by name")
-    given = {_renamed(str(name)): value for name, value in weights.items()}
+        raise ScoupError("it contains no weights by name")
+    given = {_rename(str(name)): value for name, value in weights.items()}
     given.pop("", None)
     places = "shared_image_embedding.positional_embedding"
     if places in given:
@@ -81,7 +72,7 @@ def _filled(model: Any, weights: Any) -> Any:
     return model
 
 
-def _renamed(name: str) -> str:
+def _rename(name: str) -> str:
     for pattern, new in _RENAMES:
         name = re.sub(pattern, new, name)
     return name

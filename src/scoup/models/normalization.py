@@ -10,13 +10,12 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Normalization:
-    """How a model wants its images: per channel of RGB 0..1, minus ``mean``, divided by ``std``."""
+    """Mean and standard deviation per channel of RGB 0..1; a call normalises pixels [..., 3, H, W]."""
 
     mean: tuple[float, ...]
     std: tuple[float, ...]
 
     def __call__(self, pixels: Tensor) -> Tensor:
-        """Normalised pixels of RGB 0..1, [..., 3, H, W]."""
         mean, std = (torch.tensor(item, device=pixels.device).view(3, 1, 1) for item in (self.mean, self.std))
         return (pixels - mean) / std
 

@@ -21,46 +21,44 @@ from scoup.base.digests import file_sha256
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.models.hub import ModelRequest
 from scoup.models.normalization import IMAGENET
-from scoup.models.sam import EncodedImage, Sam2Image, SamImage, filled_square, scaled_to_square
+from scoup.models.sam import (
+    WITHOUT_MODEL,
+    EncodedImage,
+    Sam2Image,
+    SamImage,
+    normalize_and_pad,
+    scale_to_square,
+)
 
-PREFIX = "onnx:"
-"""Before the folder in a segmenter's name."""
-SIDE = 1024
-"""Of the models' square, unless the encoder's input says another."""
+PREFIX = "onnx:"  # before the folder in a segmenter's name
+SIDE = 1024  # of the models' square, unless the encoder's input says another
 _ENDINGS = (".onnx", ".ort")
 _POINTS_AT_ONCE = 4  # more are slower on a CPU
 
 
 @dataclass(frozen=True, eq=False)
 class OnnxSam:
-    """A pair of ONNX models.
-
-    Attributes:
-        encoder, decoder: sessions of ONNX Runtime.
-        name: for the manifest.
-        sha256: of both files, in this order.
-        side: of the models' square, in pixels.
-    """
+    """A pair of ONNX models, as sessions of ONNX Runtime."""
 
     encoder: Any
     decoder: Any
-    name: str
-    sha256: tuple[str, str]
-    side: int
+    name: str  # for the manifest
+    sha256: tuple[str, str]  # of both files
+    side: int  # of the models' square, in pixels
 
     @property
     def is_second(self) -> bool:
-        """SAM 2, whose images are stretched over the whole square."""
+        """Whether it is SAM 2, whose images are stretched over the whole square."""
         return _is_second(self.decoder)
 
     def record(self) -> dict[str, Any]:
         return {"segmenter": self.name, "segmenter_sha256": list(self.sha256)}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
-        scaled = scaled_to_square(image, self.side, self.is_second)
+        scaled = scale_to_square(image, self.side, self.is_second)
         wanted = self.encoder.get_inputs()[0]
         if len(wanted.shape) == 4:
-            values = filled_square(scaled, self.side, IMAGENET)[None].numpy()
+            values = normalize_and_pad(scaled, self.side, IMAGENET)[None].numpy()
         else:
             values = scaled
         kind = np.uint8 if "uint8" in wanted.type else np.float32
@@ -71,19 +69,19 @@ class OnnxSam:
         return image_class(lambda points: self._predict(outputs, points), self.side, size, within)
 
     def _predict(self, outputs: dict[str, NDArray[Any]], points: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the square."""
+        """Return logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the square."""
         inputs = {item.name: item for item in self.decoder.get_inputs()}
         # A batch of another size than one is possible only where the export left it open.
         at_once = _POINTS_AT_ONCE if isinstance(inputs["point_coords"].shape[0], str) else 1
-        parts = [self._decoded(outputs, part.float().numpy(), inputs) for part in points.split(at_once)]
+        parts = [self._decode(outputs, part.float().numpy(), inputs) for part in points.split(at_once)]
         return torch.cat([masks for masks, _ in parts]), torch.cat([iou for _, iou in parts])
 
-    def _decoded(
+    def _decode(
         self, outputs: dict[str, NDArray[Any]], points: NDArray[np.float32], inputs: dict[str, Any]
     ) -> tuple[Tensor, Tensor]:
         count = len(points)
         coordinates, labels = points[:, None], np.ones((count, 1), np.float32)
-        if not self.is_second:  # SAM's export leaves it to the caller to say that there is no box
+        if not self.is_second:  # in SAM's export the caller says that there is no box
             coordinates = np.concatenate([coordinates, np.zeros_like(coordinates)], axis=1)
             labels = np.concatenate([labels, -labels], axis=1)
         side = self.side // 4
@@ -98,28 +96,25 @@ class OnnxSam:
         given |= {name: value for name, value in outputs.items() if name in inputs}
         wanted = [_masks_name(self.decoder), "iou_predictions"]
         masks, iou = self.decoder.run(wanted, {name: given[name] for name in inputs})
-        # The first of four is the mask for a prompt without doubt; the three for a point follow it.
+        # The first of four is the mask for an unambiguous prompt; the three for a point follow it.
         return torch.from_numpy(masks[:, -3:]), torch.from_numpy(iou[:, -3:])
 
 
 def open_onnx_sam(name: str) -> OnnxSam:
-    """Open a pair of ONNX models.
+    """Open a pair of ONNX models: "onnx:FOLDER" with one encoder and one decoder (.onnx or .ort), by the files' names.
 
-    Args:
-        name: "onnx:FOLDER"; the folder holds one encoder and one decoder (.onnx or .ort), by these words in the
-            files' names. Of a decoder for single and one for several masks, that for several is taken.
+    Of a decoder for single and one for several masks, that for several is taken.
 
     Raises:
-        MissingFileError: there is no such folder, or it lacks one of the two.
-        FileFormatError: a file is no such model, or the decoder gives fewer than three masks for a point.
+        MissingFileError: the folder, the encoder or the decoder is missing.
+        FileFormatError: a file is not such a model, or the decoder gives fewer than three masks for a point.
         ScoupError: ONNX Runtime is not installed.
     """
     folder = Path(name.removeprefix(PREFIX))
-    request = ModelRequest("segmenter", name, "use the segmenter felzenszwalb, which needs no model")
-    runtime = request.package("onnxruntime", "onnx")
+    runtime = ModelRequest("segmenter", name, WITHOUT_MODEL).package("onnxruntime", "onnx")
     if not folder.is_dir():
         raise MissingFileError(
-            folder, "there is no such folder", "give the folder of an encoder and a decoder"
+            folder, "there is no such folder", "pass the folder of an encoder and a decoder"
         )
     paths = _model_file(folder, "encoder"), _model_file(folder, "decoder")
     encoder, decoder = (_session(runtime, path) for path in paths)
@@ -138,8 +133,8 @@ def _model_file(folder: Path, role: str) -> Path:
     )
     several = [path for path in found if "single" not in path.name.lower()] or found
     if len(several) != 1:
-        problem = f"holds {len(several)} files named *{role}*.onnx or .ort, not one"
-        raise MissingFileError(folder, problem, "it must hold one encoder and its decoder")
+        problem = f"contains {len(several)} files named *{role}*.onnx or .ort, expected 1"
+        raise MissingFileError(folder, problem, "leave one encoder and its decoder in it")
     return several[0]
 
 
@@ -151,7 +146,7 @@ def _session(runtime: Any, path: Path) -> Any:
         return runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime has kinds of its own
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
-        raise FileFormatError(path, f"cannot be loaded ({reason})", "it should be an ONNX model") from error
+        raise FileFormatError(path, f"cannot be loaded ({reason})", "use an ONNX model") from error
 
 
 def _check(paths: tuple[Path, Path], encoder: Any, decoder: Any) -> None:
@@ -159,7 +154,7 @@ def _check(paths: tuple[Path, Path], encoder: Any, decoder: Any) -> None:
     if needed != {"point_coords", "point_labels", "mask_input", "has_mask_input"}:
         raise FileFormatError(
             paths[1],
-            f"does not take what its encoder gives (it takes {', '.join(_names(decoder.get_inputs()))})",
+            f"does not take its encoder's outputs (it takes {', '.join(_names(decoder.get_inputs()))})",
             "use a pair as SAM's own code or samexporter writes it",
         )
     outputs = {item.name: item for item in decoder.get_outputs()}

@@ -1,4 +1,4 @@
-"""SAM, MobileSAM, SAM 2 and SAM 3's tracker through transformers: three masks for each point, levels s, m and l."""
+"""SAM, MobileSAM, SAM 2 and SAM 3's tracker through transformers: three masks per point, levels s, m and l."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SHORT_NAMES = {
     "sam3": "facebook/sam3",
 }
 NAMES = (MOBILE_SAM, *SHORT_NAMES)
-_ALTERNATIVE = "use --segmenter felzenszwalb, which needs no model"
+WITHOUT_MODEL = "use the segmenter 'felzenszwalb', which needs no model"
 _CLASSES = {"sam3": "Sam3TrackerModel", "sam2": "Sam2Model", "sam": "SamModel"}
 
 
@@ -42,15 +42,15 @@ class EncodedImage(Protocol):
     """An image after the image encoder of a model. Masks are logits: above 0 is inside."""
 
     def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Masks for points [P, 2] in pixels x, y: logits [P, 3, h, w] and predicted IoU [P, 3]."""
+        """Return logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels x, y."""
         ...
 
     def without_padding(self, logits: Tensor) -> Tensor:
-        """The part of low-resolution masks [N, h, w] that shows the image."""
+        """Return the part of low-resolution masks [N, h, w] that shows the image."""
         ...
 
     def upscale(self, logits: Tensor) -> Tensor:
-        """Low-resolution masks [N, h, w] at the size of the image, [N, H, W]."""
+        """Return low-resolution masks [N, h, w] at the size of the image, [N, H, W]."""
         ...
 
 
@@ -58,7 +58,7 @@ class PointModel(Protocol):
     """A model that predicts masks from points."""
 
     def record(self) -> dict[str, Any]:
-        """What decides the result, as plain values for the manifest."""
+        """Return the settings that decide the result, as plain values for the manifest."""
         ...
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
@@ -68,7 +68,7 @@ class PointModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SamImage:
-    """The image is scaled to the model's square by its longer side, and padded below or on the right."""
+    """An image scaled to the model's square by its longer side, and padded below or on the right."""
 
     decode: Callable[[Tensor], tuple[Tensor, Tensor]]  # of points [P, 2] in pixels of the model's square
     side: int  # of that square
@@ -80,50 +80,37 @@ class SamImage:
         return self.decode(points * torch.tensor([wide / width, high / height], dtype=torch.float64))
 
     def without_padding(self, logits: Tensor) -> Tensor:
-        side = self.side
         high, wide = (
-            max(1, round(length * whole / side))
+            max(1, round(length * whole / self.side))
             for length, whole in zip(self.scaled, logits.shape[-2:], strict=True)
         )
         return logits[..., :high, :wide]
 
     def upscale(self, logits: Tensor) -> Tensor:
-        side = self.side
-        whole = _resized(logits, (side, side))
-        return _resized(whole[..., : self.scaled[0], : self.scaled[1]], self.size)
+        whole = _resize(logits, (self.side, self.side))
+        return _resize(whole[..., : self.scaled[0], : self.scaled[1]], self.size)
 
 
 @dataclass(frozen=True, eq=False)
 class Sam2Image(SamImage):
-    """The image is stretched over the model's whole square."""
+    """An image stretched over the model's whole square."""
 
     def upscale(self, logits: Tensor) -> Tensor:
-        return _resized(logits, self.size)
+        return _resize(logits, self.size)
 
 
 @dataclass(frozen=True, eq=False)
 class Sam:
-    """A SAM model of any generation.
+    """A SAM model of any generation."""
 
-    Attributes:
-        model: of transformers, in evaluation mode.
-        name: id for the manifest.
-        revision: commit it was loaded from, "" if there is none.
-        side: of its square images, in pixels.
-        stretches: whether images are stretched to the square (SAM 2 and 3), not padded (SAM).
-        normalization: of its images.
-        half: encode images in 16 bits on a GPU.
-        sha256: of the checkpoint, where it is a file of its own; "" for what a commit names.
-    """
-
-    model: Any
-    name: str
-    revision: str
-    side: int
-    stretches: bool
+    model: Any  # of transformers, in evaluation mode
+    name: str  # id for the manifest
+    revision: str  # commit it was loaded from, "" if unknown
+    side: int  # of its square images, in pixels
+    stretches: bool  # images are stretched to the square (SAM 2 and 3), not padded (SAM)
     normalization: Normalization
-    half: bool = False
-    sha256: str = ""
+    half: bool = False  # encode images in 16 bits on a GPU
+    sha256: str = ""  # of a checkpoint that is a file; "" for a model of a commit
 
     @property
     def device(self) -> torch.device:
@@ -134,8 +121,8 @@ class Sam:
         return {"segmenter": self.name, "segmenter_revision": self.revision, **checked}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
-        scaled = scaled_to_square(image, self.side, self.stretches)
-        values = filled_square(scaled, self.side, self.normalization)
+        scaled = scale_to_square(image, self.side, self.stretches)
+        values = normalize_and_pad(scaled, self.side, self.normalization)
         with torch.inference_mode(), self._precision():
             embeddings = self.model.get_image_embeddings(values[None].to(self.device))
         size = (scaled.shape[0], scaled.shape[1])
@@ -154,7 +141,7 @@ class Sam:
         return SharedDecoder(self.model, embeddings, (rows, columns)).predict
 
     def predict(self, embeddings: Any, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the model's square."""
+        """Return logits [P, 3, h, w] and predicted IoU [P, 3] for points [P, 2] in pixels of the model's square."""
         prompts = points.float().to(self.device)[None, :, None]  # [1, P, 1, 2]
         with torch.inference_mode(), self._precision():
             output = self.model(
@@ -170,8 +157,8 @@ class Sam:
         return torch.autocast("cuda", torch.float16) if half else nullcontext()
 
 
-def scaled_to_square(image: NDArray[np.uint8], side: int, stretches: bool) -> NDArray[np.uint8]:
-    """An image [H, W, 3] stretched over a square, or scaled to it by the longer side."""
+def scale_to_square(image: NDArray[np.uint8], side: int, stretches: bool) -> NDArray[np.uint8]:
+    """Stretch an image [H, W, 3] over a square, or scale it to the square by the longer side."""
     from PIL import Image
 
     height, width = image.shape[:2]
@@ -183,8 +170,8 @@ def scaled_to_square(image: NDArray[np.uint8], side: int, stretches: bool) -> ND
     return np.array(Image.fromarray(image).resize((wide, high), Image.Resampling.BILINEAR))
 
 
-def filled_square(scaled: NDArray[np.uint8], side: int, normalization: Normalization) -> Tensor:
-    """[3, side, side] of a scaled image: normalised, then padded below and on the right."""
+def normalize_and_pad(scaled: NDArray[np.uint8], side: int, normalization: Normalization) -> Tensor:
+    """Return [3, side, side] of a scaled image, padded below and on the right."""
     values = normalization(torch.from_numpy(scaled).permute(2, 0, 1) / 255)
     return functional.pad(values, (0, side - scaled.shape[1], 0, side - scaled.shape[0]))
 
@@ -192,12 +179,7 @@ def filled_square(scaled: NDArray[np.uint8], side: int, normalization: Normaliza
 def open_sam(
     name: str, revision: str | None = None, device: torch.device | str = "cpu", half: bool = False
 ) -> Sam:
-    """Load a SAM model.
-
-    Args:
-        name: "mobile-sam", or the path of its checkpoint (.pt); of ``SHORT_NAMES``; or a folder or hub id.
-        revision: branch, tag or commit of a hub model; the commit found is recorded.
-        half: encode images in 16 bits on a GPU.
+    """Load a SAM model: of ``NAMES``, the path of MobileSAM's checkpoint (.pt), or a folder or hub id.
 
     Raises:
         ScoupError: transformers, the weights (safetensors) or a part of them are missing.
@@ -215,39 +197,39 @@ def open_sam(
         normalization = files.normalization() or (HALF if kind.startswith("sam3") else IMAGENET)
         return Sam(model.to(device), model_id, files.commit, side, kind != "sam", normalization, half)
 
-    return load_pretrained(ModelRequest("segmenter", name, _ALTERNATIVE, model_id, revision), load)
+    return load_pretrained(ModelRequest("segmenter", name, WITHOUT_MODEL, model_id, revision), load)
 
 
 def _open_mobile_sam(name: str, revision: str | None, device: torch.device | str, half: bool) -> Sam:
-    by_hand = f"fetch {mobile_sam.URL} elsewhere and give the path of the file in place of the name"
+    by_hand = f"fetch {mobile_sam.URL} elsewhere and pass the path of the file instead of the name"
     if name != MOBILE_SAM and not Path(name).is_file():
         raise MissingFileError(name, "there is no such checkpoint", by_hand)
-    request = ModelRequest("segmenter", name, _ALTERNATIVE, mobile_sam.HUB_ID, revision, by_hand)
+    request = ModelRequest("segmenter", name, WITHOUT_MODEL, mobile_sam.HUB_ID, revision, by_hand)
     transformers = request.package("transformers", "models")
     path = hub_file(request, mobile_sam.FILE) if name == MOBILE_SAM else Path(name)
     try:
         model = mobile_sam.sam_of_checkpoint(transformers, path)
         sha256 = file_sha256(path)
     except ScoupError as error:
-        raise request.failed(str(error)) from error
+        raise request.unusable(str(error)) from error
     except Exception as error:  # torch raises nearly everything for damaged and foreign files
-        raise request.not_loaded(error) from error
+        raise request.unreadable(error) from error
     side = int(model.config.prompt_encoder_config.image_size)
     return Sam(model.to(device), MOBILE_SAM, "", side, False, IMAGENET, half, sha256)
 
 
 def _class_of(transformers: Any, model_type: str) -> Any:
-    """The class for a config, also for that of a video model, whose file holds the image model too."""
+    """Return the class for a config, also of a video model, whose file contains the image model too."""
     generation = model_type.split("_", 1)[0]
     if generation not in _CLASSES:
         raise ScoupError(f"{model_type!r} is not a SAM model; use SAM, SAM 2 or SAM 3")
     kind = getattr(transformers, _CLASSES[generation], None)
     if kind is None:
         raise ScoupError(
-            f"this transformers ({transformers.__version__}) has no {generation}; pip install -U it"
+            f"transformers {transformers.__version__} has no {generation}; run 'pip install -U transformers'"
         )
     return kind
 
 
-def _resized(logits: Tensor, size: tuple[int, int]) -> Tensor:
+def _resize(logits: Tensor, size: tuple[int, int]) -> Tensor:
     return functional.interpolate(logits[:, None], size, mode="bilinear", align_corners=False)[:, 0]

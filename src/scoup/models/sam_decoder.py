@@ -1,9 +1,9 @@
-"""SAM's mask decoder for many points of one image: the numbers of transformers' ``SamModel`` up to rounding, with a
-third of its work.
+"""SAM's mask decoder for many points of one image: the numbers of transformers' ``SamModel`` up to rounding, for a
+third of the work.
 
-What the points of an image share is computed once: the keys, values and queries of the image in the first layer. In
-the second layer, projections of all tokens of the image, anew for each point, are moved to the few tokens of the point:
-q . (W k) = (W' q) . k. And only the part of a mask that shows the image is enlarged, not the padding.
+The keys, values and queries of the image in the first layer are computed once for all points. In the second layer,
+projections of all tokens of the image, different for each point, are moved to the few tokens of the point:
+q . (W k) = (W' q) . k. And only the part of a mask that shows the image is upscaled, not the padding.
 """
 
 from __future__ import annotations
@@ -16,28 +16,20 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-OUTSIDE = -20.0
-"""Logits of the padding."""
-POINTS_AT_ONCE = 4
-"""More are slower: the tokens of a few images fit into the caches of a CPU."""
+OUTSIDE = -20.0  # logits of the padding
+POINTS_AT_ONCE = 4  # more are slower: the tokens of a few images fit into the caches of a CPU
 
 
 @dataclass(frozen=True, eq=False)
 class SharedDecoder:
-    """The decoder over one image.
+    """The decoder over one image."""
 
-    Attributes:
-        model: a ``SamModel`` of transformers, on the CPU.
-        embedding: [1, D, h, w] of the image.
-        shown: rows and columns of the embedding that show the image; the rest is padding.
-    """
-
-    model: Any
-    embedding: Tensor
-    shown: tuple[int, int]
+    model: Any  # a ``SamModel`` of transformers, on the CPU
+    embedding: Tensor  # [1, D, h, w] of the image
+    shown: tuple[int, int]  # rows and columns of the embedding that show the image; the rest is padding
 
     def predict(self, prompts: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits [P, 3, 4 h, 4 w] and predicted IoU [P, 3] of prompts [P, 2] in pixels of the model's square."""
+        """Return logits [P, 3, 4 h, 4 w] and predicted IoU [P, 3] of prompts [P, 2] in pixels of the square."""
         with torch.inference_mode():
             parts = [self._predict(part) for part in prompts.split(POINTS_AT_ONCE)]
         return torch.cat([masks for masks, _ in parts]), torch.cat([iou for _, iou in parts])
@@ -79,16 +71,16 @@ class SharedDecoder:
         iou = decoder.iou_prediction_head(tokens[:, 0])[:, 1:]
         networks = decoder.output_hypernetworks_mlps
         weights = torch.stack([networks[n](tokens[:, 1 + n]) for n in range(1, len(networks))], dim=1)
-        return self._enlarged(image, weights), iou
+        return self._upscale(image, weights), iou
 
     def _first_layer(self, places: Tensor) -> tuple[Tensor, Tensor]:
-        """The image is still the same for all points."""
+        """Apply the first layer, in which all points have the same image."""
         layer, image = self.model.mask_decoder.transformer.layers[0], self._image
-        tokens = layer.layer_norm1(_attended(layer.self_attn, places, places, places))
+        tokens = layer.layer_norm1(_attend(layer.self_attn, places, places, places))
         to_image = layer.cross_attn_token_to_image
         queries = _heads(to_image, to_image.q_proj(tokens + places))
-        mixed = _mixed(to_image, queries, image.keys, image.values)
-        tokens = layer.layer_norm2(tokens + to_image.out_proj(_joined(mixed)))
+        mixed = _mix(to_image, queries, image.keys, image.values)
+        tokens = layer.layer_norm2(tokens + to_image.out_proj(_join_heads(mixed)))
         tokens = layer.layer_norm3(tokens + layer.mlp(tokens))
         from_image = layer.cross_attn_image_to_token
         keys = _heads(from_image, from_image.k_proj(tokens + places))
@@ -99,9 +91,9 @@ class SharedDecoder:
     def _later_layer(
         self, layer: Any, tokens: Tensor, places: Tensor, image: Tensor, placed: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Every point has an image of its own; ``placed`` is it with its places added."""
+        """Apply a layer in which every point has its own image; ``placed`` is it with its places added."""
         queries = tokens + places
-        tokens = layer.layer_norm1(tokens + _attended(layer.self_attn, queries, queries, tokens))
+        tokens = layer.layer_norm1(tokens + _attend(layer.self_attn, queries, queries, tokens))
         seen = _to_image(layer.cross_attn_token_to_image, tokens + places, placed, image)
         tokens = layer.layer_norm2(tokens + seen)
         tokens = layer.layer_norm3(tokens + layer.mlp(tokens))
@@ -113,8 +105,8 @@ class SharedDecoder:
         scores = scores.unflatten(1, bias.shape[1:])
         return tokens, layer.layer_norm4(_from_tokens(attention, scores, tokens).add_(image))
 
-    def _enlarged(self, image: Tensor, weights: Tensor) -> Tensor:
-        """Two transposed convolutions (2 x 2, stride 2), as products over pixels; then the masks."""
+    def _upscale(self, image: Tensor, weights: Tensor) -> Tensor:
+        """Apply two transposed convolutions (2 x 2, stride 2) as products over pixels, then the masks."""
         decoder = self.model.mask_decoder
         height, width = self.embedding.shape[-2:]
         rows, columns = self.shown
@@ -135,7 +127,7 @@ class SharedDecoder:
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """What all points share: the tokens of the image, [1, T, D], their places, and the first layer's heads of them."""
+    """The tokens of the image, [1, T, D], their places, and the first layer's heads of them: shared by all points."""
 
     tokens: Tensor
     places: Tensor
@@ -149,21 +141,21 @@ def _heads(attention: Any, tokens: Tensor) -> Tensor:
     return tokens.unflatten(-1, (attention.num_attention_heads, -1)).transpose(1, 2)
 
 
-def _joined(heads: Tensor) -> Tensor:
+def _join_heads(heads: Tensor) -> Tensor:
     return heads.transpose(1, 2).flatten(2)
 
 
-def _attended(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
-    mixed = _mixed(
+def _attend(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
+    mixed = _mix(
         attention,
         _heads(attention, attention.q_proj(queries)),
         _heads(attention, attention.k_proj(keys)),
         _heads(attention, attention.v_proj(values)),
     )
-    return attention.out_proj(_joined(mixed))
+    return attention.out_proj(_join_heads(mixed))
 
 
-def _mixed(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
+def _mix(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
     """Scaled attention of heads; unlike torch's, it makes no copies where the image is shared by all points."""
     return (queries * attention.scaling @ keys.transpose(2, 3)).softmax(-1) @ values
 
@@ -184,7 +176,7 @@ def _to_image(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> 
     values_of_heads = torch.einsum(
         "bhnd,hcd->bhnc", mixed, attention.v_proj.weight.view(count, size, -1)
     ) + attention.v_proj.bias.view(1, count, 1, size)
-    return attention.out_proj(_joined(values_of_heads))
+    return attention.out_proj(_join_heads(values_of_heads))
 
 
 def _from_tokens(attention: Any, scores: Tensor, tokens: Tensor) -> Tensor:

@@ -22,14 +22,13 @@ from scoup.models.towers import load_tower
 from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, with_everyday
 
-COLORS = "colors"
-"""Name of embeddings made without a model (``extract.plain_colors``). No text can be encoded among them."""
+COLORS = "colors"  # name of embeddings made without a model (``extract.plain_colors``)
 NO_WORDS_FOR_COLORS = (
     "these regions were embedded by their colours, without a model, and cannot be queried in words; "
-    "extract them with a CLIP model (scoup extract --embedder MODEL) and build the field again"
+    "extract them with a CLIP model as embedder and build the field again"
 )
 _BATCH = 64
-LONGEST = 1000  # characters of a phrase; models read some hundred at most
+LONGEST = 1000  # characters of a phrase; models read a few hundred at most
 _SHOWN = 50  # names in the picture of a notebook
 
 Encode = Callable[[list[str]], Tensor]
@@ -88,7 +87,7 @@ class TextEncoder:
         return card(f"Text encoder: {self.name or 'unnamed model'}", facts, self._similarities())
 
     def _similarities(self) -> NDArray[np.uint8] | None:
-        """The cosines of the first names with each other, dark where alike: [H, W, 3]; None without names."""
+        """Return the cosines of the first names with each other, dark where alike: [H, W, 3]; None without names."""
         if self.names is None or self._encode is None:
             return None
         vectors = self.encode(self.names[:_SHOWN])
@@ -104,7 +103,7 @@ class TextEncoder:
         revision: str | None = None,
         device: torch.device | str = "cpu",
     ) -> TextEncoder:
-        """A text encoder of a word table, a dict, or a CLIP or SigLIP model.
+        """Open a text encoder of a word table, a dict, or a CLIP or SigLIP model.
 
         Args:
             model_or_table: a word table (.npz, .json, .safetensors; see ``scoup.models.word_table.load_table``), a dict
@@ -153,7 +152,7 @@ class TextEncoder:
         return opened
 
     def encode(self, phrases: Sequence[str]) -> Tensor:
-        """[Q, D] float32 unit vectors of the phrases, on the CPU.
+        """Return [Q, D] float32 unit vectors of the phrases, on the CPU.
 
         Raises:
             UnknownNameError: a table lacks a phrase (case and outer blanks are ignored if need be); the
@@ -163,7 +162,7 @@ class TextEncoder:
         if self._encode is None:
             raise InputError("this text encoder is closed; open it again")
         if isinstance(phrases, str):
-            raise InputError(f"give a list of phrases, such as [{phrases!r}], not one string")
+            raise InputError(f"expected a list of phrases, got one string; pass [{phrases!r}]")
         for phrase in phrases:
             if not isinstance(phrase, str) or not phrase.strip():
                 raise InputError(f"a phrase to encode must be a text that is not blank, got {phrase!r}")
@@ -180,7 +179,7 @@ class TextEncoder:
         return torch.nn.functional.normalize(vectors, dim=1)
 
     def canonical(self, everyday: bool = False) -> Tensor:
-        """[4, D] float32 unit vectors of the canonical phrases (``scoup.models.words.CANONICAL_PHRASES``).
+        """Return [4, D] float32 unit vectors of the canonical phrases (``scoup.models.words.CANONICAL_PHRASES``).
 
         Args:
             everyday: add the mean of everyday words as a fifth row (``scoup.models.words.with_everyday``), as
@@ -194,7 +193,7 @@ class TextEncoder:
         return with_everyday(self._canonical, self.everyday()) if everyday else self._canonical
 
     def everyday(self) -> Tensor:
-        """[B, D] float32 unit vectors of everyday words (``scoup.models.words``).
+        """Return [B, D] float32 unit vectors of everyday words (``scoup.models.words``).
 
         For a model a fixed list of words; for a table all its names except the canonical phrases.
         """

@@ -25,9 +25,7 @@ NECK = 256
 class TinyViT(nn.Module):
     """Images [B, 3, side, side], normalised -> embeddings [B, 256, side / 16, side / 16].
 
-    Args:
-        dimensions, depths, heads, windows: of the four stages; those of the first stage, which is made of
-            convolutions, are not used beyond its dimension and depth.
+    Of the first stage, which consists of convolutions, heads and windows are not used.
     """
 
     def __init__(
@@ -40,13 +38,8 @@ class TinyViT(nn.Module):
     ) -> None:
         super().__init__()
         first = dimensions[0]
-        self.patch_embed = nn.ModuleDict(
-            {
-                "seq": nn.Sequential(
-                    _convolution(3, first // 2, 3, 2), nn.GELU(), _convolution(first // 2, first, 3, 2)
-                )
-            }
-        )
+        stem = _convolution(3, first // 2, 3, 2), nn.GELU(), _convolution(first // 2, first, 3, 2)
+        self.patch_embed = nn.ModuleDict({"seq": nn.Sequential(*stem)})
         self.layers = nn.ModuleList()
         for stage, (size, depth) in enumerate(zip(dimensions, depths, strict=True)):
             blocks = [
@@ -65,7 +58,7 @@ class TinyViT(nn.Module):
         )
 
     def forward(self, pixels: Tensor, **_: object) -> tuple[Tensor]:
-        """As a vision encoder of transformers: a tuple that begins with the embeddings."""
+        """Return a tuple that begins with the embeddings, as a vision encoder of transformers."""
         image = self.patch_embed["seq"](pixels)
         for layer in self.layers:
             assert isinstance(layer, nn.ModuleDict)
@@ -107,7 +100,7 @@ class _InvertedBottleneck(nn.Module):
 
 
 class _Downsample(nn.Module):
-    """From one stage to the next."""
+    """The step from one stage to the next."""
 
     def __init__(self, channels: int, out: int, stride: int) -> None:
         super().__init__()
@@ -127,21 +120,17 @@ class _Block(nn.Module):
         self.window = window
         self.attn = _Attention(channels, heads, window)
         self.local_conv = _convolution(channels, channels, 3, groups=channels)
-        self.mlp = nn.ModuleDict(
-            {
-                "norm": nn.LayerNorm(channels),
-                "fc1": nn.Linear(channels, 4 * channels),
-                "fc2": nn.Linear(4 * channels, channels),
-            }
-        )
+        norm = nn.LayerNorm(channels)
+        fc1, fc2 = nn.Linear(channels, 4 * channels), nn.Linear(4 * channels, channels)
+        self.mlp = nn.ModuleDict({"norm": norm, "fc1": fc1, "fc2": fc2})
 
     def forward(self, image: Tensor) -> Tensor:
-        image = self.local_conv(image + self._attended(image)).permute(0, 2, 3, 1)
+        image = self.local_conv(image + self._attend(image)).permute(0, 2, 3, 1)
         mlp = self.mlp
         image = image + mlp["fc2"](functional.gelu(mlp["fc1"](mlp["norm"](image))))
         return image.permute(0, 3, 1, 2)
 
-    def _attended(self, image: Tensor) -> Tensor:
+    def _attend(self, image: Tensor) -> Tensor:
         batch, channels, height, width = image.shape
         window = self.window
         padded = functional.pad(image, (0, -width % window, 0, -height % window))
@@ -164,8 +153,7 @@ class _Attention(nn.Module):
         self.qkv = nn.Linear(channels, 3 * channels)
         self.proj = nn.Linear(channels, channels)
         self.attention_biases = nn.Parameter(torch.zeros(heads, window * window))
-        # The checkpoint numbers the distances (y, x) in the order in which the first row of pixels meets them: row
-        # by row, so that distance (y, x) has the number window * y + x.
+        # In the checkpoint the distance (y, x) has the number window * y + x.
         y, x = torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")
         y, x = y.flatten(), x.flatten()
         numbers = (y[:, None] - y).abs() * window + (x[:, None] - x).abs()

@@ -17,22 +17,15 @@ Modality = Literal["text", "image"]
 
 @dataclass(frozen=True, eq=False)
 class Tower:
-    """One half of a CLIP or SigLIP model.
-
-    Attributes:
-        modality: what it encodes.
-        is_clip: CLIP; otherwise SigLIP or a model with the same interface.
-        model: of transformers.
-        config: of this tower.
-    """
+    """One half of a CLIP or SigLIP model."""
 
     modality: Modality
-    is_clip: bool
-    model: Any
-    config: Any
+    is_clip: bool  # otherwise SigLIP or a model with the same interface
+    model: Any  # of transformers
+    config: Any  # of this tower
 
     def features(self, **inputs: Tensor) -> Tensor:
-        """[B, D] features of token ids or pixels, not normalised."""
+        """Return [B, D] features of token ids or pixels, not normalised."""
         with torch.inference_mode():
             if self.is_clip:
                 return getattr(self.model(**inputs), f"{self.modality}_embeds").clone()
@@ -41,11 +34,7 @@ class Tower:
 
 
 def load_tower(files: Pretrained, modality: Modality) -> Tower:
-    """The tower of a model; for CLIP only its weights are read.
-
-    Raises:
-        ScoupError: the model is neither CLIP nor SigLIP, or lacks weights.
-    """
+    """Load the tower of a model; for CLIP only its weights are read."""
     config = files.config
     half = "text" if modality == "text" else "vision"
     of_half = getattr(config, f"{half}_config", config)
@@ -61,5 +50,5 @@ def load_tower(files: Pretrained, modality: Modality) -> Tower:
 
 
 def normalization_of(files: Pretrained, tower: Tower) -> Normalization:
-    """Of a tower's images: what the model's files say, else what is usual for its kind."""
+    """Return the normalisation of a tower's images: of the model's files, else the usual one of its kind."""
     return files.normalization() or (CLIP if tower.is_clip else HALF)

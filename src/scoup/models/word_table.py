@@ -19,51 +19,32 @@ from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.base.npz import write_npz
 
 TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
-MODEL_KEY = "model"
-"""Array, JSON entry or metadata entry that may name the embedding model; never a word of the table."""
+MODEL_KEY = "model"  # array, JSON entry or metadata entry that may name the embedding model; never a word
 
-_OTHER_SUFFIXES = (
-    ".npy",
-    ".pt",
-    ".pth",
-    ".ckpt",
-    ".bin",
-    ".pkl",
-    ".txt",
-    ".csv",
-    ".tsv",
-    ".yaml",
-    ".h5",
-    ".parquet",
+_OTHER_SUFFIXES = frozenset(
+    {".npy", ".pt", ".pth", ".ckpt", ".bin", ".pkl", ".txt", ".csv", ".tsv", ".yaml", ".h5", ".parquet"}
 )
 _FORMS = (
-    "give a table (.npz with names and vectors, .json with name: numbers, or .safetensors; "
+    "pass a table (.npz with names and vectors, .json with name: numbers, or .safetensors; "
     "scoup.models.word_table.save_table writes one), or a model by folder or hub id"
 )
 _MAX_BYTES = 1 << 31  # a table of words is small; a damaged size must not fill the memory
-_RATIO, _ANY_BYTES = 20, 16 << 20  # numbers hardly shrink: what unpacks to more than both is no table
+_RATIO, _ANY_BYTES = 20, 16 << 20  # numbers hardly shrink: what unpacks to more than both is not a table
 _REMEDY = "the file is damaged or of another kind; write it again (scoup.models.word_table.save_table)"
 
 
 class WordTable:
-    """Names and their unit vectors.
-
-    Attributes:
-        path: the file.
-        names: as in the file.
-        vectors: [M, D] float32, unit norm.
-        model: the embedding model the file names, "" if it names none.
-    """
+    """Names and their unit vectors."""
 
     def __init__(self, path: Path, names: Sequence[str], vectors: np.ndarray, model: str = "") -> None:
         self.path = path
         self.names = tuple(names)
-        self.vectors = _checked(path, self.names, vectors)
-        self.model = model
+        self.vectors = _unit_vectors(path, self.names, vectors)  # [M, D] float32
+        self.model = model  # that embedded the names, "" if unknown
 
     @classmethod
     def of(cls, vectors: Mapping[str, Tensor | ArrayLike]) -> WordTable:
-        """A table in memory, of name -> vector [D].
+        """Return a table in memory, of name -> vector [D].
 
         Raises:
             InputError: there is no name, or the vectors differ in size, are not vectors, zero or not finite.
@@ -73,25 +54,20 @@ class WordTable:
         try:
             rows = {name: torch.as_tensor(row).detach().cpu() for name, row in vectors.items()}
         except (TypeError, ValueError, RuntimeError) as error:
-            raise InputError(f"a dict of text embeddings must hold vectors ({error})") from error
+            raise InputError(f"a dict of text embeddings must contain vectors ({error})") from error
         if len({tuple(row.shape) for row in rows.values()}) != 1 or next(iter(rows.values())).dim() != 1:
-            raise InputError("a dict of text embeddings must hold vectors of one length, and at least one")
-        return cls(
-            Path("the dict of text embeddings"), list(rows), torch.stack(list(rows.values())).float().numpy()
-        )
+            raise InputError("a dict of text embeddings must contain vectors of one length, and at least one")
+        stacked = torch.stack(list(rows.values())).float().numpy()
+        return cls(Path("the dict of text embeddings"), list(rows), stacked)
 
 
 def is_table(model_or_table: str | Path) -> bool:
-    """Whether the text means a table file and not a model: it ends as one, whether it exists or not."""
+    """Return whether the text means a table file and not a model, by its extension."""
     return Path(model_or_table).suffix.lower() in TABLE_SUFFIXES
 
 
 def refuse_other_file(model_or_table: str) -> None:
-    """Refuse what means a file, by being one or by its extension, and is not a table.
-
-    Raises:
-        FileFormatError: it does.
-    """
+    """Raise FileFormatError for a file, existing or by its extension, that is not a table."""
     path = Path(model_or_table)
     if path.is_file() or path.suffix.lower() in _OTHER_SUFFIXES:
         raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
@@ -100,13 +76,13 @@ def refuse_other_file(model_or_table: str) -> None:
 def load_table(path: str | Path) -> WordTable:
     """Read a table; see ``save_table`` for one of its forms.
 
-    Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] a name; .json with
-    ``{name: [numbers]}``; .safetensors with one tensor a name, or a tensor ``vectors`` and the names as a
+    Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] per name; .json with
+    ``{name: [numbers]}``; .safetensors with one tensor per name, or a tensor ``vectors`` and the names as a
     JSON list in its metadata entry ``names``. The embedding model may be named under ``model``.
 
     Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged, or holds no table.
+        MissingFileError: the file is missing.
+        FileFormatError: it is damaged, or is not a table.
     """
     path = Path(path)
     if not path.is_file():
@@ -117,7 +93,7 @@ def load_table(path: str | Path) -> WordTable:
     )
     if read is None:
         raise FileFormatError(path, "is not a table of text embeddings", _FORMS)
-    with _damage_named(path):
+    with _reporting_damage(path):
         return read(path)
 
 
@@ -133,13 +109,11 @@ def save_table(
     Args:
         path: must end in .npz.
         names: all different.
-        vectors: array or CPU tensor [M, D].
-        overwrite: replace an existing file.
-        model: id of the embedding model, kept under ``model``.
+        model: id of the embedding model.
 
     Raises:
         InputError: names and vectors do not fit, or a vector is zero or not finite.
-        OutputExistsError: the file is there already.
+        OutputExistsError: the file exists already.
     """
     if Path(path).suffix.lower() != ".npz":
         raise InputError(f"{path}: tables are written as .npz; change the file's extension")
@@ -171,12 +145,12 @@ def _read_npz(path: Path) -> WordTable:
 
 
 def _read_array(path: Path, stream: Any, size: int) -> np.ndarray:
-    """One .npy member, refused before any memory is taken if it claims more than it has."""
+    """Read one .npy member; refuse it before any memory is taken if it claims more than it has."""
     version = np.lib.format.read_magic(stream)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, column_major, dtype = header(stream)
     if dtype.kind not in "fiuUS" or any(side < 0 for side in shape):
-        raise FileFormatError(path, f"holds an array of type {dtype}, expected words and numbers", _REMEDY)
+        raise FileFormatError(path, f"contains an array of type {dtype}, expected words and numbers", _REMEDY)
     count = 1
     for side in shape:  # Python integers: a product of damaged sizes must not wrap around
         count *= int(side)
@@ -225,20 +199,20 @@ def _read_safetensors(path: Path) -> WordTable:
 
 def _stacked(path: Path, rows: dict[str, np.ndarray]) -> np.ndarray:
     if not rows:
-        raise FileFormatError(path, "holds no names", _REMEDY)
+        raise FileFormatError(path, "contains no names", _REMEDY)
     shapes = {row.shape for row in rows.values()}
     if len(shapes) > 1 or len(next(iter(shapes))) != 1:
         raise FileFormatError(path, "its entries are not vectors of one length", _REMEDY)
     return np.stack(list(rows.values()))
 
 
-def _checked(path: Path, names: tuple[str, ...], vectors: np.ndarray) -> np.ndarray:
+def _unit_vectors(path: Path, names: tuple[str, ...], vectors: np.ndarray) -> np.ndarray:
     if vectors.ndim != 2 or len(vectors) != len(names) or vectors.dtype.kind not in "fiu":
         raise FileFormatError(
             path, f"{len(names)} names but vectors of shape {list(vectors.shape)} ({vectors.dtype})", _REMEDY
         )
     if not len(names) or vectors.shape[1] == 0:
-        raise FileFormatError(path, "holds no vectors", _REMEDY)
+        raise FileFormatError(path, "contains no vectors", _REMEDY)
     wide = vectors.astype(np.float64)
     norms = np.linalg.norm(wide, axis=1)
     bad = ~np.isfinite(norms) | (norms == 0)
@@ -249,8 +223,8 @@ def _checked(path: Path, names: tuple[str, ...], vectors: np.ndarray) -> np.ndar
 
 
 @contextmanager
-def _damage_named(path: Path) -> Iterator[None]:
-    """Whatever a parser says of a damaged file, as one error that names the file."""
+def _reporting_damage(path: Path) -> Iterator[None]:
+    """Turn whatever a parser raises for a damaged file into one error that names the file."""
     try:
         yield
     except FileFormatError:

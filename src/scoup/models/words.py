@@ -31,17 +31,10 @@ LEAST_WORDS = 16
 
 
 def with_everyday(canonical: Tensor, words: Tensor) -> Tensor:
-    """The canonical phrases and, as one more phrase, the mean of everyday words: the phrases of the preset "default".
+    """Append the mean of everyday words [B, D] to the canonical phrases [P, D], as the preset "default" does.
 
     The mean is not scaled to unit norm. Its cosine with an embedding is then the mean of the words' cosines, about
-    that of any single word.
-
-    Args:
-        canonical: [P, D] unit vectors.
-        words: [B, D] unit vectors; fewer than ``LEAST_WORDS`` change nothing.
-
-    Returns:
-        [P + 1, D], or [P, D].
+    that of any single word. Fewer words than ``LEAST_WORDS`` change nothing.
     """
     if len(words) < LEAST_WORDS:
         return canonical
