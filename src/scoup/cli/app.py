@@ -22,6 +22,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
   scoup label scene.scoup "kettle" "wooden table"
+  scoup catalog scene.scoup
   scoup render scene.scoup --what codes --camera all
   scoup view scene.scoup
   scoup info scene.scoup
@@ -43,6 +44,7 @@ SCOUP = Family(
         "query": "scoup.cli.query:Query",
         "select": "scoup.cli.select:Select",
         "label": "scoup.cli.label:Label",
+        "catalog": "scoup.cli.catalog:MakeCatalog",
         "render": "scoup.cli.render:Render",
         "view": "scoup.cli.view:View",
         "info": "scoup.cli.info:Info",

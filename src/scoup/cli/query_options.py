@@ -15,7 +15,9 @@ from scoup.cli.options import FieldFile, OptionalPath, OptionalText, OptionGroup
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
+    from scoup.models.text import TextEncoder
     from scoup.query.expression import Expression
+    from scoup.query.frame import Frame
     from scoup.query.question import Question
     from scoup.scene.cameras import Camera, Cameras
 
@@ -140,23 +142,49 @@ class TextOptions(FieldOptions):
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
+    def text_encoder(self, field: LanguageField) -> TextEncoder:
+        """The encoder of --text, or of the field.
+
+        Raises:
+            InputError, MissingFileError: neither names one, or it is not there.
+        """
+        from scoup.base.errors import InputError, MissingFileError
+
+        if not self.text and not field.embedding_model:
+            raise InputError(f"{self.field}: names no embedding model; pass a table or model with --text")
+        try:
+            return field.text_encoder(self.text or field.encoder_source)
+        except MissingFileError as error:
+            raise MissingFileError(error.path, error.problem, "pass its new path with --text") from error
+
     def question(self, field: LanguageField, texts: Sequence[str] | Expression, **options: Any) -> Question:
         """The question that ``field.question`` makes of texts and options.
 
         Raises:
             InputError, UnknownNameError: as there; or neither the options nor the field name a model or table.
         """
-        from scoup.base.errors import InputError, MissingFileError
-
-        if not self.text and not field.embedding_model:
-            raise InputError(f"{self.field}: names no embedding model; give a table or model with --text")
-        try:
-            encoder = self.text or field.encoder_source
-        except MissingFileError as error:
-            raise MissingFileError(error.path, error.problem, "pass its new path with --text") from error
-        question = field.question(texts, encoder=encoder, **options)
+        self.text_encoder(field)
+        question = field.question(texts, **options)
         field.text_encoder().close()  # models are large
         return question
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameOptions(FieldOptions):
+    """Options of verbs that understand relations between things."""
+
+    option_groups: ClassVar[OptionGroups] = {"directions": "seen_from up"}
+
+    seen_from: Annotated[OptionalText, tyro.conf.arg(metavar="CAMERA", help_behavior_hint="")] = None
+    """The camera from which left, right, in front of and behind are meant. Default: the one that sees the most."""
+    up: Annotated[
+        tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
+    ] = None
+    """The direction that is up. Default: estimated from the cameras, which people hold level."""
+
+    def open_frame(self, field: LanguageField) -> Frame | None:
+        """The directions of the options; None where none is given."""
+        return None if self.seen_from is None and self.up is None else field.frame(self.seen_from, self.up)
 
 
 def check_texts(texts: tuple[str, ...]) -> None:

@@ -12,7 +12,14 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionalText, OptionGroups
-from scoup.cli.query_options import CameraOptions, TextOptions, absence_message, check_metres, check_texts
+from scoup.cli.query_options import (
+    CameraOptions,
+    FrameOptions,
+    TextOptions,
+    absence_message,
+    check_metres,
+    check_texts,
+)
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -22,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Select(TextOptions, CameraOptions):
+class Select(TextOptions, CameraOptions, FrameOptions):
     """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
     left.
 
@@ -41,7 +48,8 @@ class Select(TextOptions, CameraOptions):
         tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="TEXT [TEXT ...]", help_behavior_hint="")
     ]
     """What to look for: "kettle", "mug and not handle", mug + cup - handle. Of texts without and, or, not, + or -
-    between them any may answer. A text in double quotes of its own is taken as it stands."""
+    between them any may answer. "mug left of the laptop", "largest box" and "second chair from the left" select things
+    by relation or order (docs/things.md). A text in double quotes of its own is taken as it stands."""
     out: Path
     """The splat (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog) or field (.scoup) to write."""
     edit: Literal["keep", "remove", "recolor", "fade", "ids"] = "keep"
@@ -108,7 +116,7 @@ class Select(TextOptions, CameraOptions):
             always=self.always,
             level=self.level,
         )
-        whole = field.select(question, shape)
+        whole = field.select(question, shape, self.open_frame(field))
         absent = [
             f"{part.text}: {absence_message('scene', part.z_score, question.present_from)}"
             for part in whole.parts

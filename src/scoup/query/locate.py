@@ -16,6 +16,7 @@ from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
 from scoup.query.coded_scene import CodedScene
 from scoup.query.select import true_rows
+from scoup.query.things import things_in_mask
 
 NEIGHBOURS = 8
 """Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
@@ -75,6 +76,8 @@ class Location:
     """[M] int64, the thing: the connected part of the answer that weighs most."""
     answer: SceneAnswer
     """All Gaussians that answer, with level, score and presence."""
+    things: tuple[int, ...] = ()
+    """Numbers of the things that answer (``field.things`` describes them); empty where the votes answer."""
 
     def __repr__(self) -> str:
         if self.position is None or self.box is None:
@@ -105,7 +108,8 @@ class Location:
                 f" ({' x '.join(f'{side * metres_per_unit:.3g}' for side in self.box.extent.tolist())} m)"
             )
         position = ", ".join(f"{part:g}" for part in _rounded(self.position))
-        return f"[{position}], extent {extent}, confidence {self.confidence:.2f}"
+        numbers = f", thing {', '.join(map(str, self.things))}" if self.things else ""
+        return f"[{position}], extent {extent}, confidence {self.confidence:.2f}{numbers}"
 
     def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """Return the location as plain JSON values, rounded; in metres, too, if the length of the unit is known."""
@@ -121,6 +125,7 @@ class Location:
             "box": None if self.box is None else self.box.record(),
             "confidence": round(self.confidence, 4),
             "gaussians": len(self.gaussians),
+            "things": list(self.things),
             **{name: value for name, value in self.answer.record().items() if name != "gaussians"},
         }
 
@@ -149,7 +154,13 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
     box = oriented_box(means[own], weights[own])
     position = torch.stack([weighted_quantiles(axis, weights[own], [0.5])[0] for axis in means[own].T])
     confidence = float((relevancy[own] * weights[own]).sum() / weights[own].sum())
-    return Location(position, box, confidence, members[own], answer)
+    return Location(position, box, confidence, members[own], answer, _things(field, answer))
+
+
+def _things(field: CodedScene, answer: SceneAnswer) -> tuple[int, ...]:
+    if field.thing_table is None or answer.threshold is not None:
+        return ()
+    return tuple(things_in_mask(field.thing_table, answer.mask, field.levels.index(answer.level)).tolist())
 
 
 def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -14,6 +14,7 @@ from scoup.base.errors import InputError
 from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
 from scoup.query.asking import AskedScene, Texts
+from scoup.query.catalog import Catalog, make_catalog
 from scoup.query.cosines import versions
 from scoup.query.edits import combined_answer
 from scoup.query.expression import Expression, parse_expression
@@ -184,6 +185,23 @@ class FieldQueries(AskedScene):
         return self._recent(
             (asked, frame, Thing), lambda: things_of_question(self, asked, answer_scene(self, asked), frame)
         )
+
+    def catalog(self, question: Question | Texts, frame: Frame | None = None) -> Catalog:
+        """Name every thing of the scene with the best of several words: an object map, or scene graph.
+
+        Args:
+            question: from ``question``, or words.
+            frame: what up means; by default ``field.frame()``.
+
+        Raises:
+            InputError, UnknownNameError: as ``question``, or the field has no things.
+
+        Example:
+            >>> catalog = field.catalog(["kettle", "wooden table"])
+            >>> catalog.record()["format"], len(catalog.things) == len(catalog.names)
+            ('scoup scene graph', True)
+        """
+        return make_catalog(self, self._asked(question), frame)
 
     def frame(self, camera: View | None = None, up: Sequence[float] | None = None) -> Frame:
         """Return what left, front and up mean in phrases such as "mug left of the laptop".

@@ -6,7 +6,7 @@ Gaussians below. The rules are ours; `python -m benchmarks things` measures them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,8 @@ OVER = 0.5
 """Share of a thing's footprint that must lie over another for it to be on, above or inside it."""
 CONTACT = 0.35
 """Largest gap between the bottom of a thing and what it is on, in units of its height."""
+SECTORS, SURROUNDED = 8, 0.75
+"""A thing contains another only if it has Gaussians in this share of so many directions around it."""
 NEAR = 0.5
 """Things are near each other if the gap between them is at most this share of the larger one's diagonal."""
 BETWEEN = (0.15, 0.85, 0.5)
@@ -88,6 +90,15 @@ class _Shapes:
         heights = heights[heights <= self.middle(one)[UP]]
         return float(np.quantile(heights, 0.9)) if len(heights) else -np.inf
 
+    def surrounds(self, one: int, other: int) -> bool:
+        """Whether a thing has Gaussians on nearly all sides of another, at the heights of the other."""
+        means, _ = self.points.of_one(one)
+        low, high = self.spans[other, UP]
+        away = means[(means[:, UP] >= low) & (means[:, UP] <= high)] - self.middle(other)
+        sectors = np.floor((np.arctan2(away[:, AWAY], away[:, RIGHT]) / np.pi + 1) / 2 * SECTORS).astype(int)
+        counts = np.bincount(sectors.clip(0, SECTORS - 1), minlength=SECTORS)
+        return bool((counts > 0).mean() >= SURROUNDED)
+
 
 def _beyond(axis: int, sign: int) -> Condition:
     """Whether the middle of one lies clearly on one side of another along an axis."""
@@ -124,7 +135,7 @@ def _inside(shapes: _Shapes, one: int, others: tuple[int, ...]) -> bool:
         return False
     low, high = shapes.spans[one, UP]
     within = min(high, shapes.spans[other, UP, 1]) - max(low, shapes.spans[other, UP, 0])
-    return bool(within > CONTACT * (high - low))
+    return bool(within > CONTACT * (high - low) and shapes.surrounds(other, one))
 
 
 def _near(shapes: _Shapes, one: int, others: tuple[int, ...]) -> bool:
@@ -289,3 +300,23 @@ def _ordered(field: CodedScene, phrase: Phrase, things: list[Thing], frame: Fram
         keys = [(-1 if phrase.order == "largest" else 1) * thing.size for thing in things]
     order = sorted(range(len(things)), key=keys.__getitem__)
     return [things[order[phrase.rank - 1]]] if phrase.rank <= len(things) else []
+
+
+def related_pairs(field: CodedScene, things: Sequence[Thing], frame: Frame) -> Iterator[tuple[int, str, int]]:
+    """Yield which things of a level are inside or on which others: (number, "inside" or "on", number of the other)."""
+    shapes = _Shapes.of(field, things, frame)
+    low, high = shapes.spans[..., 0], shapes.spans[..., 1]
+    heights = (high - low)[:, UP]
+    for one, thing in enumerate(things):
+        gaps = np.maximum(low[one], low) - np.minimum(high[one], high)
+        for other in np.flatnonzero((gaps <= CONTACT * heights[one]).all(1)).tolist():
+            if other == one or thing.level != things[other].level:
+                continue
+            what = next((what for what in ("inside", "on") if CONDITIONS[what](shapes, one, (other,))), "")
+            if what:
+                yield _number(thing), what, _number(things[other])
+
+
+def _number(thing: Thing) -> int:
+    assert thing.number is not None
+    return thing.number

@@ -19,8 +19,7 @@ from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import Question
 from scoup.query.select import true_rows
 from scoup.query.thing_shapes import ThingPoints
-from scoup.query.things import ThingFits
-from scoup.scene.things import NO_THING
+from scoup.query.things import ThingFits, things_in_mask
 
 LEAST_SHARE = 0.1
 """Where the votes answer, connected parts with less than this share of the weight of the largest are strays."""
@@ -77,6 +76,11 @@ class Thing:
 
     def _repr_html_(self) -> str:
         return card(f"Thing {self.text}", {**self.record(), "box": str(self.box.record())})
+
+    def said(self) -> str:
+        """Position and extent in words, for people."""
+        position = ", ".join(f"{part:g}" for part in rounded_vector(self.position.tolist()))
+        return f"at [{position}], extent {' x '.join(f'{side:.3g}' for side in self.box.extent.tolist())}"
 
     def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """The thing as plain JSON values, rounded.
@@ -137,9 +141,7 @@ def things_of_answer(field: CodedScene, question: Question, number: int, answer:
     table = field.thing_table
     if table is None or answer.threshold is not None:
         return _connected_things(field, answer)
-    level = field.levels.index(answer.level)
-    owners = table.owners[:, level].cpu()[answer.mask]
-    numbers = owners[owners != NO_THING].unique()
+    numbers = things_in_mask(table, answer.mask, field.levels.index(answer.level))
     fits = ThingFits.of(table, question.one(number)).fits[:, 0]
     ranked = numbers[fits[numbers.long()].argsort(descending=True, stable=True)].tolist()
     return [

@@ -165,6 +165,14 @@ def things_of_scene(fits: ThingFits, query: int, selected: Tensor, level: int | 
     return choose_things(things, fits.fits[:, query], mass, voted, all_voted, level)
 
 
+def things_in_mask(table: ThingTable, mask: Tensor, level: int) -> Tensor:
+    """Return the things [M] int64 of a level of which at least half the Gaussians are in a mask [N] boolean."""
+    owners = table.owners[:, level].cpu().long() + 1
+    within = torch.bincount(owners[mask.cpu()], minlength=len(table) + 1)[1:]
+    total = torch.bincount(owners, minlength=len(table) + 1)[1:]
+    return ((within > 0) & (2 * within >= total)).nonzero()[:, 0]
+
+
 @dataclass(frozen=True, eq=False)
 class ThingsSeen:
     """The things that answer texts in a view."""

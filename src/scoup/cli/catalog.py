@@ -1,0 +1,57 @@
+"""scoup catalog: every thing of a scene with a name, place, box and picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from scoup.base.counts import counted
+from scoup.base.file_names import check_folder
+from scoup.base.staging import check_outputs, staged
+from scoup.cli.console import Console
+from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
+from scoup.cli.query_options import FrameOptions, TextOptions, check_metres
+
+SHOWN = 12  # things printed; the files contain all
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeCatalog(TextOptions, FrameOptions):
+    """Name every thing in a scene with the best of a list of words, and write a scene graph (catalog.json), a table
+    (catalog.csv) and a page with pictures (index.html)."""
+
+    option_groups: ClassVar[OptionGroups] = {"words": "words", "output": "out metres_per_unit"}
+
+    words: OptionalPath = None
+    """Words to name things with, one per line. Default: all words of the table of --text, else everyday words."""
+    out: OptionalPath = None
+    """Folder to write. Default: <name of FIELD>_catalog here."""
+    metres_per_unit: OptionalNumber = None
+    """Length of the scene's unit in metres, if you know it: the table is in metres, and the scene graph has both."""
+
+    def run(self, console: Console) -> None:
+        """Name, relate and write."""
+        from scoup.io.reading import existing_file, read_text
+        from scoup.query.catalog_files import catalog_files, save_catalog
+        from scoup.view.vocabulary import everyday_vocabulary, read_words
+
+        check_metres(self.metres_per_unit)
+        out = self.out or Path(f"{self.field.stem}_catalog")
+        check_folder(out)
+        field = self.open_field()
+        if self.words is None:
+            words = everyday_vocabulary(self.text_encoder(field))
+        else:
+            words = read_words(str(self.words), read_text(existing_file(self.words, "a list of words")))
+        catalog = field.catalog(self.question(field, words, always=True), self.open_frame(field))
+        cameras = list(field.cameras or ())
+        files = catalog_files(catalog, cameras)
+        check_outputs(out, files, self.overwrite)
+        with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
+            save_catalog(field, catalog, hidden, cameras, self.metres_per_unit, progress)
+        largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]
+        for thing in largest:
+            console.say(f"{thing.text}: thing {thing.number}, level {thing.level}, {thing.said()}")
+        console.say(f"{out}: {counted(len(catalog.things), 'thing')}, {len(catalog.relations)} relations")
+        console.result({"out": out, "files": files, **catalog.record(self.metres_per_unit)})

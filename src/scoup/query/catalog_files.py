@@ -1,0 +1,165 @@
+"""The files of a catalogue: the scene graph, a table, pictures and a page."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from scoup import raster
+from scoup.base.atomic import write_text
+from scoup.base.progress import Progress, no_progress
+from scoup.pictures import as_picture, mask_overlay
+from scoup.pictures.colors import Picture
+from scoup.query.catalog import Catalog, catalog_rows
+from scoup.query.coded_scene import CodedScene
+from scoup.query.scene_things import Thing
+from scoup.scene.cameras import Camera
+
+GRAPH, TABLE, PAGE, PICTURES = "catalog.json", "catalog.csv", "index.html", "pictures"
+MARGIN = 0.35  # around a thing in its picture, in units of its size
+SIDE = 240  # pixels of the longer side of a picture
+COVERED = 0.5  # share of a pixel's light from which it shows a thing
+
+
+def catalog_files(catalog: Catalog, cameras: Sequence[Camera]) -> list[str]:
+    """Return the names of all files, within their folder; pictures only where there are cameras."""
+    pictures = [_picture_name(thing) for thing in catalog.things] if cameras else []
+    return [GRAPH, TABLE, PAGE, *pictures]
+
+
+def save_catalog(
+    field: CodedScene,
+    catalog: Catalog,
+    folder: Path,
+    cameras: Sequence[Camera] = (),
+    metres_per_unit: float | None = None,
+    progress: Progress = no_progress,
+) -> None:
+    """Write the files of a catalogue into an empty folder.
+
+    Args:
+        field: of the catalogue.
+        catalog: from ``field.catalog``.
+        folder: that exists.
+        cameras: each thing is drawn in the one that sees it largest, if any sees it.
+        metres_per_unit: length of the scene's unit; the table is in metres then, and the graph has metres, too.
+        progress: called for the stage "pictures".
+    """
+    graph = json.dumps(catalog.record(metres_per_unit), indent=1, allow_nan=False)
+    write_text(folder / GRAPH, graph + "\n")
+    rows = catalog_rows(catalog, metres_per_unit)
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    write_text(folder / TABLE, text.getvalue())
+    drawn = _save_pictures(field, catalog, folder, cameras, progress) if cameras else set()
+    write_text(folder / PAGE, _page(catalog, drawn, field.path.name if field.path else "scene"))
+
+
+def _picture_name(thing: Thing) -> str:
+    return f"{PICTURES}/{thing.number:05d}.jpg"
+
+
+def _save_pictures(
+    field: CodedScene, catalog: Catalog, folder: Path, cameras: Sequence[Camera], progress: Progress
+) -> set[int | None]:
+    """Draw each thing in the view that shows it largest, one render per view; return the numbers of those drawn."""
+    (folder / PICTURES).mkdir()
+    best = [_best_view(thing, cameras) for thing in catalog.things]
+    drawn: set[int | None] = set()
+    for number, camera in enumerate(cameras):
+        progress("pictures", number, len(cameras))
+        mine = [thing for thing, view in zip(catalog.things, best, strict=True) if view == number]
+        if not mine:
+            continue
+        projection = field.project(camera)
+        colors = as_picture(raster.render_colors(field.gaussians, camera, projection).cpu())
+        for thing in mine:
+            picture = _crop(thing_mask(field, projection, thing), colors)
+            if picture is not None:
+                Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
+                drawn.add(thing.number)
+    progress("pictures", len(cameras), len(cameras))
+    return drawn
+
+
+def thing_mask(field: CodedScene, projection: raster.Projection, thing: Thing) -> torch.Tensor:
+    """Return the pixels [H, W] boolean, on the CPU, that a thing contributes most of."""
+    members = torch.zeros(len(field), 1, device=field.codebook.device)
+    members[thing.gaussians.to(members.device)] = 1.0
+    image, alpha = raster.render_channels(projection, members)
+    return (image[..., 0] > COVERED * alpha.clamp(min=0.1)).cpu()
+
+
+def _best_view(thing: Thing, cameras: Sequence[Camera]) -> int | None:
+    """The camera whose image the thing's box fills most; None where none sees its middle."""
+    corners = torch.cat([thing.position[None], thing.box.corners()])
+    sizes = []
+    for camera in cameras:
+        seen = corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        if float(seen[:, 2].min()) <= 0:
+            sizes.append(0.0)
+            continue
+        pixels = (seen @ camera.K.T)[:, :2] / seen[:, 2:]
+        size = pixels.new_tensor([camera.width, camera.height])
+        inside = bool(((pixels[0] >= 0) & (pixels[0] < size)).all())
+        low, high = (pixels.amin(0).clamp(min=0) / size, (pixels.amax(0) / size).clamp(max=1))
+        sizes.append(float((high - low).clamp(min=0).prod()) if inside else 0.0)
+    return sizes.index(max(sizes)) if max(sizes, default=0.0) > 0 else None
+
+
+def _crop(mask: torch.Tensor, colors: Picture) -> Picture | None:
+    rows, columns = np.nonzero(mask.numpy())
+    if not len(rows):
+        return None
+    margin = int(MARGIN * max(np.ptp(rows), np.ptp(columns))) + 8
+    part = (
+        slice(max(0, rows.min() - margin), rows.max() + margin + 1),
+        slice(max(0, columns.min() - margin), columns.max() + margin + 1),
+    )
+    picture = Image.fromarray(mask_overlay(mask.numpy()[part], colors[part]))
+    picture.thumbnail((SIDE, SIDE))
+    return np.asarray(picture)
+
+
+_STYLE = """body{font:14px/1.4 system-ui,sans-serif;margin:1.5rem;color-scheme:light dark}
+input{font:inherit;padding:.4rem .6rem;width:min(26rem,100%)}
+ul{display:grid;grid-template-columns:repeat(auto-fill,minmax(14rem,1fr));gap:1rem;list-style:none;padding:0}
+li{border:1px solid #8886;border-radius:.5rem;padding:.6rem}img{width:100%;height:11rem;object-fit:contain}
+b{font-size:1.05rem}small{opacity:.75}[hidden]{display:none}"""
+_FILTER = """const box=document.querySelector("input"),items=[...document.querySelectorAll("li")];
+box.addEventListener("input",()=>{const wanted=box.value.toLowerCase();let count=0;
+for(const item of items){item.hidden=!item.textContent.toLowerCase().includes(wanted);count+=!item.hidden}
+document.querySelector("output").textContent=`${count} of ${items.length} things`});"""
+
+
+def _page(catalog: Catalog, drawn: set[int | None], title: str) -> str:
+    """A page of all things with a box that filters them; it loads nothing but its pictures."""
+    items = []
+    for thing, names in zip(catalog.things, catalog.names, strict=True):
+        alternatives = ", ".join(names[1:])
+        position = ", ".join(f"{value:.3g}" for value in thing.position.tolist())
+        extent = " x ".join(f"{value:.3g}" for value in thing.box.extent.tolist())
+        image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
+        items.append(
+            f"<li>{image}<b>{html.escape(thing.text)}</b> <small>{thing.confidence:.2f}</small><br>"
+            f"<small>or {html.escape(alternatives)}<br>thing {thing.number}, level {html.escape(thing.level)}<br>"
+            f"at {position}<br>size {extent}</small></li>"
+        )
+    heading = html.escape(title)
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Things of {heading}</title>\n'
+        f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style>\n'
+        f"<h1>Things of {heading}</h1>\n"
+        f'<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
+        f"<output>{len(items)} things</output></p>\n<ul>\n"
+        + "\n".join(items)
+        + f"\n</ul><script>{_FILTER}</script>\n"
+    )
