@@ -23,12 +23,17 @@ copyFileSync(join(here, "index.html"), join(out, "index.html"));
 copyFileSync(join(here, "style.css"), join(out, "viewer.css"));
 writeFileSync(join(out, "licences.txt"), licences(Object.keys(result.metafile.inputs)));
 
-/** The licence texts of the packages that files of the bundle are from. */
+/** The licence texts of the packages in the bundle: those its files are from, and what these depend on, which they may hold inlined. */
 function licences(files) {
-  const names = files.flatMap((file) => file.match(/node_modules\/((?:@[^/]+\/)?[^/]+)/)?.[1] ?? []);
-  const texts = [...new Set(names)].sort().map((name) => {
+  const names = new Set(files.flatMap((file) => file.match(/node_modules\/((?:@[^/]+\/)?[^/]+)/)?.[1] ?? []));
+  const facts = (name) => JSON.parse(readFileSync(join(here, "node_modules", name, "package.json"), "utf8"));
+  for (const name of names) {
+    // A set goes on with what is added meanwhile.
+    for (const dependency of Object.keys(facts(name).dependencies ?? {})) names.add(dependency);
+  }
+  const texts = [...names].sort().map((name) => {
     const folder = join(here, "node_modules", name);
-    const { version, license } = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
+    const { version, license } = facts(name);
     const file = readdirSync(folder).find((entry) => /^licen[cs]e(\.\w+)?$/i.test(entry));
     if (!file || !existsSync(join(folder, file))) throw new Error(`${name} has no licence file`);
     return `${name} ${version} (${license})\n\n${readFileSync(join(folder, file), "utf8").trim()}\n`;

@@ -112,6 +112,7 @@ def field_of_instances() -> LanguageField:
     """``things_field`` with instances that select other Gaussians than the votes do.
 
     That of the kettle has every second Gaussian of the book, too, a few of which have no code; the lamp has none.
+    Each is a part of the same thing at the next coarser level.
     """
     field = things_field()
     place = torch.arange(len(field))
@@ -125,7 +126,7 @@ def field_of_instances() -> LanguageField:
     field.thing_table = ThingTable(
         owners.int(),
         torch.arange(3, dtype=torch.uint8).repeat_interleave(len(names)),
-        torch.full((count,), NO_THING, dtype=torch.int32),
+        torch.tensor([3, 4, 5, 6, 7, 8, *[NO_THING] * 3], dtype=torch.int32),
         torch.stack([table()[name] for name in names * 3]).half(),
         torch.full((count,), 0.6),
         torch.full((count,), 9, dtype=torch.int32),
@@ -256,12 +257,18 @@ class Visit:
         """The row of a text in the legend."""
         return self.page.locator("#queries li").filter(has=self.page.get_by_text(text, exact=True))
 
+    def tab(self, name: str) -> None:
+        """Show a tab of the panel: Answers, Things or View."""
+        self.page.get_by_role("tab", name=name).click()
+
     def choose(self, name: str) -> None:
-        """A mode or a level by its name."""
+        """Choose a mode or a level by its name."""
+        self.tab("View" if name == "automatic" or name.endswith(")") else "Answers")
         self.page.get_by_role("radio", name=name, exact=True).check(force=True)
         self.settle()
 
     def slide(self, name: str, value: float) -> None:
+        self.tab("View")
         self.page.get_by_role("slider", name=name, exact=True).fill(str(value))
         self.settle()
 

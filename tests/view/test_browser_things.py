@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 import torch
-from browser_support import ALIKE, Visit, difference, field_of_instances, table, visiting
+from browser_support import (
+    ALIKE,
+    CONTRASTS,
+    Visit,
+    difference,
+    field_of_instances,
+    places_in,
+    table,
+    visiting,
+)
 
 import scoup
 from scoup import raster
@@ -71,12 +80,15 @@ def test_things_light_up_until_a_threshold_is_set(visit: Visit, viewed: ViewedFi
     assert (int(by_things.sum()), int(by_votes.sum())) == (90, 60)
     visit.ask("kettle")
     assert "90 Gaussians" in visit.row("kettle").inner_text()
-    assert visit.page.locator("#threshold-value").inner_text() == "things"
+    visit.tab("View")
+    assert visit.page.locator("#threshold-value").inner_text() == "kettle by things"
+    visit.tab("Answers")
     visit.choose("Only the selection")
     assert difference(visit.picture(), render(viewed, by_things)) < ALIKE
     visit.slide("Threshold", 0.5)
     assert difference(visit.picture(), render(viewed, by_votes)) < ALIKE
     assert difference(visit.picture(), render(viewed, by_things)) > 3 * ALIKE
+    visit.tab("View")
     visit.page.get_by_label("automatic, for each text").check()
     visit.settle()
     for level, name in LEVELS.items():
@@ -106,3 +118,94 @@ def test_things_and_votes_answer_side_by_side(visit: Visit, viewed: ViewedField,
     visit.page.get_by_role("button", name="Remove lamp").click()
     visit.settle()
     assert difference(visit.picture(), render(viewed, selected(viewed, "kettle"))) < ALIKE
+
+
+def pick(visit: Visit, viewed: ViewedField, name: str, key: str | None = None) -> list[int]:
+    """Click on a thing; the numbers that are selected then."""
+    assert viewed.field.cameras is not None
+    x, y = places_in(viewed.field.cameras[0])[name]
+    box = visit.page.locator("#canvas").bounding_box()
+    assert box is not None
+    if key is not None:
+        visit.page.keyboard.down(key)
+    visit.page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    if key is not None:
+        visit.page.keyboard.up(key)
+    visit.settle()
+    return visit.state()["things"]["selected"]
+
+
+def test_clicks_select_things_their_groups_and_parts(visit: Visit, viewed: ViewedField) -> None:
+    visit.until("Boolean(window.scoupViewer.state().things)")
+    plain = visit.picture()
+    steps = [
+        ("kettle", None, [3]),  # at the middle level
+        ("kettle", None, [6]),  # its group
+        ("kettle", None, [6]),  # which is in no other
+        ("kettle", "Alt", [3]),
+        ("kettle", "Alt", [0]),
+        ("mug", None, [4]),
+        ("kettle", "Shift", [4, 3]),
+        ("kettle", "Shift", [4]),
+        ("lamp", None, []),  # of no thing
+    ]
+    for name, key, wanted in steps:
+        assert pick(visit, viewed, name, key) == wanted, (name, key)
+    visit.page.mouse.move(0, 0)
+    visit.settle()
+    visit.page.mouse.move(5, 5)
+    visit.until("window.scoupViewer.state().things.hovered === null")
+    visit.settle()
+    assert difference(visit.picture(), plain) < ALIKE
+    pick(visit, viewed, "mug")
+    assert difference(visit.picture(), plain) > 3 * ALIKE
+    visit.page.keyboard.press("Escape")
+    assert visit.state()["things"]["selected"] == []
+
+
+def test_things_are_named_measured_hidden_and_saved(
+    visit: Visit, viewed: ViewedField, tmp_path: Path
+) -> None:
+    visit.tab("Things")
+    rows = visit.page.locator("#thing-list button")
+    rows.first.wait_for()
+    assert rows.count() == 9
+    visit.page.get_by_label("Filter things").fill("mug")
+    assert rows.count() == 3
+    assert all("mug" in text for text in rows.all_inner_texts())
+    pick(visit, viewed, "mug")
+    name = visit.page.get_by_label("Name of thing 4")
+    assert name.input_value() == "mug"
+    name.fill("my cup")
+    name.press("Enter")
+    visit.page.get_by_label("Filter things").fill("my cup")
+    assert rows.count() == 1
+    with visit.page.expect_download() as download:
+        visit.page.get_by_role("button", name="Save", exact=True).click()
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    assert path.name == "my_cup.ply"
+    assert b"comment thing 4: my cup\n" in path.read_bytes()[:400]
+    table = viewed.field.thing_table
+    assert table is not None
+    is_mug = table.owners[:, 1] == 4
+    assert len(scoup.load_gaussians(path)) == int(is_mug.sum())
+    pick(visit, viewed, "kettle", "Shift")
+    things = {thing.number: thing for thing in viewed.field.things()}
+    distance = float((things[4].position - things[3].position).norm())
+    measured = visit.page.locator("#selection .measure").inner_text()
+    assert float(measured.split()[1]) == pytest.approx(distance, rel=0.01)
+    assert [text for text in visit.page.evaluate(CONTRASTS) if text["ratio"] < text["needed"]] == []
+    pick(visit, viewed, "mug")
+    visit.page.get_by_role("button", name="Hide", exact=True).click()
+    visit.settle()
+    assert difference(visit.picture(), render(viewed, ~is_mug)) < ALIKE
+    assert pick(visit, viewed, "mug") == []  # what is hidden is not clicked
+    visit.page.get_by_role("button", name="Show 1 hidden").click()
+    assert visit.state()["things"]["hidden"] == []
+    visit.page.reload()
+    visit.until("Boolean(window.scoupViewer)")
+    visit.page.evaluate("window.scoupViewer.ready")
+    visit.tab("Things")
+    visit.page.get_by_label("Filter things").fill("my cup")
+    assert rows.count() == 1  # the name is kept as long as the session

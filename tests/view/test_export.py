@@ -79,7 +79,7 @@ def test_a_folder_holds_the_same(viewed: ViewedField, tmp_path: Path) -> None:
     assert sorted(path.name for path in out.iterdir()) == sorted(FOLDER_FILES)
     assert report.n_bytes == sum(path.stat().st_size for path in out.iterdir())
     index = (out / "index.html").read_text()
-    assert re.findall(r'src="([^"]*)"', index) == ["scene.js", "words.js", "thumbnails.js"]
+    assert re.findall(r'src="([^"]*)"', index) == ["scene.js", "words.js", "thumbnails.js", "things.js"]
     scene = data_of((out / "scene.js").read_text(), "window.scoupData.scene")
     assert unpacked(base64.b64decode(str(scene)))[1]["n_gaussians"] == 60
     with pytest.raises(OutputExistsError):

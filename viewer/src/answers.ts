@@ -1,6 +1,7 @@
 // Where answers come from: the server, or the vocabulary within an exported page. Both give the same.
 import type { Packed, Progress } from "./safetensors";
 import type { CameraRecord, Metadata } from "./scene_data";
+import type { Thing } from "./things";
 
 export interface Settings {
   mode: "live" | "remote" | "exported";
@@ -42,8 +43,9 @@ export interface Place {
   levels: { level: string; confidence: number; words: { text: string; relevancy: number }[] }[];
 }
 
-/** Which Gaussians are meant: those of texts, at a level and threshold of one's own or each text's. */
+/** Which Gaussians are meant: those of things, or of texts, at a level and threshold of one's own or each text's. */
 export interface Selection {
+  things: { number: number; name: string }[];
   texts: string[];
   level: number | null;
   threshold: number | null;
@@ -69,6 +71,8 @@ export interface Source {
   ask(texts: string[], always: boolean): Promise<Answer[]>;
   thumbnail(camera: number): string | null;
   scene(progress: Progress): Promise<Packed>;
+  /** The things of the field, in the order of their numbers; none where it has none. */
+  things(): Promise<Thing[]>;
   /** The facts of a scene without its Gaussians. */
   metadata(): Promise<Metadata>;
 }

@@ -40,7 +40,7 @@ export class Eye {
   /** The camera of the field that is looked through; null once the visitor has moved. */
   at: CameraRecord | null = null;
   onMove: () => void = () => {};
-  private readonly world: World;
+  readonly world: World;
   private flight = 0;
   private dragged = false;
 

@@ -3,11 +3,13 @@ import type { Answer, Source } from "./answers";
 import type { Words } from "./picking";
 import { fromBase64, unpack, type Packed, type Progress, type Tensor } from "./safetensors";
 import type { Metadata } from "./scene_data";
+import type { Thing } from "./things";
 
 interface PageData {
   scene: string;
   words: string;
   thumbnails: (string | null)[];
+  things: Thing[];
 }
 
 declare global {
@@ -38,6 +40,10 @@ export class ExportedPage implements Source {
 
   async vocabulary(): Promise<{ names: string[]; closed: boolean }> {
     return { names: await this.names(), closed: true };
+  }
+
+  async things(): Promise<Thing[]> {
+    return this.data.things;
   }
 
   thumbnail(camera: number): string | null {

@@ -5,6 +5,7 @@ import { byId } from "./dom";
 import { ExportedPage } from "./exported";
 import { LiveServer } from "./server";
 import type { Mode } from "./shader";
+import { prepareTabs } from "./tabs";
 import { Viewer } from "./viewer";
 
 /** What tests and other scripts may ask of the page. */
@@ -68,7 +69,8 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
       const { state, eye } = viewer;
       const queries = state.queries.map(({ answer, color, hidden }) => ({ ...answer, scores: undefined, color, hidden }));
       const { level, threshold, opacity, mode } = state;
-      return { queries, mode, level, threshold, opacity, camera: eye.at?.name ?? null };
+      const things = state.things && { selected: state.things.selected, hidden: [...state.things.hidden], hovered: state.things.hovered };
+      return { queries, things, mode, level, threshold, opacity, camera: eye.at?.name ?? null };
     },
     ask: (texts) => viewer.ask(texts),
     set: ({ mode, ...change }) => viewer.state.set(mode === undefined ? change : { ...change, chosenMode: mode }),
@@ -86,6 +88,7 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
 }
 
 prepareAppearance();
+prepareTabs();
 // Before the page is ready, Enter would load it again.
 byId("ask").addEventListener("submit", (event) => event.preventDefault());
 const settings = JSON.parse(byId("settings").textContent ?? "{}") as Settings;

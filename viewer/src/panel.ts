@@ -1,7 +1,7 @@
 // The panel beside the picture: texts, modes, levels, sliders.
 import { byId, counted, element } from "./dom";
 import type { Metadata } from "./scene_data";
-import type { Mode } from "./shader";
+import { HEAT, type Mode } from "./shader";
 import type { Query, State } from "./state";
 
 export const MODE_NAMES: readonly [Mode, string][] = [
@@ -13,6 +13,9 @@ export const MODE_NAMES: readonly [Mode, string][] = [
   ["confidence", "Confidence"],
 ];
 const LEVEL_NAMES: Record<string, string> = { s: "s (fine)", m: "m (medium)", l: "l (coarse)" };
+const HEAT_STOPS = HEAT.map((color) => `rgb(${color.join(",")})`).join(",");
+const LEVEL_TITLE = "How large the regions are that answer, fine to coarse: parts, objects, groups";
+const Z_TITLE = "How many standard deviations closer the match is to the text than to everyday words";
 /** Modes that only the page can show, not the server. */
 const PAGE_ONLY: readonly Mode[] = ["only", "except", "confidence"];
 
@@ -21,6 +24,7 @@ interface Row {
   all: HTMLElement;
   hide: HTMLElement;
   facts: HTMLElement;
+  swatch: HTMLElement;
 }
 
 export class Panel {
@@ -63,12 +67,25 @@ export class Panel {
     if (state.threshold === null && own !== undefined) this.threshold.value = String(own);
     if (state.threshold !== null) this.threshold.value = String(state.threshold);
     this.automatic.checked = state.threshold === null;
-    const values = [...new Set(state.shown().map(({ things, threshold }) => (things ? "things" : threshold.toFixed(2))))];
+    const values = state.shown().map(({ text, things, threshold }) => `${text} ${things ? "by things" : threshold.toFixed(2)}`);
     byId("threshold-value").textContent = state.threshold === null ? values.join(", ") : state.threshold.toFixed(2);
     this.opacity.value = String(state.opacity);
     byId("opacity-value").textContent = state.opacity.toFixed(2);
     this.absent.checked = state.absent;
     this.updateQueries();
+    this.updateLegend();
+  }
+
+  /** The relevancy at the two ends of the colours; several texts have a colour each instead. */
+  private updateLegend(): void {
+    const shown = this.state.shown();
+    const legend = byId("legend");
+    legend.hidden = !(this.state.isHeat || this.state.mode === "confidence");
+    byId("legend-bar").style.background = `linear-gradient(to right,${HEAT_STOPS})`;
+    const [low, high] = this.state.isHeat ? shown[0].span : [0, 1];
+    byId("legend-low").textContent = low.toFixed(2);
+    byId("legend-high").textContent = high.toFixed(2);
+    byId("legend-name").textContent = this.state.isHeat ? `relevancy to “${shown[0].text}”` : "confidence";
   }
 
   /** Rows stay the elements they are: a button keeps the focus, and only what changes is read aloud. */
@@ -90,7 +107,9 @@ export class Panel {
       const action = query.hidden ? "Show" : "Hide";
       say(row.hide, action);
       row.hide.setAttribute("aria-label", `${action} ${text}`);
-      say(row.facts, this.facts(query));
+      showFacts(row.facts, this.facts(query));
+      const isHeat = this.state.isHeat && this.state.visible()[0] === query;
+      row.swatch.style.background = isHeat ? `linear-gradient(to right,${HEAT_STOPS})` : css(query.color);
       row.all.classList.toggle("hidden", query.hidden);
       row.all.classList.toggle("absent", !present);
     }
@@ -98,7 +117,6 @@ export class Panel {
 
   private row(query: Query): Row {
     const { text } = query.answer;
-    const color = `rgb(${query.color.map((part) => Math.round(part * 255)).join(",")})`;
     const hide = element("button", { type: "button" });
     hide.addEventListener("click", () => {
       query.hidden = !query.hidden;
@@ -112,9 +130,9 @@ export class Panel {
       (next?.querySelector<HTMLElement>("button:last-of-type") ?? byId("canvas")).focus();
     });
     const facts = element("span", { class: "facts" });
-    const swatch = element("span", { class: "swatch", style: `background:${color}` });
+    const swatch = element("span", { class: "swatch" });
     const all = element("li", {}, swatch, element("span", { class: "text" }, text), hide, remove, facts);
-    return { all, hide, facts };
+    return { all, hide, facts, swatch };
   }
 
   /** The largest relevancy of a level, the upper end of its span; that within things is not known for each level. */
@@ -122,17 +140,18 @@ export class Panel {
     return this.state.thingsOf(query) ? null : query.answer.spans[level][1];
   }
 
-  private facts(query: Query): string {
+  private facts(query: Query): [string, string][] {
     const { answer } = query;
     const zScore = answer.z_score === null ? "" : `z-score ${answer.z_score.toFixed(2)}`;
-    if (!answer.present) return `not in this scene (${zScore || "nothing found"})`;
+    if (!answer.present) return [["not in this scene", ""], [zScore || "nothing found", zScore && Z_TITLE]];
     const level = this.state.level ?? answer.level;
     const isOwn = this.state.level === null && (this.state.threshold === null || answer.chosen_things === null);
     const best = isOwn ? answer.score : this.bestOf(query, level);
     const score = best === null ? "" : `score ${best.toFixed(2)}`;
-    const parts = [`level ${this.metadata.levels[level]}`, score, this.state.level === null ? zScore : ""];
-    if (this.state.level === null && this.state.threshold === null) parts.push(counted(answer.gaussians, "Gaussian"));
-    return parts.filter(Boolean).join(", ");
+    const parts: [string, string][] = [[`level ${this.metadata.levels[level]}`, LEVEL_TITLE], [score, ""]];
+    if (this.state.level === null) parts.push([zScore, Z_TITLE]);
+    if (this.state.level === null && this.state.threshold === null) parts.push([counted(answer.gaussians, "Gaussian"), ""]);
+    return parts.filter(([text]) => text);
   }
 }
 
@@ -144,6 +163,17 @@ function choices(id: string, name: string, options: [string, string, string][], 
     return element("label", title ? { title } : {}, input, text);
   });
   byId(id).replaceChildren(...labels);
+}
+
+/** Facts with their tooltips, separated by commas. */
+function showFacts(out: HTMLElement, facts: [string, string][]): void {
+  if (out.textContent === facts.map(([text]) => text).join(", ")) return;
+  const parts = facts.map(([text, title]) => (title ? element("span", { title, class: "explained" }, text) : text));
+  out.replaceChildren(...parts.flatMap((part, number) => (number ? [", ", part] : [part])));
+}
+
+function css(color: [number, number, number]): string {
+  return `rgb(${color.map((part) => Math.round(part * 255)).join(",")})`;
 }
 
 function say(element: HTMLElement, text: string): void {

@@ -1,4 +1,4 @@
-// What is under a point of the picture, in a page that has no server to ask.
+// What is under a point of the picture, found in the browser.
 import * as THREE from "three";
 import type { Place } from "./answers";
 import type { Scene } from "./scene_data";
@@ -28,21 +28,25 @@ export interface Painted {
  * Gaussians along a ray with how much each paints of it, front to back, as blending does.
  *
  * @param pixel angle of a pixel, by which small Gaussians are made wider as the rasteriser does
+ * @param skips whether a Gaussian is not drawn
  */
-export function hits(scene: Scene, origin: THREE.Vector3, direction: THREE.Vector3, pixel: number): Painted[] {
+export function hits(scene: Scene, { origin, direction }: THREE.Ray, pixel: number, skips = (_: number) => false): Painted[] {
+  const { balls } = scene;
   const found: Hit[] = [];
   const mean = new THREE.Vector3();
   const turn = new THREE.Quaternion();
   const from = new THREE.Vector3();
   const along = new THREE.Vector3();
   for (let i = 0; i < scene.count; i++) {
+    // Plain numbers first: this runs for every Gaussian whenever the pointer moves.
+    const [x0, y0, z0] = [origin.x - balls[4 * i], origin.y - balls[4 * i + 1], origin.z - balls[4 * i + 2]];
+    const ahead = -(x0 * direction.x + y0 * direction.y + z0 * direction.z);
+    if (ahead <= 0) continue;
+    const blur = BLUR * (pixel * ahead) ** 2;
+    const aside = x0 * x0 + y0 * y0 + z0 * z0 - ahead * ahead;
+    if (aside > REACH * REACH * (balls[4 * i + 3] ** 2 + blur) || skips(i)) continue;
     scene.mean(i, mean);
     from.subVectors(origin, mean);
-    const ahead = -from.dot(direction);
-    if (ahead <= 0) continue;
-    const largest = Math.max(scene.scale(i, 0), scene.scale(i, 1), scene.scale(i, 2));
-    const blur = BLUR * (pixel * ahead) ** 2;
-    if (from.lengthSq() - ahead * ahead > REACH * REACH * (largest * largest + blur)) continue;
     const scales = [0, 1, 2].map((axis) => Math.sqrt(scene.scale(i, axis) ** 2 + blur));
     const [w, x, y, z] = scene.quat(i);
     turn.set(-x, -y, -z, w); // into the frame of the Gaussian, where it is a ball once scaled
@@ -78,7 +82,7 @@ export interface Words {
 
 /** What the scene says is along a ray: the words that fit the sum of the codes best, level by level. */
 export function placeAlong(scene: Scene, ray: THREE.Ray, pixel: number, words: Words): Place {
-  const painted = hits(scene, ray.origin, ray.direction, pixel);
+  const painted = hits(scene, ray, pixel);
   const total = painted.reduce((sum, { weight }) => sum + weight, 0);
   if (!(total > 0)) return { position: null, distance: null, levels: [] };
   let light = 0;

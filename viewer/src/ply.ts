@@ -31,6 +31,18 @@ function votes(scene: Scene, i: number, query: ShownQuery): boolean {
   return high - low > 1e-6 && (relevancy - low) / (high - low) > query.threshold;
 }
 
+/** Gaussians of any of some things, or all others. */
+export function owned(scene: Scene, numbers: number[], rest: boolean): number[] {
+  const things = new Set(numbers);
+  const rows = [];
+  for (let i = 0; i < scene.count; i++) {
+    let isOwned = false;
+    for (let level = 0; level < scene.levels; level++) isOwned ||= things.has(scene.owner(i, level));
+    if (isOwned !== rest) rows.push(i);
+  }
+  return rows;
+}
+
 /** Gaussians that answer any query, or all others. */
 export function selected(scene: Scene, queries: ShownQuery[], rest: boolean): number[] {
   const answering = queries.map((query) => {
@@ -45,9 +57,11 @@ export function selected(scene: Scene, queries: ShownQuery[], rest: boolean): nu
   return rows;
 }
 
-export function plyOf(scene: Scene, rows: number[]): Blob {
+/** @param comments lines of the header */
+export function plyOf(scene: Scene, rows: number[], comments: string[]): Blob {
   const lines = PROPERTIES.map((name) => `property float ${name}`).join("\n");
-  const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${rows.length}\n${lines}\nend_header\n`;
+  const said = comments.map((line) => `comment ${line}\n`).join("");
+  const header = `ply\nformat binary_little_endian 1.0\n${said}element vertex ${rows.length}\n${lines}\nend_header\n`;
   const values = new Float32Array(rows.length * PROPERTIES.length);
   const mean = { x: 0, y: 0, z: 0 };
   rows.forEach((i, row) => {

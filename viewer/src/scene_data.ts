@@ -58,6 +58,7 @@ export class Scene {
   private readonly weights: TensorData;
   private readonly sureness: TensorData;
   private readonly owners: TensorData | null;
+  private knownBalls: Float32Array | null = null;
 
   constructor(packed: Packed) {
     this.metadata = packed.metadata as Metadata & Ranges;
@@ -76,6 +77,19 @@ export class Scene {
     const [levels, k] = this.tensor("code_indices").shape;
     [this.levels, this.k, this.atoms] = [levels, k, this.metadata.n_atoms];
     this.phrases = this.tensors.get("canonical")?.shape[1] ?? 0;
+  }
+
+  /** [N, 4]: position and largest standard deviation of each Gaussian, for what reads all of them at once. */
+  get balls(): Float32Array {
+    if (this.knownBalls) return this.knownBalls;
+    const balls = (this.knownBalls = new Float32Array(4 * this.count));
+    for (let i = 0; i < this.count; i++) {
+      for (let axis = 0; axis < 3; axis++) {
+        balls[4 * i + axis] = this.coordinate(i, axis);
+        balls[4 * i + 3] = Math.max(balls[4 * i + 3], this.scale(i, axis));
+      }
+    }
+    return balls;
   }
 
   tensor(name: string): Tensor {

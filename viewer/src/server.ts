@@ -2,6 +2,7 @@
 import type { Answer, PictureRequest, Place, Selection, Server } from "./answers";
 import { download, fromBase64, unpack, type Packed, type Progress } from "./safetensors";
 import type { CameraRecord, Metadata } from "./scene_data";
+import type { Thing } from "./things";
 
 const POLL_SECONDS = 3;
 
@@ -21,6 +22,10 @@ export class LiveServer implements Server {
 
   async scene(progress: Progress): Promise<Packed> {
     return unpack(await download(await this.get("scene.bin"), progress));
+  }
+
+  async things(): Promise<Thing[]> {
+    return (await (await this.get("api/things")).json()).things;
   }
 
   thumbnail(camera: number): string {

@@ -18,10 +18,17 @@ export const HEAT: readonly (readonly [number, number, number])[] = [
   [252, 255, 164],
 ];
 
+/** Colour of what is selected by a click. */
+export const SELECTED: readonly [number, number, number] = [0.25, 0.66, 1];
+/** Bits of a thing in its texture, above those of the queries that select it. */
+export const MARKS = { selected: 1 << 8, hovered: 1 << 9, hidden: 1 << 10 } as const;
+
 export interface Sizes {
   levels: number;
   k: number;
   phrases: number;
+  /** Of all levels. */
+  things: number;
 }
 
 /** Declarations for the shader of a scene; loops have fixed lengths. */
@@ -63,6 +70,16 @@ bool scoupOwned(usampler2D owners, usampler2D things, int code, int query) {
   return owner != ${NO_OWNER}u && (texelFetch(things, scoupPlace(int(owner)), 0).r >> uint(query) & 1u) != 0u;
 }
 
+// Bits of all things that a Gaussian belongs to, level by level.
+uint scoupMarks(usampler2D owners, usampler2D things, int index) {
+  uint marks = 0u;
+  for (int level = 0; level < ${levels}; level++) {
+    uint owner = texelFetch(owners, scoupPlace(index * ${levels} + level), 0).r;
+    if (owner != ${NO_OWNER}u) marks |= texelFetch(things, scoupPlace(int(owner)), 0).r;
+  }
+  return marks;
+}
+
 // Relevancy of a query: method.md, stage 3. The largest cosine of the canonical phrases is the same for all queries.
 float scoupRelevancy(usampler2D indices, usampler2D weights, float scale, sampler2D canonical, sampler2D scores, int code, int level, int query) {
   float best = -1e9;
@@ -73,7 +90,7 @@ float scoupRelevancy(usampler2D indices, usampler2D weights, float scale, sample
   vec4 own = scoupSum(indices, weights, scale, scores, code, level * ${MOST_QUERIES / 4} + query / 4);
   return 1.0 / (1.0 + exp(-10.0 * (own[query % 4] - best)));
 }
-`.replaceAll("SCOUP_LEVELS", String(levels));
+`;
 }
 
 /** Names of the inputs of `body`. */
@@ -92,10 +109,11 @@ export interface Inputs {
   mode: string;
   level: string;
   opacity: string;
+  anySelected: string;
 }
 
 /** The colour of one Gaussian; `out` is the Gaussian to be written. */
-export function body(inputs: Inputs, out: string, { levels }: Sizes): string {
+export function body(inputs: Inputs, out: string, { levels, things }: Sizes): string {
   const code = `(${inputs.gsplat}.index * ${levels} + level)`;
   return `
 ${out} = ${inputs.gsplat};
@@ -121,22 +139,25 @@ for (int query = 0; query < ${MOST_QUERIES}; query++) {
   amount = max(amount, rescaled);
   if (query == 0) relevancy = found;
 }
+uint marks = ${things ? `scoupMarks(${inputs.owners}, ${inputs.things}, ${inputs.gsplat}.index)` : "0u"};
+bool clicked = (marks & ${MARKS.selected}u) != 0u;
 int several = int(texelFetch(${inputs.queries}, ivec2(0, 1), 0).w);
 int level = ${inputs.level};
 if (${inputs.mode} == 0) {
-  if (asked) ${out}.rgba.rgb = selected ? mix(plain, tint, 0.6 * ${inputs.opacity}) : plain * (1.0 - 0.35 * ${inputs.opacity});
+  if (asked) ${out}.rgba.rgb = selected ? mix(plain, tint, 0.9 * ${inputs.opacity}) : plain * (1.0 - 0.35 * ${inputs.opacity});
 } else if (${inputs.mode} == 1) {
   if (asked) {
     float share = clamp((amount - 0.08) / 0.5, 0.0, 1.0);
     share = 0.92 * share * share * (3.0 - 2.0 * share);
     // One colour a text has no dark end to fade into: what is not selected stays faint.
-    if (several > 1) share = selected ? 0.6 + 0.32 * amount : 0.5 * amount * amount;
+    if (several > 1) share = selected ? 0.85 + 0.15 * amount : 0.5 * amount * amount;
     ${out}.rgba.rgb = mix(vec3(grey), several > 1 ? tint : scoupHeat(amount), share * ${inputs.opacity});
   }
 } else if (${inputs.mode} == 2) {
-  if (asked && !selected) ${out}.rgba.a = 0.0;
+  // What clicks select goes before what texts select.
+  if (${inputs.anySelected} != 0 ? !clicked : asked && !selected) ${out}.rgba.a = 0.0;
 } else if (${inputs.mode} == 3) {
-  if (selected) ${out}.rgba.a = 0.0;
+  if (${inputs.anySelected} != 0 ? clicked : selected) ${out}.rgba.a = 0.0;
 } else if (${inputs.mode} == 4) {
   vec3 shown = vec3(0.0);
   if (scoupCoded(${inputs.weights}, ${code})) {
@@ -150,5 +171,8 @@ if (${inputs.mode} == 0) {
   ${out}.rgba.rgb = mix(vec3(grey), scoupHeat(confidence * confidence), ${inputs.opacity});
 } else {
   ${out}.rgba.rgb = vec3(relevancy);
-}`;
+}
+if (clicked && ${inputs.mode} != 2) ${out}.rgba.rgb = mix(${out}.rgba.rgb, vec3(${SELECTED.join(",")}), 0.6);
+if (!clicked && (marks & ${MARKS.hovered}u) != 0u) ${out}.rgba.rgb = mix(${out}.rgba.rgb, vec3(1.0), 0.35);
+if ((marks & ${MARKS.hidden}u) != 0u) ${out}.rgba.a = 0.0;`;
 }

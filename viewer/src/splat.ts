@@ -4,13 +4,14 @@ import * as THREE from "three";
 import { World } from "./camera";
 import { breathe, type Progress } from "./safetensors";
 import { NO_OWNER, type Scene } from "./scene_data";
-import { body, BY_THINGS, functions, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
+import { body, BY_THINGS, functions, MARKS, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
 
 /** Gaussians between two moments in which the browser may draw. */
 const AT_A_TIME = 40000;
 
 /** A query as the shader takes it. */
 export interface ShownQuery {
+  text: string;
   /** [S, L] inner products of atoms and text. */
   scores: Float32Array;
   /** Level that answers. */
@@ -28,6 +29,10 @@ export interface Look {
   /** Of codes and confidence. */
   level: number;
   opacity: number;
+  /** Numbers of things. */
+  selected: number[];
+  hovered: number | null;
+  hidden: Iterable<number>;
 }
 
 /** A scene that is drawn; `update` changes only small textures and numbers. */
@@ -36,21 +41,22 @@ export class Splat {
   private readonly scene: Scene;
   private readonly scores: THREE.DataTexture;
   private readonly queries: THREE.DataTexture;
-  /** A byte for each thing; bit q says that query q selects it. */
+  /** Bits of each thing: bit q says that query q selects it, the others are `MARKS`. */
   private readonly things: THREE.DataTexture;
   private readonly mode = dyno.dynoInt(0);
   private readonly level = dyno.dynoInt(0);
   private readonly opacity = dyno.dynoFloat(1);
+  private readonly anySelected = dyno.dynoInt(0);
 
   private constructor(scene: Scene, splats: ExtSplats) {
     this.scene = scene;
     this.scores = floats(scene.atoms, (scene.levels * MOST_QUERIES) / 4);
     this.queries = floats(MOST_QUERIES, 2);
     const rows = Math.max(1, Math.ceil((scene.metadata.n_things ?? 0) / WIDTH));
-    this.things = integers(new Uint8Array(WIDTH * rows), rows, THREE.UnsignedByteType, "R8UI");
+    this.things = integers(new Uint16Array(WIDTH * rows), rows, THREE.UnsignedShortType, "R16UI");
     this.mesh = new SplatMesh({ extSplats: splats });
     this.mesh.objectModifier = this.modifier();
-    this.update([], { mode: "colour", level: 0, opacity: 1 });
+    this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hovered: null, hidden: [] });
   }
 
   /** Build it, with progress. */
@@ -92,7 +98,7 @@ export class Splat {
     const { levels, atoms } = this.scene;
     const scores = this.scores.image.data as unknown as Float32Array;
     const queries = this.queries.image.data as unknown as Float32Array;
-    const things = this.things.image.data as unknown as Uint8Array;
+    const things = this.things.image.data as unknown as Uint16Array;
     things.fill(0);
     for (let q = 0; q < MOST_QUERIES; q++) {
       const query = shown[q];
@@ -108,6 +114,10 @@ export class Splat {
         }
       }
     }
+    for (const thing of look.selected) things[thing] |= MARKS.selected;
+    for (const thing of look.hidden) things[thing] |= MARKS.hidden;
+    if (look.hovered !== null) things[look.hovered] |= MARKS.hovered;
+    this.anySelected.value = look.selected.length;
     this.scores.needsUpdate = this.queries.needsUpdate = this.things.needsUpdate = true;
     this.mode.value = MODES.indexOf(look.mode);
     this.level.value = look.level;
@@ -117,7 +127,7 @@ export class Splat {
 
   private modifier() {
     const { scene } = this;
-    const sizes = { levels: scene.levels, k: scene.k, phrases: scene.phrases };
+    const sizes = { levels: scene.levels, k: scene.k, phrases: scene.phrases, things: scene.metadata.n_things ?? 0 };
     const [indices, weights] = codeTextures(scene);
     const uniforms = {
       indices: dyno.dynoUsampler2D(indices),
@@ -133,6 +143,7 @@ export class Splat {
       mode: this.mode,
       level: this.level,
       opacity: this.opacity,
+      anySelected: this.anySelected,
     };
     const inTypes = {
       gsplat: dyno.Gsplat,
@@ -149,6 +160,7 @@ export class Splat {
       mode: "int",
       level: "int",
       opacity: "float",
+      anySelected: "int",
     } as const;
     return dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
       const colored = new dyno.Dyno({

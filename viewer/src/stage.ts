@@ -1,6 +1,7 @@
 // Where the scene is seen: by WebGL in this browser, or as pictures of the server.
 import * as THREE from "three";
 import type { Server } from "./answers";
+import { Boxes } from "./boxes";
 import type { Eye } from "./camera";
 import type { Progress } from "./safetensors";
 import type { Scene } from "./scene_data";
@@ -25,6 +26,7 @@ export class SplatStage implements Stage {
   private readonly spark;
   private readonly world = new THREE.Scene();
   private splat: Splat | null = null;
+  private readonly boxes: Boxes;
   private wanted = false;
 
   constructor(
@@ -38,7 +40,8 @@ export class SplatStage implements Stage {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
     this.renderer.setClearColor(0x000000, 1);
     this.spark = sparkOf(this.renderer, () => this.redraw());
-    this.world.add(this.spark);
+    this.boxes = new Boxes(eye.world);
+    this.world.add(this.spark, this.boxes.lines);
   }
 
   async load(scene: Scene, progress: Progress): Promise<void> {
@@ -48,7 +51,9 @@ export class SplatStage implements Stage {
   }
 
   update(): void {
+    const { things } = this.state;
     this.splat?.update(this.state.shown(), this.state.look());
+    this.boxes.update(things ? things.selected.map((number) => things.of(number)) : []);
     this.redraw();
   }
 

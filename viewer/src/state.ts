@@ -3,6 +3,7 @@ import type { Answer, PictureRequest, Selection } from "./answers";
 import type { CameraRecord } from "./scene_data";
 import { MOST_QUERIES, type Mode } from "./shader";
 import type { Look, ShownQuery } from "./splat";
+import type { Things } from "./things";
 
 /** Of texts, in their order: easy to tell apart on grey, for the colour-blind too. */
 const COLORS: readonly [number, number, number][] = [
@@ -23,10 +24,12 @@ export class State {
   /** Null: of each text its own. */
   level: number | null = null;
   threshold: number | null = null;
-  opacity = 1;
+  opacity = 0.6;
   /** Whether texts count that are not in the scene. */
   absent = false;
   onChange: () => void = () => {};
+  /** Null where the field has none, and in pages that get no Gaussians. */
+  things: Things | null = null;
   readonly levels: number;
 
   constructor(levels: number) {
@@ -64,6 +67,11 @@ export class State {
     this.onChange();
   }
 
+  /** The level of the things that a click selects. */
+  get clickLevel(): number {
+    return this.level ?? Math.floor(this.levels / 2);
+  }
+
   levelOf(query: Query): number {
     return this.level ?? query.answer.level;
   }
@@ -84,21 +92,29 @@ export class State {
       const { answer, color } = query;
       const level = this.levelOf(query);
       const threshold = this.threshold ?? answer.thresholds[level];
-      return { scores: answer.scores, level, threshold, things: this.thingsOf(query), span: answer.spans[level], color };
+      return { text: answer.text, scores: answer.scores, level, threshold, things: this.thingsOf(query), span: answer.spans[level], color };
     });
+  }
+
+  /** Whether the colours are those of one text's relevancy. */
+  get isHeat(): boolean {
+    return this.mode === "heat" && this.visible().length === 1;
   }
 
   look(): Look {
     const first = this.visible()[0];
-    const level = this.level ?? (first ? first.answer.level : Math.floor(this.levels / 2));
-    return { mode: this.mode, level, opacity: this.opacity };
+    const level = this.level ?? first?.answer.level ?? this.clickLevel;
+    const { selected = [], hovered = null, hidden = [] } = this.things ?? {};
+    return { mode: this.mode, level, opacity: this.opacity, selected, hovered, hidden };
   }
 
+  /** What is saved: the things that are selected, or else what the texts select. */
   selection(): Selection {
+    const things = (this.things?.selected ?? []).map((number) => ({ number, name: this.things!.nameOf(number) }));
     const texts = this.visible().map((query) => query.answer.text);
     const { level, threshold } = this;
     // Presence is judged once, for the level and threshold that answer best; absent texts are not among the visible ones.
-    return { texts, level, threshold, rest: this.mode === "except", always: true };
+    return { things, texts, level, threshold, rest: this.mode === "except", always: true };
   }
 
   /** What the server is to render in place of the page's own picture. */

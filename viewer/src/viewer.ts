@@ -11,12 +11,15 @@ import { ExactPicture } from "./exact";
 import type { ExportedPage } from "./exported";
 import { listenToKeys } from "./keys";
 import { Panel } from "./panel";
-import { placeAlong } from "./picking";
+import { hits, placeAlong, type Painted } from "./picking";
 import { hidePlace, showPlace } from "./place_panel";
-import { plyOf, selected } from "./ply";
+import { owned, plyOf, selected } from "./ply";
 import { Scene, type CameraRecord, type Metadata } from "./scene_data";
 import { RemoteStage, SplatStage, type Stage } from "./stage";
 import { State } from "./state";
+import { showTab } from "./tabs";
+import { ThingPanel } from "./thing_panel";
+import { Things } from "./things";
 
 /** Pixels that a click may move without being a drag. */
 const CLICK_SLACK = 4;
@@ -33,6 +36,10 @@ export class Viewer {
   private readonly exact: ExactPicture | null;
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
   private clicks = 0;
+  private thingPanel: ThingPanel | null = null;
+  /** The point that was clicked last, until the camera moves. */
+  private clicked: [number, number] | null = null;
+  private hoverIsDue = false;
 
   private constructor(
     readonly settings: Settings,
@@ -71,6 +78,7 @@ export class Viewer {
     const viewer = new Viewer(settings, metadata, source, server, scene);
     if (scene && viewer.stage instanceof SplatStage) await viewer.stage.load(scene, progress);
     viewer.describe();
+    if (scene && metadata.n_things) void viewer.listThings();
     if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
     viewer.stage.redraw();
     return viewer;
@@ -79,6 +87,7 @@ export class Viewer {
   /** Ask texts; several are separated by commas. */
   async ask(texts: string[]): Promise<void> {
     this.say("");
+    showTab("answers");
     // A text model may have to be loaded first, which takes seconds.
     const asking = byId("asking");
     const timer = window.setTimeout(() => (asking.textContent = `Looking for ${texts.join(", ")} …`), PATIENCE_SECONDS * 1000);
@@ -96,6 +105,54 @@ export class Viewer {
     await this.eye.flyTo(camera, flies);
   }
 
+  /** From now on clicks select things. */
+  private async listThings(): Promise<void> {
+    try {
+      const things = new Things(await this.source.things(), `scoup names ${this.settings.identity}`);
+      const actions = {
+        save: () => void this.saveSelection(),
+        place: () => void (this.clicked && this.point(...this.clicked)),
+      };
+      this.state.things = things;
+      this.thingPanel = new ThingPanel(things, this.metadata.levels, actions);
+      things.onChange = () => this.changed();
+    } catch (error) {
+      this.say((error as Error).message);
+    }
+  }
+
+  /** Select the thing at a point of the picture; without things, say what is there. */
+  click(x: number, y: number, event: { shiftKey: boolean; altKey: boolean }): void {
+    const { things } = this.state;
+    if (!things) return void this.point(x, y);
+    this.clicked = [x, y];
+    hidePlace();
+    things.click(this.scene!, this.along(x, y), this.state.clickLevel, { adds: event.shiftKey, part: event.altKey });
+    const last = things.selected.at(-1);
+    if (last !== undefined) this.eye.lookAround(new THREE.Vector3(...(things.of(last).position as [number, number, number])));
+  }
+
+  /** Mark the thing under the pointer, once per frame at most. */
+  private hover(x: number, y: number): void {
+    const { things } = this.state;
+    if (!things || this.hoverIsDue) return;
+    this.hoverIsDue = true;
+    requestAnimationFrame(() => {
+      this.hoverIsDue = false;
+      const label = byId("hovering");
+      [label.style.left, label.style.top] = [`${x + 14}px`, `${y + 14}px`];
+      things.hover(things.under(this.scene!, this.along(x, y), this.state.clickLevel));
+    });
+  }
+
+  /** The Gaussians that are seen at a point, without those that are hidden. */
+  private along(x: number, y: number): Painted[] {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const ray = this.eye.ray(x, y, width, height);
+    const pixel = 1 / this.eye.record(width, height).K[4];
+    return hits(this.scene!, ray, pixel, (gaussian) => this.state.things!.hides(this.scene!, gaussian));
+  }
+
   /** What is at a point of the picture, in its own pixels. */
   async point(x: number, y: number): Promise<void> {
     const { clientWidth: width, clientHeight: height } = this.canvas;
@@ -108,6 +165,7 @@ export class Viewer {
     try {
       const place = await this.placeAt(x, y, width, height);
       if (number !== this.clicks) return; // another point was clicked meanwhile
+      showTab("answers");
       showPlace(place);
       if (place.position) this.eye.lookAround(new THREE.Vector3(...(place.position as [number, number, number])));
     } catch (error) {
@@ -134,12 +192,14 @@ export class Viewer {
 
   private changed(): void {
     this.panel.update();
+    this.thingPanel?.update();
     this.stage.update();
     this.exact?.changed();
   }
 
   private moved(): void {
     byId("marker").hidden = true;
+    this.clicked = null;
     this.cameras.mark(this.eye.at?.name ?? null);
     this.exact?.moved();
     this.stage.redraw();
@@ -158,8 +218,12 @@ export class Viewer {
     });
     this.canvas.addEventListener("pointerup", (event) => {
       if (!pressed || Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) > CLICK_SLACK) return;
-      void this.point(event.offsetX, event.offsetY);
+      this.click(event.offsetX, event.offsetY, event);
     });
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (event.pointerType === "mouse" && !event.buttons) this.hover(event.offsetX, event.offsetY);
+    });
+    this.canvas.addEventListener("pointerleave", () => this.state.things?.hover(null));
     new ResizeObserver(() => {
       this.exact?.moved();
       this.stage.redraw();
@@ -175,7 +239,13 @@ export class Viewer {
       this.exact.whenResting = (event.target as HTMLInputElement).checked;
       this.exact.moved();
     });
-    listenToKeys(this.state, this.eye, { toggleExact: () => this.toggleExact(), escape: hidePlace });
+    listenToKeys(this.state, this.eye, {
+      toggleExact: () => this.toggleExact(),
+      escape: () => {
+        hidePlace();
+        this.state.things?.select([]);
+      },
+    });
     this.server?.watch((state) => {
       byId("closed-text").textContent =
         state === "other"
@@ -216,15 +286,21 @@ export class Viewer {
     const selection = this.state.selection();
     this.say("");
     try {
-      if (!selection.texts.length) throw new Error("Ask for something first: nothing is selected.");
+      if (!selection.texts.length && !selection.things.length) {
+        throw new Error("Nothing is selected: click a thing or ask for something first.");
+      }
       if (this.server) {
         const { blob, name } = await this.server.select(selection);
         save(blob, name);
         return;
       }
-      const rows = selected(this.scene!, this.state.shown(), selection.rest);
+      const { things, rest } = selection;
+      const rows = things.length
+        ? owned(this.scene!, things.map(({ number }) => number), rest)
+        : selected(this.scene!, this.state.shown(), rest);
       if (!rows.length) throw new Error("No Gaussian is selected; try a lower threshold.");
-      save(plyOf(this.scene!, rows), "selection.ply");
+      const name = things.length ? things[0].name.replaceAll(/[^\p{L}\p{N}]/gu, "_") : "selection";
+      save(plyOf(this.scene!, rows, things.map(({ number, name }) => `thing ${number}: ${name}`)), `${rest ? "without_" : ""}${name}.ply`);
     } catch (error) {
       this.say((error as Error).message);
     }

@@ -21,7 +21,7 @@ from scoup.view.vocabulary import vocabulary_answers, words_data
 
 MOST_THUMBNAILS = 24
 THUMBNAIL_QUALITY = 70
-FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js")
+FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js", "things.js")
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,12 @@ def export_page(
     words, count = _words(viewed, progress)
     scene = viewed.scene(effort=9, exported=True)
     thumbnails = _thumbnails(viewed, progress)
-    data = {"scene": _base64(scene), "words": _base64(words), "thumbnails": thumbnails}
+    data = {
+        "scene": _base64(scene),
+        "words": _base64(words),
+        "thumbnails": thumbnails,
+        "things": viewed.things(),
+    }
     if split:
         tags = "\n".join(f'<script src="{name}.js"></script>' for name in data)
         html = files.in_one(settings, f"<script>window.scoupData = {{}};</script>\n{tags}")

@@ -13,6 +13,7 @@ from scoup.scene.cameras import Camera
 from scoup.view.exact import LARGEST_SIDE
 
 MOST_TEXTS = 8
+MOST_THINGS = 1000
 LONGEST_TEXT = 200
 _QUALITIES = (1, 95)
 
@@ -36,6 +37,19 @@ class Message:
         if not isinstance(texts, list) or not 1 <= len(texts) <= MOST_TEXTS:
             raise InputError(f"give 1 to {MOST_TEXTS} texts to look for")
         return [_checked_text(text) for text in texts]
+
+    def things(self) -> dict[int, str]:
+        """Names by number of the things in "things"; none if the field is missing."""
+        things = self.fields.get("things", [])
+        if not isinstance(things, list) or len(things) > MOST_THINGS:
+            raise InputError(f"select at most {MOST_THINGS:,} things")
+        found = {}
+        for thing in things:
+            number = thing.get("number") if isinstance(thing, dict) else None
+            if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < 65535:
+                raise InputError("a thing has a number and a name")
+            found[number] = _checked_text(thing.get("name"))
+        return found
 
     def text(self) -> str | None:
         """The text in "text", if there is one."""

@@ -18,7 +18,7 @@ from starlette.routing import Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
-from scoup.base.errors import ScoupError
+from scoup.base.errors import ScoupError, UnknownNameError
 from scoup.io import write_ply_table
 from scoup.view.export import jpeg
 from scoup.view.guard import HEADERS, MOST_BYTES, Guard
@@ -48,6 +48,7 @@ def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool
         Route("/scene.bin", desk.scene),
         Route("/api/scene", desk.metadata),
         Route("/api/vocabulary", desk.vocabulary),
+        Route("/api/things", desk.things),
         Route("/api/thumbnail/{number}", desk.thumbnail),
         Route("/api/alive", desk.alive),
         *(
@@ -114,6 +115,13 @@ class _Answers:
     async def vocabulary(self, request: Request) -> Response:
         return JSONResponse(await self.work.run(lambda: self._words))
 
+    @cached_property
+    def _things(self) -> dict[str, Any]:
+        return {"things": self.viewed.things()}
+
+    async def things(self, request: Request) -> Response:
+        return JSONResponse(await self.work.run(lambda: self._things))
+
     async def thumbnail(self, request: Request) -> Response:
         digits, cameras = request.path_params["number"], self.viewed.field.cameras
         # Not by starlette's int: a number of thousands of digits is a fault to Python.
@@ -149,20 +157,24 @@ class _Answers:
         return JSONResponse(await self.work.run(lambda: self.viewed.what_is_at(camera, pixel)))
 
     async def select(self, message: Message, visitor: str) -> Response:
-        texts, level, threshold = message.texts(), message.level(self._n_levels), message.threshold()
-        rest, always = message.flag("rest"), message.flag("always")
+        things, rest = message.things(), message.flag("rest")
+        texts = [] if things else message.texts()
+        level, threshold, always = message.level(self._n_levels), message.threshold(), message.flag("always")
         folder = tempfile.TemporaryDirectory(prefix="scoup-view-")
         path = Path(folder.name) / "selection.ply"
 
         def write() -> None:
-            write_ply_table(self.viewed.selection(texts, level, threshold, rest, always), path)
+            if things:
+                write_ply_table(self.viewed.things_selection(things, rest), path)
+            else:
+                write_ply_table(self.viewed.selection(texts, level, threshold, rest, always), path)
 
         try:
             await self.work.run(write)
         except BaseException:
             folder.cleanup()
             raise
-        name = "".join(letter if letter.isalnum() else "_" for letter in texts[0])
+        name = "".join(letter if letter.isalnum() else "_" for letter in [*things.values(), *texts][0])
         name = f"without_{name}.ply" if rest else f"{name}.ply"
         return FileResponse(path, filename=name, background=BackgroundTask(folder.cleanup))
 
@@ -231,6 +243,8 @@ def _refusal(request: Request, error: Exception) -> Response:
 
 
 def _user_error(request: Request, error: Exception) -> Response:
+    if isinstance(error, UnknownNameError):  # without the file that was searched
+        error = UnknownNameError(error.kind, error.name, error.nearest)
     return _error(400, str(error))
 
 

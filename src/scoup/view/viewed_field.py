@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from scoup.query.question import Question
 from scoup.query.splat_table import SplatTable
 from scoup.scene.cameras import Camera
 from scoup.view.exact import ExactPictures, PictureMode, PictureRequest, what_is_at
+from scoup.view.page_things import page_things
 from scoup.view.scene_answers import PageAnswer, scene_answers
 from scoup.view.scene_data import scene_data, scene_metadata
 from scoup.view.shown import MOST_GAUSSIANS
@@ -184,7 +186,7 @@ class ViewedField:
         rest: bool = False,
         always: bool = False,
     ) -> PlyTable:
-        """The Gaussians that answer any of the texts, or all others, as `scoup select` writes them.
+        """Return the Gaussians that answer any of the texts, or all others, as `scoup select` writes them.
 
         Raises:
             InputError: there would be none, or a value is out of range.
@@ -196,7 +198,33 @@ class ViewedField:
         chosen = torch.zeros(len(self.field), dtype=torch.bool)
         for number, own in enumerate(levels):
             chosen |= self.field.select(question.one(number, level=own)).mask
-        chosen = ~chosen if rest else chosen
+        return self._table(~chosen if rest else chosen)
+
+    def things(self) -> list[dict[str, Any]]:
+        """Return the things of the scene as the page lists them (``page_things``)."""
+        return page_things(self.field, self.vocabulary())
+
+    def things_selection(self, names: Mapping[int, str], rest: bool = False) -> PlyTable:
+        """Return the Gaussians of things, or all others; the names of the things stand in the header.
+
+        Args:
+            names: of the things, by their numbers.
+            rest: return all other Gaussians.
+
+        Raises:
+            InputError: the field has no such thing, or there would be no Gaussian.
+        """
+        table = self.field.thing_table
+        count = 0 if table is None else len(table)
+        wrong = [number for number in names if not 0 <= number < count]
+        if table is None or wrong:
+            raise InputError(f"there is no thing {wrong[0] if wrong else 0}; this field has {count:,} things")
+        chosen = torch.isin(table.owners.cpu(), torch.tensor(list(names), dtype=torch.int32)).any(1)
+        comments = tuple(f"thing {number}: {name}" for number, name in names.items())
+        selected = self._table(~chosen if rest else chosen)
+        return replace(selected, comments=(*selected.comments, *comments))
+
+    def _table(self, chosen: torch.Tensor) -> PlyTable:
         if not chosen.any():
             raise InputError("no Gaussian is selected; try a lower threshold, or another text")
         return SplatTable.of(self.field).select(chosen)

@@ -1,0 +1,39 @@
+"""The things of a scene as the page lists, names and measures them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from scoup.query.methods import FieldQueries
+from scoup.query.question import Question
+from scoup.query.things import ThingFits
+
+
+def page_things(field: FieldQueries, vocabulary: Question | None) -> list[dict[str, Any]]:
+    """Return every thing as plain JSON values, with the word of a vocabulary that fits it best as its name.
+
+    Args:
+        field: to be shown.
+        vocabulary: the words that things are named by; None: things have numbers only.
+    """
+    table = field.thing_table
+    if table is None:
+        return []
+    words: list[int] = []
+    if vocabulary is not None:
+        words = ThingFits.of(table, vocabulary).cosines.argmax(1).tolist()
+    found = []
+    for thing in field.things():
+        record, number = thing.record(), thing.number or 0
+        named = None if vocabulary is None else vocabulary.texts[words[number]]
+        found.append(
+            {
+                "number": number,
+                "level": field.level_index(thing.level),
+                "parent": thing.parent,
+                "name": named,
+                **{name: record[name] for name in ("position", "box", "gaussians")},
+                "views": thing.n_regions,
+            }
+        )
+    return found
