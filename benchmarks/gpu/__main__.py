@@ -64,7 +64,7 @@ def output(arguments: argparse.Namespace, interpreted: bool) -> Path:
     device = "" if arguments.out else re.sub(r"[^a-z0-9]+", "-", torch.cuda.get_device_name(0).lower())
     out: Path = arguments.out or ROOT / "docs" / "benchmarks" / f"gpu-{device}.json"
     if out.suffix != ".json":
-        raise InputError(f"{out}: give a name that ends with .json")
+        raise InputError(f"{out}: expected a name that ends with .json")
     for path in (out, out.with_suffix(".md")):
         check_output(path, arguments.overwrite)
     return out

@@ -115,7 +115,7 @@ def test_a_file_is_not_replaced_unasked():
         (("--backends", "nonsense"), "no raster backend named 'nonsense'"),
         (("--n-gaussians", "0"), "--n-gaussians must be 1 or more, got 0"),
         (("--n-gaussians", "5", "-1"), "--n-gaussians must be 1 or more, got -1"),
-        (("--n-gaussians",), "--n-gaussians: give at least one number"),
+        (("--n-gaussians",), "--n-gaussians: expected at least one number"),
         (("--width", "0"), "--width must be 1 or more, got 0"),
         (("--height", "-3"), "--height must be 1 or more, got -3"),
         (("--threads", "0"), "--threads must be 1 or more, got 0"),

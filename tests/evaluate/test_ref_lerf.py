@@ -115,7 +115,7 @@ def test_damaged_sentences_are_refused(tmp_path: Path, item: Any, problem: str) 
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match="sentences were expected"):
+    with pytest.raises(MissingFileError, match="expected sentences"):
         ref_lerf.read_frames(tmp_path)
     put(tmp_path, "frame_00003")
     save_png(torch.ones(5, 5, dtype=torch.uint8), tmp_path / "gt_mask/frame_00003/plate.png", overwrite=True)

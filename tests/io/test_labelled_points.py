@@ -72,7 +72,7 @@ def test_other_meshes_are_refused(tmp_path: Path) -> None:
         read_labelled_ply(tmp_path / "a.ply")
     halves = HEADER.format(encoding="ascii", count=1).replace("ushort label", "float label")
     (tmp_path / "a.ply").write_text(halves + "1 2 3 0 0 0 255 7.5\n3 0 0 0\n")
-    with pytest.raises(FileFormatError, match="no whole numbers"):
+    with pytest.raises(FileFormatError, match="not whole numbers"):
         read_labelled_ply(tmp_path / "a.ply")
     (tmp_path / "a.ply").write_text(
         HEADER.format(encoding="ascii", count=1) + "1 nan 3 0 0 0 255 7\n3 0 0 0\n"
@@ -104,8 +104,8 @@ def test_arrays(tmp_path: Path) -> None:
         (np.ones((2, 3)), np.ones(3), r"segment.npy: is \[3\], but coord.npy has 2 points"),
         (np.ones((2, 3)), np.ones((2, 0)), "but coord.npy has 2 points"),
         (np.full((2, 3), np.inf), np.ones(2), "not finite"),
-        (np.ones((2, 3)), np.array([0.5, 1]), "no whole numbers"),
-        (np.ones((2, 3)), np.array([np.nan, 1]), "no whole numbers"),
+        (np.ones((2, 3)), np.array([0.5, 1]), "not whole numbers"),
+        (np.ones((2, 3)), np.array([np.nan, 1]), "not whole numbers"),
         (np.ones((2, 3)), np.array([{}, {}]), "does not hold plain numbers"),
     ],
 )

@@ -97,7 +97,7 @@ class Bench(WritesCommon):
             if any(value < 1 for value in values):
                 raise InputError(f"--{name} must be 1 or more, got {min(values)}")
         if not self.n_gaussians:
-            raise InputError("--n-gaussians: give at least one number of Gaussians, such as 100000")
+            raise InputError("--n-gaussians: expected at least one number, such as 100000")
         for stage in self.stages:
             if stage not in STAGES:
                 raise UnknownNameError("stage", stage, STAGES)

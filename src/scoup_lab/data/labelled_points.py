@@ -35,7 +35,7 @@ def read_labelled_ply(path: str | Path) -> LabelledPoints:
         raise FileFormatError(
             path,
             f"its vertices have no {', '.join(missing)} (but {listed(table.names, 5)})",
-            "give the labelled mesh, <scene>_vh_clean_2.labels.ply",
+            "pass the labelled mesh, <scene>_vh_clean_2.labels.ply",
         )
     positions = _finite(path, table.columns(("x", "y", "z")))
     labels = _whole(path, table.columns(("label",), np.float64)[:, 0])
@@ -65,7 +65,7 @@ def read_labelled_npy(coordinates: str | Path, labels: str | Path) -> LabelledPo
     positions = open_npy(coordinates, "coordinates of points")
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise FileFormatError(
-            coordinates, f"is {list(positions.shape)}, expected [points, 3]", "give coord.npy"
+            coordinates, f"is {list(positions.shape)}, expected [points, 3]", "pass coord.npy"
         )
     numbers = open_npy(labels, "classes of points")
     if numbers.ndim not in (1, 2) or len(numbers) != len(positions) or 0 in numbers.shape[1:]:
@@ -90,5 +90,5 @@ def _finite(path: Path, positions: np.ndarray) -> np.ndarray:
 def _whole(path: Path, labels: np.ndarray) -> np.ndarray:
     """Return [P] float64 as int64."""
     if not (np.isfinite(labels) & (labels == np.round(labels)) & (np.abs(labels) < _MAX_LABEL)).all():
-        raise FileFormatError(path, "has labels that are no whole numbers", "give the numbers of classes")
+        raise FileFormatError(path, "has labels that are not whole numbers", "pass the numbers of classes")
     return labels.astype(np.int64)

@@ -21,7 +21,7 @@ from scoup.scene.regions import resize_labels
 
 _FAR = 1e6  # coordinates beyond this are damage, and more than the polygon painter can take
 _MOST_PAINTED, _MOST_KEPT = 1 << 33, 1 << 28  # pixels, of all objects and of all categories
-_REMEDY = "the file is damaged or no LERF-OVS label file"
+_REMEDY = "the file is damaged or not a LERF-OVS label file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +59,11 @@ def read_labels(folder: str | Path) -> list[LabelledFrame]:
     """Return all label files ``*.json`` of a folder, in order of their names."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise MissingFileError(
-            folder, "there is no such folder (label files were expected)", "check the path"
-        )
+        raise MissingFileError(folder, "there is no such folder (expected label files)", "check the path")
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
     if not paths:
         raise MissingFileError(
-            folder, "contains no label file (*.json)", "name the folder of one scene's labels"
+            folder, "contains no label file (*.json)", "pass the folder of one scene's labels"
         )
     return [read_frame(path) for path in paths]
 

@@ -43,7 +43,7 @@ class Places:
             raise MissingFileError(error.path, error.problem, remedy) from error
         features = _placed(self.features, name) or folder / FOLDER_NAME
         if not features.is_dir():
-            problem = "there is no such folder (the region features were expected here)"
+            problem = "there is no such folder (expected region features)"
             raise MissingFileError(features, problem, 'pass features, for example "f/{scene}"')
         home, lenses = _placed(self.cameras, name) or folder, "undistort" if self.undistort else "refuse"
         cameras = load_cameras(home, _placed(self.images, name), None, lenses)
@@ -58,7 +58,7 @@ def check_root(root: Path, data_set: str) -> None:
     """Refuse a root that is not a folder."""
     if not root.is_dir():
         raise MissingFileError(
-            root, f"there is no such folder (a {data_set} data set was expected)", "check the path"
+            root, f"there is no such folder (expected a {data_set} data set)", "check the path"
         )
 
 

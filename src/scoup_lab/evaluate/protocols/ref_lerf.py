@@ -36,7 +36,7 @@ TEST_FRAMES: dict[str, tuple[int, ...]] = {
 _TEST_FOLDERS = ("json/test_json", "test_json")
 _ALL = "json"
 _MASKS = ("gt_mask", "mask")
-_REMEDY = "the file is damaged or no Ref-LERF file"
+_REMEDY = "the file is damaged or not of Ref-LERF"
 
 
 def sentence_folder(folder: Path) -> Path:
@@ -57,7 +57,7 @@ def read_frames(folder: str | Path) -> list[LabelledFrame]:
     home = sentence_folder(folder)
     if not home.is_dir():
         raise MissingFileError(
-            home, "there is no such folder (sentences were expected)", "give a scene of Ref-LERF"
+            home, "there is no such folder (expected sentences)", "pass a scene of Ref-LERF"
         )
     paths = sorted(path for path in home.iterdir() if path.suffix.lower() == ".json")
     if home.name == _ALL and folder.name in TEST_FRAMES:

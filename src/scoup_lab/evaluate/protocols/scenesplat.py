@@ -73,7 +73,7 @@ def read_truth(folder: Path, classes: ClassList) -> LabelledPoints:
             break
     else:
         remedy = f"pass the classes of the benchmark ({', '.join(CLASS_LISTS)})"
-        problem = f"there is no such file (the classes of {classes.name} were expected)"
+        problem = f"there is no such file (expected the classes of {classes.name})"
         raise MissingFileError(folder / f"{classes.file}.npy", problem, remedy)
     points = read_labelled_npy(folder / f"{prefix}{COORDINATES}", labels)
     if len(points.labels) and int(points.labels.max()) >= len(classes.classes):

@@ -23,7 +23,7 @@ UNITED = {"room": ("wood table", "wood wall")}
 """Scene -> (class, class whose truth it is added to)."""
 
 _CLASSES = "classes.txt"
-_REMEDY = "give the scene folder of a 3D-OVS data set"
+_REMEDY = "pass the scene folder of a 3D-OVS data set"
 
 
 def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
