@@ -25,6 +25,8 @@ STAGES = {
     "first location": "location in the scene, first text",
     "further location": "location in the scene, further text",
     "same location": "location in the scene, same text again",
+    "ten locations": "location in the scene, ten further texts in one question",
+    "quarter": "whole answer, new camera, at a quarter of the width",
 }
 
 
@@ -58,7 +60,7 @@ class Query(Study):
         field, camera = self._field(), random_scene_cameras(4, self.width, self.height)[2]
         count = self.repeats + 1  # the first does not count
         queries, canonical = clip_like(count, seed=1), clip_like(len(CANONICAL_PHRASES) + 1, seed=2)
-        asked = EVERYDAY_WORDS[: 2 * count]
+        asked, batch = EVERYDAY_WORDS[: 2 * count], list(EVERYDAY_WORDS[-10:])
         names = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
         words = dict(zip(names, clip_like(len(names), seed=3), strict=True))
         clock = Stopwatch(time.process_time)
@@ -74,6 +76,8 @@ class Query(Study):
                 clock("first location", fresh.location, asked[2 * number])
                 for stage in ("further location", "same location"):
                     clock(stage, fresh.location, asked[2 * number + 1])
+                clock("ten locations", fresh.location, batch)
+                clock("quarter", fresh.answer, asked[2 * number + 1], camera, scale=0.25)
         least = {stage: min(times[1:]) for stage, times in clock.seconds.items()}
         least["query, new camera"] = least["project"] + least["first relevancy"] + least["place and mask"]
         least["query, same camera"] = least["further relevancy"] + least["place and mask"]

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.field.language_field import LanguageField
+from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.question import Question
 from scoup.scene.cameras import Camera
 from scoup.uplift.build import build
@@ -37,6 +38,22 @@ def queried() -> Queried:
     return Queried(
         field, cameras[0], Question(tuple(f"word {i}" for i in range(11)), *vectors, source="words.npz")
     )
+
+
+WORDS = (*CANONICAL_PHRASES, *(f"word {number}" for number in range(30)))
+
+
+@pytest.fixture
+def table() -> dict[str, Tensor]:
+    return dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=5), strict=True))
+
+
+@pytest.fixture
+def field(queried: Queried, table: dict[str, Tensor]) -> LanguageField:
+    """A field of one's own, which takes the words of the table."""
+    made = queried.field.with_gaussians(queried.field.gaussians)
+    made.text_encoder(table)
+    return made
 
 
 def without_things(field: LanguageField) -> LanguageField:

@@ -9,21 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from query.conftest import Queried, random_vectors
+from query.conftest import WORDS, random_vectors
 from scoup.field.language_field import LanguageField
-from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.recent import Recent
 from scoup.query.relevancy import relevancy
 from scoup.scene.codes import SparseCodes, code_norms, cosines_from_codes
-
-WORDS = [*CANONICAL_PHRASES, *(f"word {number}" for number in range(30))]
-
-
-@pytest.fixture
-def field(queried: Queried) -> LanguageField:
-    made = queried.field.with_gaussians(queried.field.gaussians)
-    made.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=5), strict=True)))
-    return made
 
 
 def dense(field: LanguageField, level: int) -> Tensor:
@@ -141,12 +131,23 @@ def test_what_is_kept_is_the_newest_within_bounds() -> None:
 def test_several_threads_ask_one_field(field: LanguageField) -> None:
     words = WORDS[4:16]
     fresh = field.with_gaussians(field.gaussians)
-    expected = {word: (fresh.location(word).record(), fresh.answer(word, 1).record()) for word in words}
+
+    def answers(asked: LanguageField, word: str) -> tuple[object, ...]:
+        question = asked.question([word, "word 20"], always=True)
+        return (
+            asked.location(word).record(),
+            asked.answer(word, 1).record(),
+            asked.finding(word, [0]).location.record(),
+            asked.select(f"{word} and not word 20").record(),
+            asked.label(question).counts(),
+        )
+
+    expected = {word: answers(fresh, word) for word in words}
     found: list[tuple[str, object]] = []
 
     def ask(start: int) -> None:
         for word in (words[start:] + words[:start]) * 2:
-            found.append((word, (field.location(word).record(), field.answer(word, 1).record())))
+            found.append((word, answers(field, word)))
 
     threads = [threading.Thread(target=ask, args=(3 * number,)) for number in range(4)]
     for thread in threads:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import gc
-import pickle
 import weakref
 
 import pytest
@@ -16,7 +15,7 @@ from torch import Tensor
 from raster.parity import BACKENDS
 from scoup import raster
 from scoup.field.language_field import LanguageField
-from scoup.query.cosines import FieldCodes, FieldCosines
+from scoup.query.cosines import FieldCodes
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
@@ -138,19 +137,6 @@ def test_phrases_written_to_are_other_phrases() -> None:
     assert_close(found, field.relevancy(camera, queries, canonical))
 
 
-def test_what_is_kept_lives_as_long_as_the_projection() -> None:
-    gaussians, camera = random_gaussians(40, 1), make_camera()
-    field, cache = field_of(gaussians, 1), FieldCosines()
-    codes = FieldCodes(field.code_indices, field.code_weights, field.codebook)
-    projection = field.project(camera)
-    cache.of_pixels(projection, codes, vectors(1, 2), vectors(4, 1))
-    assert len(cache) == 1
-    assert len(copy.deepcopy(cache)) == len(pickle.loads(pickle.dumps(cache))) == 0
-    del projection
-    gc.collect()
-    assert len(cache) == 0
-
-
 def test_a_field_keeps_no_projection_alive_and_its_copy_starts_afresh(monkeypatch) -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field = field_of(gaussians, 1)
@@ -163,6 +149,7 @@ def test_a_field_keeps_no_projection_alive_and_its_copy_starts_afresh(monkeypatc
     del projection
     gc.collect()
     assert kept() is None
+    assert len(field._cosines) == 0
 
 
 def test_codes_know_when_they_were_written_to() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,16 +29,6 @@ def test_pictures_of_an_answer(queried: Queried) -> None:
     absent = replace(answer, presence=False).pictures(rgb)
     assert np.array_equal(np.asarray(absent["heat"]), np.asarray(drawn["heat"]))
     assert not np.array_equal(np.asarray(absent["overlay"]), np.asarray(drawn["overlay"]))  # the remark
-
-
-def test_what_is_said_of_an_answer(queried: Queried) -> None:
-    answer = answer_view(queried.field, queried.camera, queried.texts)[0]
-    answer = replace(answer, level="m", score=0.731, coverage=0.0213, z_score=None)
-    assert answer.remark() == "level m, score 0.73, 2.1% of the view"
-    assert replace(answer, z_score=3.21).remark() == "level m, score 0.73, 2.1% of the view, z-score 3.21"
-    absent = replace(answer, presence=False, z_score=0.61)
-    assert absent.remark() == "not in this view (z-score 0.61)"
-    assert replace(absent, z_score=-math.inf).remark() == "not in this view (nothing found)"
 
 
 def test_drawings_of_a_view(queried: Queried) -> None:

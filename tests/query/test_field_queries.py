@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from query.conftest import Queried, random_vectors
+from query.conftest import Queried
 from scoup import raster
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError
 from scoup.field.language_field import LanguageField
@@ -25,13 +25,6 @@ from scoup.query.locate import Location, location
 from scoup.query.presence import PRESENT_FROM
 from scoup.query.question import Question
 from scoup.query.text_vectors import encode_texts
-
-WORDS = (*CANONICAL_PHRASES, *(f"word {number}" for number in range(20)))
-
-
-@pytest.fixture
-def table() -> dict[str, Tensor]:
-    return dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=5), strict=True))
 
 
 def assert_same_answer(first: Answer, second: Answer) -> None:

@@ -12,22 +12,13 @@ from typing import Any
 import pytest
 import torch
 
-from query.conftest import Queried, random_vectors
+from query.conftest import WORDS, random_vectors
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
 
-WORDS = [*CANONICAL_PHRASES, *(f"word {number}" for number in range(20))]
 COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}
-
-
-@pytest.fixture
-def field(queried: Queried) -> LanguageField:
-    made = queried.field.with_gaussians(queried.field.gaussians)
-    made.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=5), strict=True)))
-    return made
 
 
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)

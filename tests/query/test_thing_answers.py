@@ -403,16 +403,6 @@ def test_selections_of_choice_are_for_the_votes(asked: Asked, how: dict) -> None
             assert one.threshold is not None
 
 
-def test_the_votes_answer_without_things(asked: Asked) -> None:
-    texts = asked.wall.texts
-    for one, other in zip(answer_view(asked.bare, 0, texts), answer_view(asked.field, 0, texts), strict=True):
-        assert one.threshold is not None
-        assert other.threshold is None
-    for one, other in zip(answer_scene(asked.bare, texts), answer_scene(asked.field, texts), strict=True):
-        assert one.threshold is not None
-        assert other.threshold is None
-
-
 def test_texts_are_answered_alike_alone_and_together(asked: Asked) -> None:
     """Also where there are more than one pass takes."""
     wall = asked.wall
