@@ -128,7 +128,7 @@ def build_here(folder: Path, threads: int) -> Record:
             gaussians = scoup.load_gaussians(splat)
             cameras = scoup.load_cameras(scene)
             regions = scoup.load_regions(scene / "language_features", cameras)
-        sums = RegionSums.of(gaussians, regions.levels, path=kept)
+        sums = RegionSums.empty(gaussians, regions.levels, path=kept)
         field = scoup.build(gaussians, cameras, regions, sums=sums, geometry_path=splat, progress=progress)
         size = sums.bytes
         with timed(seconds, "save"):

@@ -67,7 +67,8 @@ def observe(points: Points) -> None:
     from scoup.extract.felzenszwalb import Felzenszwalb
     from scoup.field.language_field import LanguageField
     from scoup.io.regions.store import RegionStore
-    from scoup.uplift.region_sums import ENDING, RegionSums
+    from scoup.uplift.region_sums import RegionSums
+    from scoup.uplift.storage.paths import ENDING
 
     @contextmanager
     def progress(self: Console) -> Iterator[Callable[[str, int, int], None]]:

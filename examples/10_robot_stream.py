@@ -32,7 +32,7 @@ def frame(number):
 
 first = [frame(number) for number in range(window)]
 known = scoup.Regions.from_maps({camera.name: maps for camera, maps in first})
-sums = scoup.RegionSums.of(gaussians, known.levels)
+sums = scoup.RegionSums.empty(gaussians, known.levels)
 field = scoup.build(
     gaussians, scoup.Cameras(camera for camera, _ in first), known, embedding_model=words, sums=sums
 )

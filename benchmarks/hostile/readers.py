@@ -36,8 +36,9 @@ from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_sums import RegionSums, view_file
+from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.shards import Shard, merge
+from scoup.uplift.storage.paths import view_file
 from scoup.uplift.vote import vote
 from scoup_lab.data.labelled_points import read_labelled_npy, read_labelled_ply
 from scoup_lab.data.labels import read_labels
@@ -158,7 +159,7 @@ def _shard(folder: Path) -> None:
         if max((sum(sums.n_regions(name)) for name in sums.views), default=0) <= MOST_REGIONS:
             merge([sums], OF_SHARDS)
         else:
-            Shard.kept(sums)
+            Shard.load(sums)
 
 
 @contextmanager
@@ -180,7 +181,7 @@ def _vote(sums: RegionSums) -> None:
     codes = [SparseCodes(atoms, torch.ones(MOST_REGIONS, 1), MOST_REGIONS) for _ in sums.levels]
     codebook = torch.eye(MOST_REGIONS).expand(len(sums.levels), -1, -1)
     for backend in ("reference", *(["native"] if missing_reason() is None else [])):
-        vote(sums.of_views(sums.views, rows), codes, codebook, keep=1, backend=backend)
+        vote(sums.select(sums.views, rows), codes, codebook, keep=1, backend=backend)
 
 
 def _picture(file: str, *more: str, containers: tuple[Container, ...] = ()) -> Reader:

@@ -171,7 +171,7 @@ def _write_fields(folder: Path) -> None:
     gaussians, cameras, regions = small_scene(count=40, views=2, width=16, height=12)
     sums = region_sums(gaussians, cameras, regions, path=folder / "a.sums")
     sums.keep_codes({"step": 1}, {"codebook": torch.ones(3, 4)})
-    sums = RegionSums.of(gaussians, regions.levels, path=folder / "a.1-of-2.sums")
+    sums = RegionSums.empty(gaussians, regions.levels, path=folder / "a.1-of-2.sums")
     add_shard(sums, gaussians, cameras, regions, Share(0, 2), check_fit=False)
 
 

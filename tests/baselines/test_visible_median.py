@@ -58,4 +58,4 @@ def test_the_method_is_this_median_behind_the_gate() -> None:
 def test_rows_must_be_known() -> None:
     gaussians, _, regions = small_scene(count=5, views=1)
     with pytest.raises(InputError, match="not known"):
-        streaming_median(RegionSums.of(gaussians, regions.levels), torch.ones(3, 4), 0)
+        streaming_median(RegionSums.empty(gaussians, regions.levels), torch.ones(3, 4), 0)

@@ -26,7 +26,7 @@ from scoup.io import (
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Cameras
-from scoup.uplift.region_sums import view_file
+from scoup.uplift.storage.paths import view_file
 from support import make_camera, random_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -193,7 +193,7 @@ def test_features_of_another_model_than_the_table():
         rewrite(f"scene/language_features/view_0{number}_f.npy", lambda rows: rows[:, :8])
     message = refused(*BUILD, "--model", TABLE)
     assert (
-        "scene/words.npz: holds vectors of 16 dimensions, but scene/language_features holds embeddings of 8"
+        "scene/words.npz: contains vectors of 16 dimensions, but scene/language_features contains embeddings of 8"
         in message
     )
     assert run("build", "scene", *QUICK, "--out", "a.scoup")[0] == 0
@@ -300,7 +300,7 @@ def test_cameras_that_see_nothing():
     )
     assert "--no-check-fit" in message
     message = refused(*BUILD, "--no-check-fit")
-    assert message.startswith("the cameras see nothing: no Gaussian paints a region in any view; name")
+    assert message.startswith("the cameras see nothing: no Gaussian contributes to a region of any view; use")
     for verb in ("query", "render"):
         message = refused(*ASK[verb], "--scene", "scene", "--camera", "all")
         assert message.startswith("scene: the cameras see nothing of the field (view_00.png, view_01.png, ")

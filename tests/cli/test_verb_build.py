@@ -17,7 +17,7 @@ from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, save_png, write_colmap
 from scoup.io.splats.ply import read_ply_table, write_ply_table
 from scoup.scene.cameras import Cameras
-from scoup.uplift.region_sums import bytes_of
+from scoup.uplift.storage.paths import folder_bytes
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -113,7 +113,7 @@ def test_embedded_geometry_stands_alone():
 def test_region_sums_are_kept_on_request_and_built_from_again(monkeypatch):
     record = run_json("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums")
     assert record["sums"] == "a.scoup.sums"
-    assert record["sums_bytes"] == bytes_of(Path("a.scoup.sums"))
+    assert record["sums_bytes"] == folder_bytes(Path("a.scoup.sums"))
     assert run_json("info", "a.scoup")["region_sums"] == record["sums_bytes"]
     before, field = snapshot(Path("a.scoup.sums")), Path("a.scoup").read_bytes()
     run_json("build", "scene", *QUICK, "--out", "whole.scoup", "--seed", "5", "--rounds", "3")
@@ -316,7 +316,7 @@ def test_black_photographs():
     assert run(*extract)[0] == 0
     message = refused("build", "scene", *QUICK, "--features", "r", "--out", "a.scoup")
     assert (
-        "only zero embeddings, as black photographs get from --embedder colors; check the photographs"
+        "only zero embeddings, as the embedder colors makes of black photographs; check the photographs"
         in message
     )
 

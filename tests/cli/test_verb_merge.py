@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from cli_support import QUICK, refused, run, run_json, snapshot, write_scene
-from scoup.uplift.region_sums import RegionSums, bytes_of, view_file
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage.paths import folder_bytes, view_file
 
 pytestmark = pytest.mark.usefixtures("here")
 SCENE = ("scene", "--model", "scene/words.npz")
@@ -35,7 +36,7 @@ def test_what_is_said_of_a_shard():
     record = run_json("build", *SCENE, "--out", "g.scoup", "--shard", "2/3")
     assert record.pop("seconds") >= 0
     path = Path("g.scoup.2-of-3.sums")
-    assert record == {"shard": str(path), "bytes": bytes_of(path), "views": 1, "of_views": 4}
+    assert record == {"shard": str(path), "bytes": folder_bytes(path), "views": 1, "of_views": 4}
     record = run_json("merge", path, *QUICK)
     assert (record["views"], record["field"]) == (1, "g.scoup")
     assert record["warnings"] == ["3 views of 4 are in none of the shards; the field is made of the others"]

@@ -16,7 +16,7 @@ from scoup.scene.codes import SparseCodes, stable_products
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, pack
-from scoup.uplift.vote import VotedEntries
+from scoup.uplift.vote import CodedEntries
 from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
 
 SHARPNESS = torch.tensor([3.0, 0.0, 20.0])
@@ -81,7 +81,7 @@ def random_vote(sizes: Sizes, seed: int) -> dict[str, Any]:
         weights = (numbers.random(len(pairs)) * 20).astype(np.float32) + np.float32(1e-3)
         kind = np.dtype(np.float16 if sizes.halves else np.float32)
         (entries,) = pack(pairs // max(1, count), pairs % max(1, count), weights, table, kind)
-        views.append(VotedEntries(entries, regions))
+        views.append(CodedEntries(entries, regions))
     codes = []
     for total in totals:
         dense = torch.rand(total, sizes.n_atoms, generator=generator)

@@ -16,7 +16,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
-from scoup.uplift.rasterise import region_sums, resumed
+from scoup.uplift.rasterise import region_sums, resume_sums
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from support import make_camera, random_gaussians, small_scene, unit
@@ -77,11 +77,11 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, 
     gaussians, _, regions = scene
     whole = saved(build(*scene, settings=QUICK), tmp_path / "whole.scoup")
     path = tmp_path / "f.partial"
-    sums = resumed(path, gaussians, regions)
+    sums = resume_sums(path, gaussians, regions)
     with pytest.raises(KeyboardInterrupt):
         build(*scene, settings=QUICK, sums=sums, progress=Stages(at))
     taken = {"region sums": 2, "vote": 4, "coding m": 0}[at[0]]
-    sums = resumed(path, gaussians, regions)
+    sums = resume_sums(path, gaussians, regions)
     assert len(sums) == taken
     projected = []
     project = scoup.raster.project
@@ -99,7 +99,7 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, 
 
 def test_what_changed_during_an_interruption_is_rasterised_again(scene, tmp_path):
     gaussians, cameras, regions = scene
-    sums = resumed(tmp_path / "f.partial", gaussians, regions)
+    sums = resume_sums(tmp_path / "f.partial", gaussians, regions)
     build(*scene, settings=QUICK, sums=sums)
     changed = flipped(regions, cameras.names[1:2])
     moved = Cameras([cameras[0].resized(30, 20), *list(cameras)[1:]])
@@ -117,14 +117,14 @@ def test_a_folder_that_cannot_be_gone_on_from_is_replaced(scene, tmp_path):
     path.mkdir()
     (path / "scene.safetensors").write_bytes(b"damaged" * 100)
     with pytest.warns(ScoupWarning, match=r"f\.partial.*starting over"):
-        sums = resumed(path, gaussians, regions)
+        sums = resume_sums(path, gaussians, regions)
     build(*scene, settings=QUICK, sums=sums)
     other = random_gaussians(len(gaussians), 77)
     with pytest.warns(ScoupWarning, match="other Gaussians"):
-        sums = resumed(path, other, regions)
+        sums = resume_sums(path, other, regions)
     sums.keep_codes({}, {})
     with pytest.warns(ScoupWarning, match="weights"):
-        sums = resumed(path, other, regions, weights="float16")
+        sums = resume_sums(path, other, regions, weights="float16")
     assert len(sums) == 0
 
 
@@ -186,11 +186,11 @@ def test_codes_are_kept_beside_the_sums(scene):
     gaussians, _, regions = scene
     sums = RegionSums(gaussians.fingerprint(), morton_order(gaussians.means), regions.levels)
     field = build(*scene, settings=QUICK, sums=sums)
-    coded = RegionCodes.kept(sums)
+    coded = RegionCodes.load(sums)
     assert coded is not None
     assert torch.equal(coded.codebook, field.codebook)
-    assert RegionCodes.kept(sums, "another key") is None
-    voters = sums.of_views(coded.rows[0], coded.rows)
+    assert RegionCodes.load(sums, "another key") is None
+    voters = sums.select(coded.rows[0], coded.rows)
     found = scoup.vote(voters, coded.codes, coded.codebook, 2, 3)
     assert torch.equal(found.indices, field.code_indices)
     assert torch.equal(found.weights.half(), field.code_weights)
@@ -228,7 +228,7 @@ def test_nothing_grows_with_the_number_of_views_but_the_sums(scene, tmp_path, mo
         alone = build(*scene, settings=QUICK)
     assert {path.parent.parent for path in folders} == {tmp_path}
     assert not list(tmp_path.iterdir())
-    in_memory = build(*scene, settings=QUICK, sums=RegionSums.of(gaussians, regions.levels))
+    in_memory = build(*scene, settings=QUICK, sums=RegionSums.empty(gaussians, regions.levels))
     assert saved(in_memory, tmp_path / "a.scoup") == saved(alone, tmp_path / "b.scoup")
 
 

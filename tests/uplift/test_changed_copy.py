@@ -14,9 +14,10 @@ from scoup.base.errors import ScoupWarning
 from scoup.base.locks import locked_output
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
-from scoup.uplift.checkpoint import changed_copy
+from scoup.uplift.checkpoint import copy_for_update
 from scoup.uplift.rasterise import add_views, region_sums
-from scoup.uplift.region_sums import RegionSums, view_file
+from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage.paths import view_file
 from support import small_scene
 
 PARTIAL = Path("a.scoup.update.partial")
@@ -46,7 +47,7 @@ class Updated:
         add, regions, rasterised = add or self.add, regions or self.regions, []
         with (
             locked_output(Path("a.scoup")) as output,
-            changed_copy(SOURCE, Path("a.scoup"), add, regions) as copied,
+            copy_for_update(SOURCE, Path("a.scoup"), add, regions) as copied,
         ):
             for camera in add:
                 if str(copied.n_added) == stop_at:

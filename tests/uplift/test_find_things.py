@@ -23,21 +23,14 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.scene.things import NO_THING, ThingTable
-from scoup.uplift.build import build, things_of
+from scoup.uplift.build import build, thing_table
 from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup.uplift.merging import LEAST_IOU, LEAST_OVERLAP, ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.shards import add_shard, merge
-from scoup.uplift.things import (
-    LEAST_IOU,
-    LEAST_OVERLAP,
-    LEAST_REGIONS,
-    ROOT_STEPS,
-    find_things,
-    mean_embeddings,
-    merge_regions,
-)
+from scoup.uplift.things import LEAST_REGIONS, find_things, mean_embeddings
 from scoup.uplift.update import update
 from support import examples, small_scene
 
@@ -404,21 +397,21 @@ def test_kept_in_memory_or_in_files_they_are_the_same(wall: Wall, tmp_path: Path
     expected = saved(built(wall), tmp_path / "a.scoup")
     ways: list[dict[str, Any]] = [{}, {"path": tmp_path / "b.sums"}]
     for number, how in enumerate(ways):
-        sums = RegionSums.of(wall.gaussians, LEVELS, **how)
+        sums = RegionSums.empty(wall.gaussians, LEVELS, **how)
         assert saved(built(wall, sums=sums), tmp_path / f"{number}.scoup") == expected
     sums = RegionSums.open(tmp_path / "b.sums")
     assert saved(built(wall, sums=sums), tmp_path / "again.scoup") == expected
-    coded = RegionCodes.kept(sums)
+    coded = RegionCodes.load(sums)
     assert coded is not None
     assert [part.dtype for part in coded.embeddings] == [torch.float16] * 2
-    assert_same(things_of(sums, coded), of_field(built(wall)))
+    assert_same(thing_table(sums, coded), of_field(built(wall)))
 
 
 @pytest.mark.parametrize("share_out", [("1/1",), ("2/3", "3/3", "1/3")])
 def test_shards_merge_to_the_things_of_a_build(wall: Wall, tmp_path: Path, share_out: Sequence[str]) -> None:
     shards = []
     for number, share in enumerate(share_out):
-        shards.append(RegionSums.of(wall.gaussians, LEVELS, path=tmp_path / f"{number}.sums"))
+        shards.append(RegionSums.empty(wall.gaussians, LEVELS, path=tmp_path / f"{number}.sums"))
         add_shard(shards[-1], wall.gaussians, wall.cameras, wall.regions, Share.parse(share), check_fit=False)
     found = merge(shards, SETTINGS)
     assert saved(found, tmp_path / "a.scoup") == saved(built(wall), tmp_path / "b.scoup")
@@ -429,7 +422,7 @@ def test_shards_merge_to_the_things_of_a_build(wall: Wall, tmp_path: Path, share
 def test_a_view_that_comes_and_goes_leaves_no_trace(wall: Wall, place: int) -> None:
     late = wall.cameras[place]
     before = [name for name in wall.cameras.names if name != late.name]
-    sums = RegionSums.of(wall.gaussians, LEVELS)
+    sums = RegionSums.empty(wall.gaussians, LEVELS)
     field = built(wall, before, sums=sums)
     grown = update(field, sums, [late], wall.regions, check_fit=False)
     assert of_field(grown).n_regions.tolist() == [5] * 3 * COUNT
@@ -440,7 +433,7 @@ def test_a_view_that_comes_and_goes_leaves_no_trace(wall: Wall, place: int) -> N
 def test_a_view_that_is_added_gives_the_things_of_all(wall: Wall, things: ThingTable, place: int) -> None:
     late = wall.cameras[place]
     before = [name for name in wall.cameras.names if name != late.name]
-    sums = RegionSums.of(wall.gaussians, LEVELS)
+    sums = RegionSums.empty(wall.gaussians, LEVELS)
     field = built(wall, before, sums=sums)
     grown = of_field(update(field, sums, [late], wall.regions, check_fit=False))
     assert_same(grown, things, (*DECIDED, "mass"))
@@ -451,20 +444,20 @@ def test_a_view_that_is_added_gives_the_things_of_all(wall: Wall, things: ThingT
 def test_a_view_that_is_removed_leaves_the_things_of_the_others(wall: Wall) -> None:
     for place in (0, 4):
         gone = wall.cameras.names[place]
-        sums = RegionSums.of(wall.gaussians, LEVELS)
+        sums = RegionSums.empty(wall.gaussians, LEVELS)
         fewer = update(built(wall, sums=sums), sums, remove=[gone])
         whole = of_field(built(wall, [name for name in wall.cameras.names if name != gone]))
         assert_same(fewer.thing_table, whole, (*DECIDED, "mass"))
 
 
 def test_a_field_without_things_stays_without(wall: Wall) -> None:
-    sums = RegionSums.of(wall.gaussians, LEVELS)
+    sums = RegionSums.empty(wall.gaussians, LEVELS)
     cameras = wall.cameras[:4]
     field = build(
         wall.gaussians, cameras, wall.regions, replace(SETTINGS, things=False), sums=sums, check_fit=False
     )
     assert field.thing_table is None
-    coded = RegionCodes.kept(sums)
+    coded = RegionCodes.load(sums)
     assert coded is not None
     assert not coded.embeddings
     assert update(field, sums, [wall.cameras[4]], wall.regions, check_fit=False).thing_table is None

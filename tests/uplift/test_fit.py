@@ -20,7 +20,7 @@ from scoup.io import save_png
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.fit import Fit, Verdict, check_coded, check_fit, measure_fit, views_tried
+from scoup.uplift.fit import Fit, Verdict, check_coded, check_fit, measure_fit, sample_views
 from scoup.uplift.similarity import similarities
 from support import make_camera, random_gaussians
 
@@ -86,7 +86,9 @@ def test_what_is_refused(seed: int, tmp_path: Path):
     shuffled = with_photographs_of(cameras, [*cameras[5:], *cameras[:5]])
     for splat, views in ((other, cameras), (turned, cameras), (gaussians, shuffled)):
         assert measure_fit(splat, views).verdict is Verdict.HOPELESS
-        with pytest.raises(InputError, match=r"a\.ply: does not fit the cameras: .*--no-check-fit") as caught:
+        with pytest.raises(
+            InputError, match=r"a\.ply: does not fit the cameras: .*check_fit=False"
+        ) as caught:
             check_fit(splat, views, splat="a.ply")
         assert "median correlation" in str(caught.value)
 
@@ -156,9 +158,9 @@ def test_few_views_are_never_refused_for_their_photographs(tmp_path: Path):
 
 
 @given(st.integers(1, 60))
-def test_views_tried_are_pairs_evenly_spread(count: int):
+def test_sample_views_are_pairs_evenly_spread(count: int):
     cameras = [make_camera(name=f"{number:03d}") for number in range(count)]
-    tried = [int(camera.name) for camera in views_tried(cameras)]
+    tried = [int(camera.name) for camera in sample_views(cameras)]
     assert tried == sorted(set(tried))
     if count <= 8:
         assert tried == list(range(count))
@@ -220,7 +222,7 @@ def test_a_build_is_checked_before_the_work(tmp_path: Path, monkeypatch: pytest.
 
 def test_codes_of_hardly_any_gaussian():
     weights = torch.zeros(1000, 3, 2)
-    with pytest.raises(InputError, match="no Gaussian paints a region"):
+    with pytest.raises(InputError, match="no Gaussian contributes to a region"):
         check_coded(weights)
     weights[:9, 1, 0] = 1
     with pytest.warns(ScoupWarning, match=r"only 0.90% of the Gaussians"):

@@ -144,8 +144,8 @@ def test_arrays_are_read_from_files(tmp_path: Path) -> None:
     np.save(tmp_path / "flat.npy", np.zeros(4))
     (tmp_path / "a.txt").write_text("1 2 3")
     for name, said in (
-        ("dict.pt", "holds no tensor"), ("large.pt", "more numbers than it holds"), ("whole.npy", "expected floats"),
-        ("flat.npy", "expected floats"), ("a.txt", "no array of features"), ("none.npy", "no such file"),
+        ("dict.pt", "not contain a tensor"), ("large.pt", "more numbers"), ("whole.npy", "expected floats"),
+        ("flat.npy", "expected floats"), ("a.txt", "not an array of features"), ("none.npy", "no such file"),
     ):  # fmt: skip
         with pytest.raises(FileFormatError, match=said):
             read_features(tmp_path / name)

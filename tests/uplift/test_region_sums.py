@@ -21,8 +21,9 @@ from scoup import raster
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
-from scoup.uplift.region_sums import RegionSums, bytes_of, view_file
+from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
+from scoup.uplift.storage.paths import folder_bytes, view_file
 from support import KINDS, examples, random_gaussians, small_scene
 
 
@@ -143,7 +144,7 @@ def test_a_file_gives_back_what_it_was_given(scene, kept, tmp_path):
     assert_same(back, kept)
     assert torch.equal(back.order, kept.order)
     assert (back.fingerprint, back.levels, back.raster_preset) == (kept.fingerprint, kept.levels, "inria")
-    assert back.bytes == made.bytes == bytes_of(tmp_path / "f.sums")
+    assert back.bytes == made.bytes == folder_bytes(tmp_path / "f.sums")
     assert RegionSums.open(tmp_path / "f.sums").matrix(0, kept.rows[0]).nnz == kept.matrix(0).nnz
     with pytest.raises(InputError, match="reading only"):
         back.remove(cameras.names[0])
@@ -205,9 +206,9 @@ def test_half_precision_and_least_weight(scene, kept, tmp_path):
     for before, after in zip(every, left, strict=True):
         np.testing.assert_array_equal(before[before >= 0.1], after)
     with pytest.raises(InputError, match="float32 or float16"):
-        RegionSums.of(gaussians, regions.levels, weights="float64")
+        RegionSums.empty(gaussians, regions.levels, weights="float64")
     with pytest.raises(InputError, match="least weight"):
-        RegionSums.of(gaussians, regions.levels, least_weight=1.0)
+        RegionSums.empty(gaussians, regions.levels, least_weight=1.0)
 
 
 def test_gaussians_that_cannot_be_drawn_have_no_entries(scene):
@@ -244,7 +245,7 @@ def test_views_of_any_name(scene, tmp_path):
     none = torch.zeros(0, dtype=torch.int32)
     nothing = ViewSums(none, none, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32))
     names = ["a/b.png", "A/b.png", "a-b.png", "..", "", "x" * 300, "ü\n", '"checksum": "00000000"']
-    sums = RegionSums.of(gaussians, regions.levels, path=tmp_path / "f.sums")
+    sums = RegionSums.empty(gaussians, regions.levels, path=tmp_path / "f.sums")
     for name in names:
         sums.append(name, nothing)
     assert list(RegionSums.open(tmp_path / "f.sums").views) == sorted(names)
@@ -296,8 +297,8 @@ def test_what_is_something_else_is_refused(scene, tmp_path):
         RegionSums.open(path)
     with pytest.raises(MissingFileError, match="no such folder"):
         RegionSums.open(tmp_path / "g.sums")
-    with pytest.raises(InputError, match="there already"):
-        RegionSums.of(gaussians, regions.levels, path=path)
+    with pytest.raises(InputError, match="already exists"):
+        RegionSums.empty(gaussians, regions.levels, path=path)
 
 
 @pytest.fixture(scope="module")
@@ -372,7 +373,7 @@ def test_views_are_read_ahead_in_order(scene):
 
 def test_sums_are_as_if_nothing_had_been_replaced(scene, kept, tmp_path):
     gaussians, _, regions = scene
-    sums, fresh = (RegionSums.of(gaussians, regions.levels, path=tmp_path / name) for name in "ab")
+    sums, fresh = (RegionSums.empty(gaussians, regions.levels, path=tmp_path / name) for name in "ab")
     first, *others = kept.views
     atoms = {"codebook": torch.ones(3, 4, 5)}
     for number in range(4):

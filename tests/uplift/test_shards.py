@@ -18,8 +18,9 @@ from scoup.base.shares import Share
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_sums import RegionSums, view_file
+from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.shards import add_shard, merge
+from scoup.uplift.storage.paths import view_file
 from scoup.uplift.update import update
 from support import small_scene
 
@@ -32,7 +33,7 @@ def made(folder: Path, share: str, scene=SCENE, **how) -> Path:
     """The file of a shard."""
     gaussians, cameras, regions = scene
     path = folder / f"{next(NUMBERS)}.sums"
-    sums = RegionSums.of(gaussians, regions.levels, path=path, **how)
+    sums = RegionSums.empty(gaussians, regions.levels, path=path, **how)
     add_shard(sums, gaussians, cameras, regions, Share.parse(share), embedding_model="m",
               geometry_path=folder / "g.ply", check_fit=False)  # fmt: skip
     return path
@@ -93,10 +94,10 @@ def test_sums_are_kept_with_codes_for_updates(tmp_path: Path) -> None:
     gaussians, cameras, regions = SCENE
     paths = [made(tmp_path, share) for share in ("2/2", "1/2")]
     shards = [RegionSums.open(path) for path in paths]
-    keep = RegionSums.like(shards[0], tmp_path / "merged.sums")
+    keep = RegionSums.empty_like(shards[0], tmp_path / "merged.sums")
     field = merge(shards, SETTINGS, keep=keep)
     field.attach(gaussians)
-    sums = RegionSums.of(gaussians, regions.levels, path=tmp_path / "alone.sums")
+    sums = RegionSums.empty(gaussians, regions.levels, path=tmp_path / "alone.sums")
     build(gaussians, cameras, regions, settings=SETTINGS, sums=sums, check_fit=False)
     assert snapshot(tmp_path / "merged.sums") == snapshot(tmp_path / "alone.sums")
     fewer = update(field, keep, remove=[cameras.names[1]])
@@ -116,7 +117,7 @@ def test_an_interrupted_shard_goes_on(tmp_path: Path) -> None:
 
     for _ in range(2):
         new = not path.exists()
-        sums = RegionSums.of(gaussians, regions.levels, path=path) if new else RegionSums.open(path, True)
+        sums = RegionSums.empty(gaussians, regions.levels, path=path) if new else RegionSums.open(path, True)
         try:
             add_shard(sums, gaussians, cameras, regions, Share.parse("1/1"), embedding_model="m", progress=stop,
                       geometry_path=tmp_path / "g.ply", check_fit=False)  # fmt: skip
@@ -126,7 +127,7 @@ def test_an_interrupted_shard_goes_on(tmp_path: Path) -> None:
     assert snapshot(path) == snapshot(undisturbed)
 
 
-def test_inputs_that_have_changed_are_kept_anew(tmp_path: Path) -> None:
+def test_inputs_that_have_changed_are_kept_again(tmp_path: Path) -> None:
     gaussians, cameras, regions = SCENE
     path = made(tmp_path, "1/1")
     other = small_scene(count=700, views=5, seed=9)[2]
@@ -172,7 +173,7 @@ def test_shards_of_other_scenes_are_refused(tmp_path: Path) -> None:
             made(tmp_path, "2/2", (gaussians, zoomed, regions)),
             made(tmp_path, "2/2", (gaussians, Cameras(reversed(list(cameras))), regions)),
         ],
-        "hold other regions of the view view_00.png": [
+        "contain other regions of the view view_00.png": [
             made(tmp_path, "1/1", (gaussians, cameras, changed))
             for changed in (other_labels, other_embeddings)
         ],
@@ -188,7 +189,7 @@ def test_shards_of_other_scenes_are_refused(tmp_path: Path) -> None:
 def test_what_is_no_shard_is_refused(tmp_path: Path) -> None:
     gaussians, cameras, regions = SCENE
     region_sums(gaussians, cameras, regions, path=tmp_path / "plain.sums")
-    with pytest.raises(FileFormatError, match="is no shard"):
+    with pytest.raises(FileFormatError, match="is not a shard"):
         merged([tmp_path / "plain.sums"], tmp_path)
 
 
@@ -212,7 +213,7 @@ def test_inputs_that_make_no_sense_are_refused(change: dict[str, object], tmp_pa
     assert sums.inputs is not None
     header = {**sums.inputs["header"], **change}
     sums.keep_inputs(header, sums.inputs["tensors"])
-    with pytest.raises(FileFormatError, match="makes no sense as a shard"):
+    with pytest.raises(FileFormatError, match="is not a valid shard"):
         merged([path], tmp_path)
 
 

@@ -26,9 +26,9 @@ from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_codes import RegionCodes, joined
+from scoup.uplift.region_codes import RegionCodes, concatenate_codes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.update import update, with_update
+from scoup.uplift.update import append_update, update
 from scoup.uplift.vote import vote
 from support import make_camera, random_labels, small_scene, unit
 
@@ -105,7 +105,7 @@ Kept = tuple[LanguageField, RegionSums]
 
 def built(wall: Wall, settings: BuildSettings = SETTINGS) -> Kept:
     """The field of the early views, with its region sums."""
-    sums = RegionSums.of(wall.gaussians, LEVELS)
+    sums = RegionSums.empty(wall.gaussians, LEVELS)
     return build(wall.gaussians, wall.early, wall.regions, settings=settings, sums=sums), sums
 
 
@@ -200,7 +200,7 @@ def test_gaussians_that_a_view_does_not_see_keep_their_codes(wall: Wall) -> None
 def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int) -> None:
     """Views added, removed and changed: bytes as of sums and codes made from nothing."""
     field, sums = built(wall, replace(SETTINGS, rounds=rounds))
-    coded = RegionCodes.kept(sums)
+    coded = RegionCodes.load(sums)
     assert coded is not None
     changed = Regions.from_maps(
         {
@@ -228,10 +228,10 @@ def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int) -> None
             parts.append(encode(normalise_embeddings(rows), field.codebook[s], 2) if new else known)
         of_level = parts[0]
         for part in parts[1:]:
-            of_level = joined(of_level, part)
+            of_level = concatenate_codes(of_level, part)
         codes.append(of_level)
     rows = [changed.select(camera.name for camera in views).embeddings(level)[1] for level in LEVELS]
-    expected = vote(whole.of_views(rows[0], rows), codes, field.codebook, rounds, SETTINGS.keep)
+    expected = vote(whole.select(rows[0], rows), codes, field.codebook, rounds, SETTINGS.keep)
     assert after.code_indices.equal(expected.indices)
     assert after.code_weights.equal(expected.weights.half())
     assert after.info.provenance["views"] == [camera.name for camera in views]
@@ -241,9 +241,9 @@ def test_an_update_equals_the_vote_of_all_views(wall: Wall, rounds: int) -> None
 
 def test_a_view_that_is_given_again_as_it_was_changes_nothing(wall: Wall) -> None:
     field, sums = built(wall)
-    before = RegionCodes.kept(sums)
+    before = RegionCodes.load(sums)
     again = update(field, sums, wall.early[2:3], wall.regions)
-    after = RegionCodes.kept(sums)
+    after = RegionCodes.load(sums)
     assert before is not None
     assert after is not None
     for s, rows in enumerate(before.rows):
@@ -275,7 +275,7 @@ def test_what_is_explained_now_brings_no_more_atoms(wall: Wall) -> None:
 
 @pytest.mark.parametrize("weight_bits", [16, 8])
 def test_a_grown_field_lasts_and_goes_on_growing(wall: Wall, tmp_path, weight_bits) -> None:
-    sums = RegionSums.of(wall.gaussians, LEVELS, path=tmp_path / "f.sums")
+    sums = RegionSums.empty(wall.gaussians, LEVELS, path=tmp_path / "f.sums")
     field = build(wall.gaussians, wall.early, wall.regions, settings=SETTINGS, sums=sums)
     grown = grow(wall, (field, sums))
     path = tmp_path / "grown.scoup"
@@ -332,7 +332,7 @@ def scene_with_a_crowded_view() -> tuple[Gaussians, Cameras, Regions]:
 def test_past_256_atoms(tmp_path, keep: int) -> None:
     gaussians, cameras, regions = scene_with_a_crowded_view()
     wide = BuildSettings(n_atoms=250, k=3, keep=keep, solver="exact")
-    sums = RegionSums.of(gaussians, regions.levels)
+    sums = RegionSums.empty(gaussians, regions.levels)
     field = build(gaussians, cameras[:3], regions, settings=wide, sums=sums)
     assert field.code_indices.dtype == torch.uint8
     grown = update(field, sums, cameras[3:], regions, new_atoms=10)
@@ -365,16 +365,16 @@ def test_refusals(wall: Wall, kept: Kept) -> None:
     broken = Regions(LEVELS, ["late_0.png"], wall.regions.load, lambda *_: torch.full((3, DIM), float("nan")))
     with pytest.raises(InputError, match="not finite"):
         update(field, sums, late, broken, new_atoms=2)
-    with pytest.raises(InputError, match="given without their regions; give regions="):
+    with pytest.raises(InputError, match="have no regions; pass regions="):
         update(field, sums, late)
     with pytest.raises(InputError, match=r"'late_0\.png' is not in the field"):
         update(field, sums, remove=["late_0.png"])
     with pytest.raises(InputError, match="no view would be left"):
         update(field, sums, remove=wall.early.names)
     with pytest.raises(InputError, match="another scene"):
-        update(field, RegionSums.of(small_scene()[0], LEVELS), remove=["early_0.png"])
-    with pytest.raises(InputError, match="--keep-sums"):
-        update(field, RegionSums.of(wall.gaussians, LEVELS), remove=["early_0.png"])
+        update(field, RegionSums.empty(small_scene()[0], LEVELS), remove=["early_0.png"])
+    with pytest.raises(InputError, match="with its sums kept"):
+        update(field, RegionSums.empty(wall.gaussians, LEVELS), remove=["early_0.png"])
     assert list(sums.views) == list(wall.early.names)  # nothing was changed
 
 
@@ -385,7 +385,7 @@ def test_views_without_regions_are_refused_before_any_is_rendered(
         raise AssertionError("views were rendered before the arguments were checked")
 
     monkeypatch.setattr("scoup.uplift.fit.measure_fit", too_early)
-    with pytest.raises(InputError, match="given without their regions; give regions="):
+    with pytest.raises(InputError, match="have no regions; pass regions="):
         update(*kept, wall.late[:1])
 
 
@@ -402,7 +402,7 @@ def test_a_field_that_does_not_record_what_to_expect(wall: Wall, kept: Kept) -> 
 
 def test_codes_of_other_lengths_are_joined() -> None:
     short, long = (SparseCodes.from_dense(torch.eye(300)[:2, :n], k) for n, k in ((4, 1), (300, 3)))
-    both = joined(short, long)
+    both = concatenate_codes(short, long)
     assert (len(both), both.k, both.n_atoms) == (4, 3, 300)
     assert both.to_dense()[:2, :4].equal(short.to_dense())
     assert both.to_dense()[2:].equal(long.to_dense())
@@ -414,20 +414,20 @@ def test_a_window_of_views_takes_no_more_room_and_votes_as_its_views_alone(
     wall: Wall, tmp_path, monkeypatch, in_file
 ):
     """Frames come and go: what they leave is given back, and changes no code."""
-    sums = RegionSums.of(wall.gaussians, LEVELS, path=tmp_path / "a.sums" if in_file else None)
+    sums = RegionSums.empty(wall.gaussians, LEVELS, path=tmp_path / "a.sums" if in_file else None)
     field = build(wall.gaussians, wall.early[:3], wall.regions, settings=SETTINGS, sums=sums)
-    sizes, plain = [], RegionSums.of(wall.gaussians, LEVELS)
+    sizes, plain = [], RegionSums.empty(wall.gaussians, LEVELS)
     other = build(wall.gaussians, wall.early[:3], wall.regions, settings=SETTINGS, sums=plain)
     for number in range(24):
         camera, oldest = wall.early[(3 + number) % 8], next(iter(sums.views))
         field = update(field, sums, [camera], wall.regions, [oldest])
         sizes.append(sums.bytes)
-        coded = RegionCodes.kept(sums)
+        coded = RegionCodes.load(sums)
         assert coded is not None
         assert all(len(level) <= 2 * sum(part.stop - part.start for part in places.values())
                    for level, places in zip(coded.codes, coded.rows, strict=True))  # fmt: skip
     assert max(sizes[12:]) <= max(sizes[:12])
-    monkeypatch.setattr(RegionCodes, "compacted", lambda self: self)
+    monkeypatch.setattr(RegionCodes, "compact", lambda self: self)
     for number in range(24):
         other = update(other, plain, [wall.early[(3 + number) % 8]], wall.regions, [next(iter(plain.views))])
     assert field.code_indices.equal(other.code_indices)
@@ -436,15 +436,15 @@ def test_a_window_of_views_takes_no_more_room_and_votes_as_its_views_alone(
 
 
 def test_codes_of_many_atoms_are_compacted(kept: Kept) -> None:
-    coded = RegionCodes.kept(kept[1])
+    coded = RegionCodes.load(kept[1])
     assert coded is not None
     books = torch.nn.functional.pad(coded.codebook, (0, 0, 0, 300))
     more = [SparseCodes(level.indices.to(torch.uint16), level.weights, 306) for level in coded.codes]
     wide = RegionCodes(books, more, coded.rows, coded.reports)
     first, *others = coded.rows[0]
     for name in others:
-        wide = wide.without(name)
-    found = wide.compacted()
+        wide = wide.without_view(name)
+    found = wide.compact()
     for old, new, level in zip(wide.rows, found.rows, range(len(more)), strict=True):
         assert new[first].start == 0
         assert len(found.codes[level]) == new[first].stop
@@ -456,6 +456,6 @@ def test_a_field_records_its_newest_updates(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("scoup.uplift.update.MOST_UPDATES", 2)
     provenance: dict[str, Any] = {}
     for number in range(5):
-        provenance |= with_update(provenance, {"added": [str(number)]})
+        provenance |= append_update(provenance, {"added": [str(number)]})
         assert provenance.get("earlier_updates", 0) == max(0, number - 1)
     assert provenance["updates"] == [{"added": ["3"]}, {"added": ["4"]}]

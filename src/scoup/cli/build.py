@@ -114,7 +114,7 @@ class Build(BuildOptions, ViewOptions):
         """Rasterise a share of the views, keep it and report."""
         from scoup.base.locks import locked_output
         from scoup.base.shares import Share
-        from scoup.uplift.region_sums import shard_path
+        from scoup.uplift.storage.paths import shard_path
 
         share = Share.parse(self.shard or "")
         path = shard_path(out, share)
@@ -156,21 +156,21 @@ class Build(BuildOptions, ViewOptions):
         from scoup.base.locks import lock_path, locked_output
         from scoup.base.shares import Share
         from scoup.cli.merge import save_merged
-        from scoup.uplift.checkpoint import take_up
-        from scoup.uplift.region_sums import shard_path
+        from scoup.uplift.checkpoint import resume_shard
+        from scoup.uplift.storage.paths import shard_path
 
         shards = [shard_path(out, Share(number, share.count)) for number in range(share.count)]
         path, started = shards[share.number], time.perf_counter()
         if not share.is_first:
             part_lock = locked_output(path, overwrite=True, is_folder=True)
             with reported_once(share), part_lock as part, heartbeats(part):
-                take_up(path)  # of an earlier run, which may have been of another scene
+                resume_shard(path)  # of an earlier run, which may have been of another scene
                 self._make_shard(console, part, loaded, share, check_fit=False)
                 wait_until_taken(part, path, lock_path(out))
             return
         with reported_once(share), locked_output(out, self.overwrite) as whole, heartbeats(whole):
             with locked_output(path, overwrite=True, is_folder=True) as part:
-                take_up(path)
+                resume_shard(path)
                 self._make_shard(console, part, loaded, share, not self.no_check_fit)
             wait_for_parts(whole, [lock_path(path) for path in shards[1:]])
             found = save_merged(console, self, whole, shards, device, self.keep_sums, loaded.source)
@@ -203,7 +203,7 @@ class Build(BuildOptions, ViewOptions):
         from scoup.base.shares import Share
         from scoup.io import check_output
         from scoup.io.camera_sources import scene_folder
-        from scoup.uplift.region_sums import shard_path, sums_path
+        from scoup.uplift.storage.paths import shard_path, sums_path
 
         out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
         if out.suffix.lower() != ".scoup":
@@ -251,11 +251,11 @@ class Build(BuildOptions, ViewOptions):
 
     def _announce(self, console: Console, sums: RegionSums, views: int) -> None:
         """Say what is continued, now, and what is kept, should the build be interrupted."""
-        from scoup.uplift.checkpoint import continued
+        from scoup.uplift.checkpoint import resume_message
 
         if self.sums is None:
             console.kept = lambda: kept(len(sums), views, "views", "codes" if sums.codes else "")
-        if message := continued(sums, views):
+        if message := resume_message(sums, views):
             console.say(message)
 
 

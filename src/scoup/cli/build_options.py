@@ -84,7 +84,7 @@ def report_field(
 ) -> None:
     """Say what was built; ``bytes_of_sums`` where they are kept."""
     from scoup.field.part_sizes import part_sizes
-    from scoup.uplift.region_sums import sums_path
+    from scoup.uplift.storage.paths import sums_path
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():

@@ -18,6 +18,16 @@ from scoup.cli.options import Common
 
 _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
 """Control characters, which names out of files may hold, and which could change what a terminal shows."""
+_OPTIONS = {
+    "check_fit=False": "--no-check-fit",
+    "new_atoms=8": "--new-atoms 8",
+    "pass dataparser_transforms)": "pass --dataparser-transforms)",
+    "a tolerance)": "--tolerance)",
+    "pass a tolerance": "pass --tolerance",
+    "its sums kept": "--keep-sums",
+    "raster_preset,": "--raster-preset,",
+}
+"""Arguments that messages of the library name -> options of verbs."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 
 
@@ -64,6 +74,7 @@ class Console:
 
     def warn(self, message: str) -> None:
         """Print a warning the first time it comes, and keep it for the JSON result."""
+        message = _with_options(message)
         if message not in self.warnings:
             self.warnings.append(message)
             with _printing(sys.stderr):
@@ -82,7 +93,7 @@ class Console:
         """
         if is_said_elsewhere(error):
             return code
-        message = " ".join(message.splitlines()).translate(_ESCAPES)
+        message = " ".join(_with_options(message).splitlines()).translate(_ESCAPES)
         with _printing(sys.stderr):
             print(f"error: {message}", file=sys.stderr, flush=True)
         self.result({**record, "error": message})
@@ -163,6 +174,12 @@ def kept(done: int, total: int, what: str, also: str = "") -> str:
         return "nothing was written"
     left = f"{done} of {total} {what}" if done else f"the {also}"
     return f"{left} are kept, run the same command again to continue"
+
+
+def _with_options(message: str) -> str:
+    for argument, option in _OPTIONS.items():
+        message = message.replace(argument, option)
+    return message
 
 
 def silence(stream: TextIO) -> None:

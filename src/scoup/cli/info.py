@@ -100,7 +100,7 @@ def _region_sums(path: Path) -> dict[str, Any]:
     from scoup.uplift.shards import Shard
 
     sums = RegionSums.open(path)
-    shard = None if sums.inputs is None else Shard.kept(sums)
+    shard = None if sums.inputs is None else Shard.load(sums)
     of_shard = (
         {} if shard is None else {"of_views": shard.n_views, "embedding_model": shard.sources.embedding_model}
     )
@@ -121,7 +121,7 @@ def _region_sums(path: Path) -> dict[str, Any]:
 def _field(path: Path) -> dict[str, Any]:
     from scoup.field.language_field import LanguageField
     from scoup.field.part_sizes import part_sizes
-    from scoup.uplift.region_sums import bytes_of, sums_path
+    from scoup.uplift.storage.paths import folder_bytes, sums_path
 
     field = LanguageField.load(path)
     sizes = part_sizes(path)
@@ -141,7 +141,7 @@ def _field(path: Path) -> dict[str, Any]:
         "cameras": 0 if field.cameras is None else len(field.cameras),
         "geometry": _geometry(field),
         "fingerprint": field.info.fingerprint,
-        "region_sums": bytes_of(sums) if (sums := sums_path(path)).is_dir() else None,
+        "region_sums": folder_bytes(sums) if (sums := sums_path(path)).is_dir() else None,
         "provenance": field.info.provenance,
     }
 

@@ -68,7 +68,7 @@ class Merge(BuildOptions):
         from scoup.base.errors import InputError
         from scoup.base.locks import complete
         from scoup.io import check_output
-        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.storage.paths import sums_path
 
         if not self.shards:
             raise InputError("name the shards to merge, as scoup build --shard has left them")
@@ -130,4 +130,4 @@ def _kept(out: Path, shards: list[RegionSums], wanted: bool) -> Iterator[RegionS
         yield None
         return
     with new_sums(out, "merge") as path:
-        yield RegionSums.like(shards[0], path)
+        yield RegionSums.empty_like(shards[0], path)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.scene.cameras import Camera, Cameras
     from scoup.scene.regions import Regions
-    from scoup.uplift.checkpoint import ChangedCopy
+    from scoup.uplift.checkpoint import UpdateCopy
     from scoup.uplift.edited_splat import Followed, KeptSums
 
 Names = Annotated[
@@ -83,7 +83,7 @@ class Update(FieldOptions, ViewOptions):
     def _change_views(self, console: Console) -> None:
         """Add and remove views."""
         from scoup.base.locks import locked_output
-        from scoup.uplift.checkpoint import changed_copy, save_field
+        from scoup.uplift.checkpoint import copy_for_update, save_field
         from scoup.uplift.update import update
 
         out, source = self._output(also_sums=True), self._source()
@@ -91,7 +91,7 @@ class Update(FieldOptions, ViewOptions):
         with locked_output(out, self.overwrite) as output:
             field = self.open_field()
             cameras, regions = self._changed_views(field, source)
-            with changed_copy(source, out, cameras, regions) as copied, console.progress() as progress:
+            with copy_for_update(source, out, cameras, regions) as copied, console.progress() as progress:
                 _announce(console, copied, out)
                 updated = update(
                     field, copied.sums, cameras, regions, self.remove, self.new_atoms,
@@ -121,7 +121,7 @@ class Update(FieldOptions, ViewOptions):
         from scoup.uplift.checkpoint import save_field
         from scoup.uplift.edited_splat import follow
         from scoup.uplift.matching import Tolerance
-        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.storage.paths import sums_path
 
         if self.add or self.remove:
             raise InputError("--edited is an update of its own; add or remove views before or after it")
@@ -187,7 +187,7 @@ class Update(FieldOptions, ViewOptions):
         """The field to write, after checking that it, and its region sums, may be written."""
         from scoup.base.locks import complete
         from scoup.io import check_output
-        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.storage.paths import sums_path
 
         out = self.out or self.field
         for path in dict.fromkeys((self.field, out)):
@@ -200,7 +200,7 @@ class Update(FieldOptions, ViewOptions):
     def _source(self) -> Path:
         """The folder of the field's region sums."""
         from scoup.base.errors import MissingFileError
-        from scoup.uplift.region_sums import sums_path
+        from scoup.uplift.storage.paths import sums_path
 
         source = self.sums or sums_path(self.field)
         if not source.is_dir():
@@ -214,10 +214,10 @@ class Update(FieldOptions, ViewOptions):
         from scoup.base.errors import InputError
         from scoup.uplift.rasterise import changed_views
         from scoup.uplift.region_sums import RegionSums
-        from scoup.uplift.update import codes_of
+        from scoup.uplift.update import field_codes
 
         sums = RegionSums.open(source)
-        codes_of(field, sums)
+        field_codes(field, sums)
         if not self.add:
             return [], None
         if self.scene is None:
@@ -244,7 +244,7 @@ class Update(FieldOptions, ViewOptions):
             raise UnknownNameError("camera with regions", error.name, known.names, str(self.scene)) from error
 
 
-def _announce(console: Console, copied: ChangedCopy, out: Path) -> None:
+def _announce(console: Console, copied: UpdateCopy, out: Path) -> None:
     """Say what is continued, now, and what is kept, should the update be interrupted."""
     total = len(copied.add)
     if copied.n_added:

@@ -44,28 +44,28 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
 ) -> LanguageField:
     """Build a language field (method.md, stages 1 and 2): learn codes per level, rasterise each view once, vote.
 
-    The parts can be called one by one: ``fit_codes``, ``region_sums``, ``vote``, ``LanguageField``. Beyond the
-    embeddings and codes of all regions, memory does not grow with the number of views.
+    The steps can be called one by one: ``fit_codes``, ``region_sums``, ``vote``, ``LanguageField``. Memory grows with
+    the embeddings and codes of all regions, not with the number of views.
 
     Args:
         gaussians: the trained scene; never changed.
-        cameras: posed cameras; those without regions are passed over.
+        cameras: posed cameras; those without regions are skipped.
         regions: region maps and embeddings.
         settings: everything that decides the result, or the name of one of ``BUILD_PRESETS``.
-        embedding_model: id of the model the embeddings come from, kept in the field.
-        geometry_path: file of the Gaussians, kept in the field as a reference.
-        backend: of rasteriser and vote, by name.
-        sums: region sums of these Gaussians, to continue from and to keep: views that are in them are not rasterised,
-            the others are appended, and the codes are kept beside them. By default they are in a temporary folder.
+        embedding_model: id of the model the embeddings come from, recorded in the field.
+        geometry_path: file of the Gaussians, recorded in the field.
+        backend: name of the backend of rasteriser and vote.
+        sums: region sums of these Gaussians to continue from and to keep: only views that they lack are rasterised,
+            and the codes are kept beside them. By default they are in a temporary folder.
         check_fit: compare small renders of some views with their photographs first (``uplift/fit.py``), unless the
-            sums hold views already.
+            sums contain views already.
         progress: called as ``progress(stage, done, total)``.
 
     Raises:
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit or are of wrong types.
 
     Warns:
-        ScoupWarning: Gaussians are absurd (``scoup.scene.oddities``), or splat and cameras may not fit.
+        ScoupWarning: Gaussians are implausible (``scoup.scene.oddities``), or splat and cameras may not fit.
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
@@ -79,7 +79,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     settings = build_settings(settings)
     if sums is None:
         with temporary_folder() as folder:
-            sums = RegionSums.of(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
+            sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
             return build(
                 gaussians, cameras, regions, settings, embedding_model=embedding_model, geometry_path=geometry_path,
                 backend=backend, sums=sums, check_fit=check_fit, progress=progress,
@@ -89,58 +89,41 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     views = cameras_with_regions(cameras, regions)
     regions = regions.select([camera.name for camera in views])
-    embeddings = RegionEmbeddings.of(regions)
+    embeddings = RegionEmbeddings.load(regions)
     device = gaussians.device
     if check_fit and not len(sums):
         fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path)
 
     codes = learn_region_codes(sums, embeddings, settings, device, progress)
     digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
-    del embeddings  # codes, and rounded embeddings, are enough from here on
+    del embeddings  # the rest needs codes and rounded embeddings only
     add_views(sums, gaussians, views, regions, backend, progress)
-    things = things_of(sums, codes, progress)
+    things = thing_table(sums, codes, progress)
     path = None if geometry_path is None else Path(geometry_path)
     sources = Sources(tuple(views), embedding_model, path, digest)
-    field = voted(sums, codes, things, sources, settings, device, backend, progress)
+    field = vote_field(sums, codes, things, sources, settings, device, backend, progress)
     field.attach(gaussians, known=True)
     return field
 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What a field says of its origin.
-
-    Attributes:
-        views: the cameras of the views it was built from.
-        embedding_model: id of the model the embeddings come from.
-        geometry_path: file of the Gaussians, if it is known.
-        digest: of everything the codes depend on, once it is known (``inputs_digest``).
-    """
+    """What a field records of its origin."""
 
     views: tuple[Camera, ...]
     embedding_model: str = ""
-    geometry_path: Path | None = None
-    digest: str = ""
+    geometry_path: Path | None = None  # file of the Gaussians, if known
+    digest: str = ""  # of everything the codes depend on, if known (``inputs_digest``)
 
 
-def things_of(
-    sums: RegionSums,
-    codes: RegionCodes,
-    progress: Progress = no_progress,
-) -> ThingTable | None:
-    """The things of the views of ``codes``; None where their embeddings are not known.
-
-    Args:
-        sums: of these views.
-        codes: of the regions.
-        progress: called for the stage "things".
-    """
+def thing_table(sums: RegionSums, codes: RegionCodes, progress: Progress = no_progress) -> ThingTable | None:
+    """Find the things of the views of ``codes``; None if no embeddings are kept with the codes."""
     if not codes.embeddings:
         return None
-    return find_things(sums.of_views(codes.rows[0], codes.rows), codes.embeddings, progress)
+    return find_things(sums.select(codes.rows[0], codes.rows), codes.embeddings, progress)
 
 
-def voted(
+def vote_field(
     sums: RegionSums,
     codes: RegionCodes,
     things: ThingTable | None,
@@ -150,38 +133,17 @@ def voted(
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> LanguageField:
-    """The last step of a build: all views vote. Its field has no Gaussians attached.
-
-    Args:
-        sums: of the views of ``sources``.
-        codes: of the regions of these views.
-        things: of these views.
-        sources, settings: of the build.
-        device, backend: of the vote.
-        progress: called for the stage "vote".
-    """
-    sums = sums.of_views([view.name for view in sources.views], codes.rows)
+    """Let all views of ``sources`` vote, the last step of a build; the field has no Gaussians attached."""
+    sums = sums.select([view.name for view in sources.views], codes.rows)
     found = vote(
         sums, codes.codes, codes.codebook.to(device), settings.rounds, settings.keep or None, backend=backend,
         progress=progress,
     )  # fmt: skip
     fit.check_coded(found.weights)
     record = build_record(settings, sources.digest, sums, codes, found.sharpness)
-    info = FieldInfo(
-        sums.levels,
-        sources.embedding_model,
-        sums.fingerprint,
-        sums.n_gaussians,
-        settings.raster_preset,
-        record,
+    model, preset = sources.embedding_model, settings.raster_preset
+    info = FieldInfo(sums.levels, model, sums.fingerprint, sums.n_gaussians, preset, record)
+    origin = {"geometry_path": sources.geometry_path, "cameras": Cameras(sources.views)}
+    return LanguageField(found.indices, found.weights, codes.codebook, info, thing_table=things, **origin).to(
+        device
     )
-    cameras = Cameras(sources.views)
-    return LanguageField(
-        found.indices,
-        found.weights,
-        codes.codebook,
-        info,
-        geometry_path=sources.geometry_path,
-        cameras=cameras,
-        thing_table=things,
-    ).to(device)

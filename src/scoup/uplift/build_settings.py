@@ -1,4 +1,4 @@
-"""Settings of a build, and the named ones."""
+"""Settings of a build, and its presets."""
 
 from __future__ import annotations
 
@@ -14,22 +14,9 @@ _OF_FIT = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """Everything that decides what a build computes. ``BUILD_PRESETS`` names two: "default" (what answers best, and
-    what ``BuildSettings()`` is) and "paper".
+    """Everything that decides what a build computes.
 
-    Attributes:
-        n_atoms: L, atoms in each level's codebook.
-        k: K, atoms in the code of a region.
-        keep: atoms kept for each Gaussian by the vote; 0 keeps all (no top-K step).
-        rounds: of the vote, 1 or more. One is the paper's; in each further one regions count by their cosine with the
-            outcome of the round before (``scoup.uplift.reweighting``).
-        solver: how codes are learned, see ``fit_codes``.
-        effort: of the "exact" solver, "fast" or "best".
-        epochs: epochs of the "adam" solver.
-        tolerance: stop the "adam" solver once its loss has fallen by less than this over 100 epochs; None never.
-        seed: of the codebook's start.
-        raster_preset: rasteriser constants the scene was trained with: "inria" or "gsplat".
-        things: merge the regions of all views into instances, which answer texts (``scoup.uplift.things``).
+    ``BUILD_PRESETS`` names two: "default", same as ``BuildSettings()``, and "paper".
 
     Example:
         >>> scoup.BuildSettings(n_atoms=64, things=False).n_atoms
@@ -37,25 +24,36 @@ class BuildSettings:
     """
 
     n_atoms: int = 128
+    """Atoms in the codebook of each level (L)."""
     k: int = 4
+    """Atoms in the code of a region (K)."""
     keep: int = 4
+    """Atoms each Gaussian keeps after the vote; 0 keeps all."""
     rounds: int = 2
+    """Rounds of the vote. After the first, regions count by their cosine with the outcome of the round before."""
     solver: str = "exact"
+    """How codes are learned: exact, or adam as in the paper, which takes minutes where exact takes a second."""
     effort: str = "fast"
+    """How long the exact solver searches: best, or fast in half the time."""
     epochs: int = 4000
+    """Epochs of the adam solver; fewer are faster and slightly worse."""
     tolerance: float | None = None
+    """Stop adam once its loss falls by less than this in 100 epochs."""
     seed: int = 0
+    """Seed of the codebook's start; the same seed gives the same file (for adam, with the same number of threads)."""
     raster_preset: str = "inria"
+    """Rasteriser constants the scene was trained with: "inria" or "gsplat"."""
     things: bool = True
+    """Merge the regions of all views into instances, which answer texts (``scoup.uplift.things``)."""
 
     @property
     def of_fit(self) -> dict[str, Any]:
-        """Those that decide the codebook (``fit_codes``)."""
+        """The settings that decide the codebook (``fit_codes``)."""
         return {name: getattr(self, name) for name in _OF_FIT}
 
     @property
     def of_codes(self) -> dict[str, Any]:
-        """Those that decide the codes of the regions."""
+        """The settings that decide the codes of the regions."""
         return {**self.of_fit, "things": self.things}
 
     def __post_init__(self) -> None:
@@ -76,23 +74,18 @@ BUILD_PRESETS: dict[str, BuildSettings] = {
     "default": BuildSettings(),
     "paper": BuildSettings(n_atoms=64, k=4, rounds=1, solver="adam", things=False),
 }
-"""What answers best at little cost (docs/answers.md), and the paper's method as published."""
+"""The best answers at little cost (docs/answers.md), and the paper's method as published."""
 
 
 def build_settings(settings: BuildSettings | str = "default", **changes: Any) -> BuildSettings:
-    """Settings, or a preset by name, with some fields changed; None leaves a field as it is.
+    """Return settings, or a preset by name, with some fields changed; None leaves a field as it is.
 
-    With fewer atoms than a code has, k and keep become as many, unless they are given.
-
-    Raises:
-        UnknownNameError: there is no such preset.
-        InputError: the settings do not go together.
+    With fewer atoms than k or keep, these become as many, unless they are among the changes.
     """
     if isinstance(settings, str):
         settings = looked_up("build preset", settings, BUILD_PRESETS)
     check_arguments("build_settings", settings=(settings, BuildSettings))
     changes = {name: value for name, value in changes.items() if value is not None}
-    # A small codebook is no error: codes are as long as it allows, unless they were given a length.
     for name in ("k", "keep"):
         if name not in changes and changes.get("n_atoms", 0) > 0:
             changes[name] = min(getattr(settings, name), changes["n_atoms"])

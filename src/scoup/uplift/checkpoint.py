@@ -1,4 +1,4 @@
-"""Region sums in folders beside a field: of a build that may be interrupted, and of a field that is updated."""
+"""Folders of region sums beside a field, so that interrupted builds and updates can continue."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.rasterise import changed_views, resumed
-from scoup.uplift.region_sums import ENDING, RegionSums, sums_path
+from scoup.uplift.rasterise import changed_views, resume_sums
+from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import ViewRecord
+from scoup.uplift.storage.paths import ENDING, partial_path, sums_path
 
 
 @contextmanager
@@ -33,18 +34,14 @@ def checkpoint(
     raster_preset: str = "inria",
     **how: Any,
 ) -> Iterator[RegionSums]:
-    """The region sums of a build, in the folder FIELD.partial; what an interrupted build has left there is continued.
+    """Keep the region sums of a build in the folder FIELD.partial, and continue those of an interrupted build.
 
-    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
-    After an error it stays for the next build, but for an ``InputError`` before there was a Gaussian in it.
-
-    Args:
-        field: the file that is built; the caller has locked it (``base.locks``).
-        gaussians, regions, raster_preset: of the build.
-        how: further arguments of ``RegionSums``.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``. After
+    an error it stays for the next build, except for an ``InputError`` while it is empty. The caller has locked the
+    field (``base.locks``); ``how`` are further arguments of ``RegionSums``.
     """
     path = partial_path(field)
-    sums = resumed(path, gaussians, regions, raster_preset, **how)
+    sums = resume_sums(path, gaussians, regions, raster_preset, **how)
     try:
         yield sums
     except InputError:
@@ -62,13 +59,9 @@ def save_field(
     embed_geometry: bool | None = None,
     weight_bits: int = 16,
 ) -> None:
-    """Save a field as an output; its region sums get their name with it, or go.
+    """Save a field as an output, and in the same commit rename its region sums to ``sums_path`` if ``keep`` is set.
 
-    Args:
-        output: the field's.
-        field: see ``LanguageField.save`` for the rest.
-        sums: of ``checkpoint``, ``changed_copy`` or ``new_sums``. Others are left as they are.
-        keep: as ``sums_path`` of the field.
+    ``sums`` are of ``checkpoint``, ``copy_for_update`` or ``new_sums``; read-only ones are not renamed.
     """
     mine = sums.path if sums is not None and sums.writable else None
     with output.appearing(mine, sums_path(output.path) if keep else None) as temporary:
@@ -76,65 +69,44 @@ def save_field(
     field.path = output.path
 
 
-def continued(sums: RegionSums, views: int) -> str | None:
-    """What an interrupted build of so many views has left in the sums, in words; None where they are new."""
+def resume_message(sums: RegionSums, views: int) -> str | None:
+    """Return a message about the interrupted build that the sums continue; None if they are new."""
     if not sums.writable or not (len(sums) or sums.codes is not None):
         return None
-    codes = "the codes are kept" if sums.codes is not None else "codes are learned anew"
+    codes = "the codes are kept" if sums.codes is not None else "codes are learned again"
     return f"{sums.path}: continues an interrupted build: {len(sums)} of {views} views are there, {codes}"
 
 
-def take_up(output: Path) -> None:
-    """Continue a finished shard, if it is there, as one in progress; the caller has locked it."""
+def resume_shard(output: Path) -> None:
+    """Turn a finished shard back into one in progress; the caller has locked it."""
     if output.exists():
         replace(output, partial_path(output))
 
 
-def partial_path(field: Path) -> Path:
-    """Where a build keeps what it has done, until the field is there."""
-    return field.with_name(f"{field.name}.partial")
-
-
 @dataclass(frozen=True, eq=False)
-class ChangedCopy:
-    """A copy of kept region sums that an update changes.
-
-    Attributes:
-        sums: the copy.
-        before: the views of the sums that were copied.
-        add: the cameras of the views to add, in this order.
-    """
+class UpdateCopy:
+    """A copy of kept region sums that an update changes."""
 
     sums: RegionSums
-    before: Mapping[str, ViewRecord]
-    add: Sequence[Camera]
+    before: Mapping[str, ViewRecord]  # views of the original
+    add: Sequence[Camera]  # of the views to add, in this order
 
     @property
     def n_added(self) -> int:
-        """How many views of those to add are in it."""
+        """Number of views to add that the copy contains already."""
         there = ((self.before.get(camera.name), self.sums.views.get(camera.name)) for camera in self.add)
-        return sum(new is not None and _digests(new) != _digests(old) for old, new in there)
+        return sum(new is not None and (old is None or new.digests != old.digests) for old, new in there)
 
 
 @contextmanager
-def changed_copy(
+def copy_for_update(
     source: Path, field: Path, add: Sequence[Camera] = (), regions: Regions | None = None
-) -> Iterator[ChangedCopy]:
-    """A writable copy of kept region sums, in the folder FIELD.update.partial; views that an interrupted update has
-    added there are not made again.
+) -> Iterator[UpdateCopy]:
+    """Copy kept region sums to the folder FIELD.update.partial, and keep views that an interrupted update has added.
 
-    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
-    After an error it stays for the next update if views were added.
-
-    Args:
-        source: the folder of kept sums; not changed.
-        field: the file that is written; the caller has locked it (``base.locks``).
-        add: cameras of views that the sums lack, or hold otherwise; they will be added in this order.
-        regions: of these views.
-
-    Raises:
-        InputError: the kept sums are damaged, or gone.
-        WriteError: the system refuses the copy.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``. After
+    an error it stays for the next update if views were added. ``add`` are cameras of views that the sums lack or
+    contain otherwise, ``regions`` those of these views. The caller has locked the field (``base.locks``).
     """
     path = field.with_name(f"{field.name}.update.partial")
     kept = RegionSums.open(source)
@@ -143,7 +115,7 @@ def changed_copy(
         remove(path)
     try:
         _copy_files(source, path)
-        copied = ChangedCopy(RegionSums.open(path, writable=True), kept.views, add)
+        copied = UpdateCopy(RegionSums.open(path, writable=True), kept.views, add)
     except BaseException:
         remove(path)
         raise
@@ -157,12 +129,12 @@ def changed_copy(
 
 
 def _copy_files(source: Path, target: Path) -> None:
-    """Copy the files that are not there already. They are never changed, so that a link to each is enough."""
+    """Link or copy the files that are missing; links are enough, because files are never changed in place."""
     try:
         target.mkdir(parents=True, exist_ok=True)
         for file in source.glob(f"[!.]*{ENDING}"):
             if not (target / file.name).exists():
-                with suppress(OSError):  # not every file system knows links
+                with suppress(OSError):  # some file systems have no links
                     os.link(file, target / file.name)
                     continue
                 shutil.copyfile(file, target / file.name)
@@ -172,21 +144,13 @@ def _copy_files(source: Path, target: Path) -> None:
         raise WriteError.of(target, error) from error
 
 
-def _digests(view: ViewRecord | None) -> tuple[str, str] | None:
-    return None if view is None else (view.camera_digest, view.labels_digest)
-
-
 def _cut_back(path: Path, kept: RegionSums, add: Sequence[Camera], regions: Regions | None) -> bool:
-    """Leave only views to add in the copy of an interrupted update, as far as they have not changed since.
-
-    Returns:
-        False if it is not of the same scene, or damaged.
-    """
+    """Reduce the copy of an interrupted update to views to add that have not changed since; False if it is unusable."""
     try:
         sums = RegionSums.open(path, writable=True)
     except FileFormatError:
         return False
-    if not sums.is_like(kept):
+    if not sums.is_compatible(kept):
         return False
     changed = [] if regions is None else changed_views(sums, add, regions, torch.device("cpu"))
     mine = {camera.name for camera in add} - {camera.name for camera in changed}
@@ -198,13 +162,10 @@ def _cut_back(path: Path, kept: RegionSums, add: Sequence[Camera], regions: Regi
 
 @contextmanager
 def new_sums(field: Path, verb: str) -> Iterator[Path]:
-    """The path of a new folder of region sums, FIELD.VERB.partial; what a killed process has left there is removed.
+    """Yield the path of a new folder of region sums, FIELD.VERB.partial, after removing what a killed process left.
 
-    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``.
-
-    Args:
-        field: the file that is written; the caller has locked it (``base.locks``).
-        verb: what makes the sums.
+    At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``. The
+    caller has locked the field (``base.locks``).
     """
     path = field.with_name(f"{field.name}.{verb}.partial")
     remove(path)

@@ -1,4 +1,4 @@
-"""A field follows its splat through an edit: Gaussians deleted, appended, reordered, or rounded by another format."""
+"""``follow``: a field follows an edit of its splat: Gaussians deleted, appended, reordered, or rounded by a format."""
 
 from __future__ import annotations
 
@@ -25,51 +25,45 @@ from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.scene.things import NO_THING, ThingTable
-from scoup.uplift.build import things_of
+from scoup.uplift.build import thing_table
 from scoup.uplift.matching import Matching, Tolerance, match
 from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import MOST_COMBINATIONS, ViewRecord, pack
-from scoup.uplift.update import codes_of, vote_again, with_update
+from scoup.uplift.update import append_update, field_codes, vote_again
 
-MANY = 0.1  # share of the Gaussians; an edit seldom replaces as many by others
+MANY = 0.1  # share of the Gaussians; an edit seldom replaces as many
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """A field that has followed its splat.
-
-    Attributes:
-        field: of the edited splat.
-        matching: who is who.
-        sums: region sums of the edited splat; None where none were given.
-        rasterised: names of the views that the edit has changed.
-    """
+    """A field that has followed its splat."""
 
     field: LanguageField
+    """Field of the edited splat."""
     matching: Matching
+    """Rows of the Gaussians before and after."""
     sums: RegionSums | None = None
+    """Region sums of the edited splat, if region sums were passed."""
     rasterised: tuple[str, ...] = ()
+    """Names of the views in which the edit is visible."""
 
     __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
 class KeptSums:
-    """Region sums of a field, and the views that they may have to be rasterised for again.
-
-    Attributes:
-        sums: of the field, with the codes of its regions; not changed.
-        cameras: of the views in them.
-        regions: of these views, as they were.
-        path: a new folder for the sums of the edited splat; None keeps them in memory.
-    """
+    """Region sums of a field, and its views, some of which may be rasterised again."""
 
     sums: RegionSums
+    """Region sums of the field, with the codes of its regions; not changed."""
     cameras: Cameras
+    """Cameras of the views in the sums."""
     regions: Regions
+    """Regions of these views, unchanged since the build."""
     path: Path | None = None
+    """New folder for the sums of the edited splat; None keeps them in memory."""
 
 
 def follow(
@@ -82,29 +76,28 @@ def follow(
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> Followed:
-    """The field of its splat after an edit, without building it again: Gaussians deleted, appended or reordered.
+    """Bring a field to its splat after an edit, without building it again: Gaussians deleted, appended or reordered.
 
-    Which Gaussian is which is found by their numbers (``match``). Without region sums the matched keep their codes, bit
-    by bit, and the appended have none. With them, only the views in which the edit is visible are rasterised again, the
-    entries of the others are brought to the new rows, and all views vote: the codes are those that region sums made
-    from the start, of the edited splat and with the same codes of regions, would vote.
+    Gaussians are matched by their numbers (``match``). Without region sums, matched Gaussians keep their codes, bit by
+    bit, and appended ones have none. With region sums, only views in which the edit is visible are rasterised again,
+    and all views vote: the codes are the same as with region sums made from the edited splat.
 
     Args:
         field: not changed. Its geometry is read.
         gaussians: the edited splat, in the frame of the original.
         kept: region sums of the field.
-        tolerance: for formats that round; None matches equal bytes only. Gaussians that were rounded keep their codes,
-            but the views that show them are rasterised again.
-        geometry_path: file of the edited splat, kept in the new field as a reference.
+        tolerance: for formats that round; None matches equal bytes only. Rounded Gaussians keep their codes, but the
+            views that show them are rasterised again.
+        geometry_path: file of the edited splat, recorded in the new field.
         backend: of rasteriser and vote.
         progress: called for the stages "region sums" and "vote".
 
     Raises:
-        InputError: the edited splat shares no Gaussian with the field's; or the sums are not those of the field, or a
-            view that the edit has changed has another camera or other regions than at the build.
+        InputError: the edited splat shares no Gaussian with the field's, the sums are of another field, or a view that
+            shows the edit has another camera or other regions than at the build.
 
     Warns:
-        ScoupWarning: without a tolerance, many Gaussians are both gone and new, as where a format has rounded them.
+        ScoupWarning: without a tolerance, many Gaussians were both deleted and appended, as by a format that rounds.
 
     Example:
         >>> field = scoup.LanguageField.load("f.scoup")
@@ -121,52 +114,55 @@ def follow(
     record: dict[str, Any] = {"from": field.fingerprint, **matching.counts()}
     path = None if geometry_path is None else Path(geometry_path)
     if kept is None:
-        indices, weights = _carried(field.code_indices, matching), _carried(field.code_weights, matching)
+        indices, weights = (
+            _carry_over(field.code_indices, matching),
+            _carry_over(field.code_weights, matching),
+        )
         things = field.thing_table
         if things is not None:
-            things = replace(things, owners=_carried(things.owners, matching, NO_THING))
-        return Followed(_field_of(field, gaussians, (indices, weights), things, record, path), matching)
-    coded = codes_of(field, kept.sums)
-    sums, changed = _followed_sums(kept, coded, before, gaussians, matching, backend, progress)
-    coded.compacted().keep(sums, "")
+            things = replace(things, owners=_carry_over(things.owners, matching, NO_THING))
+        return Followed(_make_field(field, gaussians, (indices, weights), things, record, path), matching)
+    coded = field_codes(field, kept.sums)
+    sums, changed = _follow_sums(kept, coded, before, gaussians, matching, backend, progress)
+    coded.compact().save(sums, "")
     record["rasterised"] = list(changed)
     if matching.is_identity:
         codes = field.code_indices, field.code_weights
-        made = _field_of(field, gaussians, codes, field.thing_table, record, path)
+        made = _make_field(field, gaussians, codes, field.thing_table, record, path)
         return Followed(made, matching, sums, changed)
     found = vote_again(field, sums, coded, backend, progress)
     if found.sharpness is not None:
         record["sharpness"] = found.sharpness.tolist()
-    things = things_of(sums, coded, progress=progress)
-    made = _field_of(field, gaussians, (found.indices, found.weights), things, record, path)
+    things = thing_table(sums, coded, progress=progress)
+    made = _make_field(field, gaussians, (found.indices, found.weights), things, record, path)
     return Followed(made, matching, sums, changed)
 
 
 def _check_matching(matching: Matching, source: str, tolerant: bool) -> None:
     if not matching.n_matched:
-        remedy = "" if tolerant else " (if its format rounds, with a tolerance, --tolerance)"
+        remedy = "" if tolerant else " (if its format rounds, with a tolerance)"
         raise InputError(
-            f"{source}: shares no Gaussian with the field; give the field's own splat after an edit{remedy}, or build "
+            f"{source}: shares no Gaussian with the field; use the field's own splat after an edit{remedy}, or build "
             "the field again"
         )
     if not tolerant and min(matching.n_appended, matching.n_deleted) > MANY * matching.n_before:
         warnings.warn(
             f"{source}: {matching.n_deleted:,} Gaussians of the field are not in it, and {matching.n_appended:,} of "
-            "its own are not in the field; if its format rounds numbers, give a tolerance (--tolerance)",
+            "its own are not in the field; if its format rounds numbers, pass a tolerance",
             ScoupWarning,
             stacklevel=3,
         )
 
 
-def _carried(rows: Tensor, matching: Matching, others: int = 0) -> Tensor:
-    """The rows [M, ...] of matched Gaussians, such as codes or owners; ``others`` for those that are not."""
+def _carry_over(rows: Tensor, matching: Matching, others: int = 0) -> Tensor:
+    """Return rows [M, ...] such as codes or owners of matched Gaussians; ``others`` for unmatched ones."""
     before = matching.before.to(rows.device)
     carried = signed(rows)[before.clamp(min=0)]
     carried[before < 0] = others
     return carried.view(rows.dtype)
 
 
-def _field_of(
+def _make_field(
     field: LanguageField,
     gaussians: Gaussians,
     codes: tuple[Tensor, Tensor],
@@ -174,10 +170,10 @@ def _field_of(
     record: dict[str, Any],
     path: Path | None,
 ) -> LanguageField:
-    """The field with other Gaussians and codes; ``record`` says what was done, for its provenance."""
+    """Return the field with other Gaussians and codes, and ``record`` in its provenance."""
     sharpness = record.pop("sharpness", None)
     provenance = dict(field.info.provenance)
-    provenance |= with_update(provenance, {"edited": record})
+    provenance |= append_update(provenance, {"edited": record})
     if sharpness is not None:
         provenance["sharpness"] = sharpness
     info = replace(
@@ -191,7 +187,7 @@ def _field_of(
     return made
 
 
-def _followed_sums(
+def _follow_sums(
     kept: KeptSums,
     coded: RegionCodes,
     before: Gaussians,
@@ -200,16 +196,10 @@ def _followed_sums(
     backend: str | None,
     progress: Progress,
 ) -> tuple[RegionSums, tuple[str, ...]]:
-    """Region sums of the edited splat, and the names of the views that were rasterised for them."""
+    """Make region sums of the edited splat; also return the names of the views that were rasterised."""
     old = kept.sums
-    sums = RegionSums.of(
-        after,
-        old.levels,
-        old.raster_preset,
-        path=kept.path,
-        weights=old.weights,
-        least_weight=old.least_weight,
-    )
+    how = {"path": kept.path, "weights": old.weights, "least_weight": old.least_weight}
+    sums = RegionSums.empty(after, old.levels, old.raster_preset, **how)
     edit = _Edit(before, after, matching, old, sums, backend)
     changed: list[Camera] = []
     for name in coded.rows[0]:
@@ -218,7 +208,7 @@ def _followed_sums(
         if places is None or edit.is_seen(camera):
             changed.append(camera)
         else:
-            sums.append_record(name, _moved(old.views[name], places, sums))
+            sums.append_record(name, _move_entries(old.views[name], places, sums))
     _check_unchanged(changed, kept)
     add_views(sums, after, changed, kept.regions, backend, progress)
     for camera in changed:
@@ -228,11 +218,11 @@ def _followed_sums(
 
 
 def _camera_of(name: str, kept: KeptSums) -> Camera:
-    """The camera of a view, which must be the one that its sums were made with."""
+    """Return the camera of a view; an InputError if its sums were made with another."""
     if name not in kept.cameras.names:
         raise InputError(
-            f"the view {name!r} of the field has no camera among those given ({listed(kept.cameras.names)}); give the "
-            "scene that the field was built from"
+            f"the view {name!r} of the field has no camera among {listed(kept.cameras.names)}; use the scene that the "
+            "field was built from"
         )
     camera = kept.cameras[name]
     digest = kept.sums.views[name].camera_digest
@@ -245,23 +235,22 @@ def _check_unchanged(changed: Sequence[Camera], kept: KeptSums) -> None:
     lacking = [camera.name for camera in changed if camera.name not in kept.regions]
     if lacking:
         raise InputError(
-            f"the edit has changed views that have no region maps any more ({listed(lacking)}); give the features that "
-            "the field was built from, or remove these views first (scoup update --remove)"
+            f"the edit has changed views that have no region maps any more ({listed(lacking)}); use the features that "
+            "the field was built from, or remove these views first"
         )
 
 
 def _changed_since(name: str, what: str) -> InputError:
     return InputError(
         f"the view {name!r}: {what} changed since the field was built; bring the field up to date with the original "
-        f"splat first (scoup update --add {name})"
+        f"splat first, by adding the view {name!r} again"
     )
 
 
 class _Edit:
-    """What of an edit is seen in which views.
+    """The changed Gaussians of an edit, and the views in which they are visible.
 
-    Changed are all Gaussians but those of the same bytes in the same order among each other: the deleted and appended,
-    the rounded, and those that have overtaken others.
+    Changed are the deleted, appended and rounded Gaussians, and those whose order among the others has changed.
     """
 
     def __init__(
@@ -287,14 +276,14 @@ class _Edit:
         ].numpy()  # [N] from places in the old sums to places in the new; -1 if changed
 
     def places(self, view: ViewRecord) -> NDArray[np.int64] | None:
-        """[E] new places of the entries of all parts of a view; None if a changed Gaussian has one."""
+        """Return [E] new places of the entries of all parts of a view; None if a changed Gaussian has one."""
         places = np.concatenate([self._place[part.gaussians()] for part in view.parts])
         return None if (places < 0).any() else places
 
     def is_seen(self, camera: Camera) -> bool:
-        """Whether a changed Gaussian may paint a pixel: whether it does where no other is in front of it.
+        """Whether a changed Gaussian may contribute to a pixel.
 
-        What paints nothing by itself paints nothing in the scene either, and hides nothing.
+        The changed ones are rendered alone: what contributes nothing then contributes nothing and hides nothing.
         """
         if self._nothing_stays:
             return True
@@ -306,8 +295,8 @@ class _Edit:
         return False
 
 
-def _moved(view: ViewRecord, places: NDArray[np.int64], sums: RegionSums) -> ViewRecord:
-    """A view of the old sums with entries at new places."""
+def _move_entries(view: ViewRecord, places: NDArray[np.int64], sums: RegionSums) -> ViewRecord:
+    """Return a view of the old sums with entries at new places."""
     combinations = np.concatenate(
         [part.combinations.astype(np.int64) + i * MOST_COMBINATIONS for i, part in enumerate(view.parts)]
     )

@@ -1,6 +1,6 @@
-"""Whether a splat and cameras fit: how much the cameras see of it, and whether that is what is on their photographs.
+"""Check that a splat and cameras fit: what the cameras see of it, and whether their photographs show the same.
 
-Some views are rendered small. A render is compared with its own photograph and with those of the other views
+Some views are rendered small. Each render is compared with its own photograph and with those of the other views
 (``scoup.uplift.similarity``).
 """
 
@@ -21,29 +21,29 @@ from scoup.base.counts import listed, share_of, verb
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.similarity import Array, photographs_of, renders_of, similarities, small_views
+from scoup.uplift.similarity import Array, load_photographs, render_small, similarities, small_views
 
 MOST_VIEWS = 8  # rendered
-BLIND = 0.0004  # share of painted pixels below which a camera sees nothing
+BLIND = 0.0004  # share of covered pixels below which a camera sees nothing
 LIKE = 0.3  # correlation from which a render looks like a photograph
-UNLIKE = 0.15  # median correlation below which the renders look like none
-BETTER = 0.1  # by which one correlation exceeds another clearly
+UNLIKE = 0.15  # median correlation below which no render looks like its photograph
+BETTER = 0.1  # difference from which one correlation is clearly higher
 FEW = 0.25  # share of the views that may be wrong in a scene that fits
 MOST = 0.75  # share of blind views from which a scene is hopeless
-FEW_CODED = 0.01  # share of coded Gaussians below which a build is doubted
+FEW_CODED = 0.01  # share of coded Gaussians below which a build is doubtful
 ENOUGH = 4  # views, compared or blind, from which photographs may make a scene hopeless
 
-OVERRIDE = "to go on all the same, give --no-check-fit (check_fit=False in Python)"
+OVERRIDE = "to continue anyway, pass check_fit=False"
 _SAME_SCENE = (
-    "name splat and folder of one scene, in the same frame (trainers often normalise the world; for nerfstudio's there "
-    "is --dataparser-transforms)"
+    "use splat and folder of one scene, in the same frame (trainers often normalise the world; for "
+    "nerfstudio's pass dataparser_transforms)"
 )
 _SAME_NAMES = "check that each photograph has the name of its own camera"
 _FOCAL = "check the focal lengths"
 
 
 class Verdict(Enum):
-    """What is made of the measurements of a ``Fit``."""
+    """The conclusion from a ``Fit``."""
 
     FITS = "fits"
     DOUBTFUL = "doubtful"
@@ -52,22 +52,15 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What some cameras see of a splat, and how that compares with their photographs.
+    """What some cameras see of a splat, and how that compares with their photographs."""
 
-    Attributes:
-        names: [V] of the views.
-        coverage: [V] share of the pixels with an alpha above one half.
-        similarity: [V, V] correlation of each view's render with each view's photograph, -1..1; NaN where one has
-            nothing to compare, or there is no photograph.
-    """
-
-    names: tuple[str, ...]
-    coverage: Array
-    similarity: Array
+    names: tuple[str, ...]  # of the V views
+    coverage: Array  # [V] share of the pixels with an alpha above one half
+    similarity: Array  # [V, V] correlation of each render with each photograph, -1..1; NaN if not comparable
 
     @property
     def blind(self) -> NDArray[np.bool_]:
-        """[V] whether a camera sees nothing."""
+        """[V], whether a camera sees nothing."""
         return self.coverage < BLIND
 
     @property
@@ -87,7 +80,7 @@ class Fit:
 
     @property
     def mistaken(self) -> list[tuple[str, str]]:
-        """Views whose render looks clearly more like the photograph of another view, and that one."""
+        """Views whose render is clearly more similar to the photograph of another view, and that view."""
         others = np.nan_to_num(self.others, nan=-1.0)
         best = others.argmax(1)
         found = others.max(1, initial=-1.0)
@@ -96,15 +89,16 @@ class Fit:
 
     @property
     def unlike(self) -> list[str]:
-        """Views whose render does not look like their own photograph, or looks more like another."""
+        """Views whose render is unlike their photograph, or more similar to another."""
         mistaken = dict(self.mistaken)
         low = self.compared & (np.nan_to_num(self.own, nan=1.0) < LIKE)
         return [name for name, is_low in zip(self.names, low, strict=True) if is_low or name in mistaken]
 
     @property
     def verdict(self) -> Verdict:
-        """From a share of ``MOST`` blind views a scene is hopeless, of however few: they show nothing to build from.
-        Below it, the views that are compared with photographs decide; blind ones only where none is compared.
+        """From a share of ``MOST`` blind views a scene is hopeless: they show nothing to build from.
+
+        Below it, the views that are compared with photographs decide; blind ones only if none is compared.
         """
         if len(self.names) and self.blind.mean() >= MOST:
             return Verdict.HOPELESS
@@ -120,7 +114,7 @@ class Fit:
         return Verdict.HOPELESS if hopeless else Verdict.DOUBTFUL
 
     def describe(self) -> dict[str, Any]:
-        """The verdict, the views tried, and the medians of what was measured, as plain values for people and JSON."""
+        """Return verdict, number of views tried, and medians of the measurements as JSON values."""
         compared = self.compared.any()
         return {
             "verdict": self.verdict.value,
@@ -130,7 +124,7 @@ class Fit:
         }
 
     def reason(self) -> str:
-        """What was measured where the verdict is not that they fit."""
+        """Return why the verdict is not that they fit."""
         blind = [name for name, is_blind in zip(self.names, self.blind, strict=True) if is_blind]
         unlike = self.unlike
         said = []
@@ -147,7 +141,7 @@ class Fit:
         return ", ".join(said)
 
     def remedies(self) -> str:
-        """What to try where the verdict is not that they fit."""
+        """Return what to try if the verdict is not that they fit."""
         names = [_SAME_NAMES] if self.mistaken else []
         return "; ".join([*names, _SAME_SCENE, *([_FOCAL] if self.unlike else [])])
 
@@ -159,17 +153,9 @@ def check_fit(
     backend: str | None = None,
     splat: str | Path | None = None,
 ) -> None:
-    """Refuse cameras that do not fit the splat.
+    """Raise an InputError for cameras that do not fit the splat, and warn of a doubtful fit.
 
-    Args:
-        gaussians, cameras, raster_preset, backend: see ``measure_fit``.
-        splat: the file of the Gaussians, for messages.
-
-    Raises:
-        InputError: the cameras see nothing, or nothing of what is on their photographs.
-
-    Warns:
-        ScoupWarning: the fit is doubtful.
+    ``splat`` is the file of the Gaussians, for messages.
     """
     fit = measure_fit(gaussians, cameras, raster_preset, backend)
     where = "the splat " if splat is None else f"{splat}: "
@@ -184,29 +170,21 @@ def check_fit(
 def measure_fit(
     gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria", backend: str | None = None
 ) -> Fit:
-    """Render some of the cameras small and compare the renders with the photographs there are.
-
-    Args:
-        gaussians: the trained scene.
-        cameras: some are tried (``views_tried``). Photographs that are missing or cannot be read are passed over.
-        raster_preset, backend: see ``raster.project``.
-    """
-    views = views_tried(cameras)
+    """Render some of the cameras small, and compare the renders with those photographs that can be read."""
+    views = sample_views(cameras)
     if not views:
         return Fit((), np.zeros(0), np.zeros((0, 0)))
     views = small_views(views)
-    images, alphas = renders_of(gaussians, views, raster_preset, backend)
+    images, alphas = render_small(gaussians, views, raster_preset, backend)
     return Fit(
         tuple(camera.name for camera in views),
         (alphas > 0.5).mean((1, 2)),
-        similarities(images, alphas, photographs_of(views)),
+        similarities(images, alphas, load_photographs(views)),
     )
 
 
-def views_tried(cameras: Sequence[Camera]) -> list[Camera]:
-    """At most ``MOST_VIEWS`` of the cameras: pairs of neighbours, evenly spread, so that photographs whose names are
-    one off meet the camera they belong to.
-    """
+def sample_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """Return at most ``MOST_VIEWS`` cameras: pairs of neighbours, evenly spread, to detect names that are one off."""
     if len(cameras) <= MOST_VIEWS:
         return list(cameras)
     starts = np.linspace(0, len(cameras) - 2, MOST_VIEWS // 2).round().astype(int)
@@ -214,20 +192,12 @@ def views_tried(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def check_coded(weights: Tensor) -> None:
-    """Refuse codes of a scene of which the views with regions show nothing.
-
-    Args:
-        weights: [N, S, K] of the Gaussians' codes.
-
-    Raises:
-        InputError: no Gaussian has a code.
-
-    Warns:
-        ScoupWarning: hardly any has.
-    """
+    """Raise an InputError if no Gaussian has a code (``weights`` [N, S, K]), and warn if hardly any has."""
     share = float((weights[..., 0] > 0).any(1).float().mean()) if len(weights) else 0.0
     if share == 0:
-        raise InputError(f"the cameras see nothing: no Gaussian paints a region in any view; {_SAME_SCENE}")
+        raise InputError(
+            f"the cameras see nothing: no Gaussian contributes to a region of any view; {_SAME_SCENE}"
+        )
     if share < FEW_CODED:
-        message = f"only {share:.2%} of the Gaussians paint a region; {_SAME_SCENE}"
+        message = f"only {share:.2%} of the Gaussians contribute to a region; {_SAME_SCENE}"
         warnings.warn(message, ScoupWarning, stacklevel=3)

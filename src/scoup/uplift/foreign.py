@@ -1,4 +1,4 @@
-"""Fields of other systems: a feature a Gaussian by sparse coding, and LangSplatV2's codes as they are."""
+"""Fields of other systems: one feature per Gaussian by sparse coding, and LangSplatV2's codes unchanged."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from scoup.scene.directions import normalise_embeddings
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 
-LEARNED_FROM = 16_384  # rows that a codebook is learned from
+LEARNED_FROM = 16_384  # rows from which a codebook is learned
 ROWS_AT_A_TIME = 65_536
 TOP_K = 4  # LangSplatV2's
 LEVELS = ("s", "m", "l")
@@ -34,14 +34,10 @@ _LEVEL_FOLDER = re.compile(r"(.*)_([123])")
 
 
 def read_features(path: str | Path) -> np.ndarray:
-    """An array of features, one row a Gaussian: [N, D], or [N, S, D] of S levels.
+    """Read features, one row per Gaussian: [N, D], or [N, S, D] of S levels.
 
     Args:
-        path: .npy (mapped, not read), or .pt, .pth with one tensor.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged, or holds something else.
+        path: .npy (mapped into memory), or .pt, .pth with one tensor.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -53,18 +49,18 @@ def read_features(path: str | Path) -> np.ndarray:
         )
         if not isinstance(content, Tensor) or content.layout != torch.strided:
             raise FileFormatError(
-                path, "holds no tensor", "save the tensor alone: torch.save(features, path)"
+                path, "does not contain a tensor", "save the tensor alone: torch.save(features, path)"
             )
         if content.numel() * content.element_size() > path.stat().st_size:
-            raise FileFormatError(path, "claims more numbers than it holds", "save the tensor again")
+            raise FileFormatError(path, "claims more numbers than it contains", "save the tensor again")
         features = content.detach().float().numpy()
     else:
         raise FileFormatError(
-            path, "is no array of features", "give .npy or .pt with [Gaussians, dimensions]"
+            path, "is not an array of features", "use .npy or .pt with [Gaussians, dimensions]"
         )
     if features.dtype.kind != "f" or features.ndim not in (2, 3) or 0 in features.shape:
         problem = f"is {features.dtype} {list(features.shape)}, expected floats [N, D] or [N, levels, D]"
-        raise FileFormatError(path, problem, "save one row a Gaussian")
+        raise FileFormatError(path, problem, "save one row per Gaussian")
     return features
 
 
@@ -80,34 +76,34 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     raster_preset: str = "inria",
     progress: Progress = no_progress,
 ) -> LanguageField:
-    """A field of a feature a Gaussian, from whatever system: sparse codes of the features, no vote.
+    """Make a field of one feature per Gaussian, from any system: sparse codes of the features, without a vote.
 
-    A codebook a level is learned from some of the rows (``fit_codes``), and all rows are coded by it. Only directions
-    count. Rows of zeros, and rows that are not finite, have no code.
+    A codebook per level is learned from some of the rows (``fit_codes``), and all rows are coded by it. Only directions
+    count. Rows that are zero or not finite have no code.
 
     Args:
         gaussians: N of them.
-        features: [N, D], or [N, S, D] of S levels from fine to coarse; a tensor or an array, mapped ones too.
+        features: [N, D], or [N, S, D] of S levels from fine to coarse; a tensor or an array, also a mapped one.
         n_atoms: L, of each codebook.
-        k: K, the most atoms of a code.
-        embedding_model: id of the model, or file of the word table, that queries must come from.
+        k: K, most atoms of a code.
+        embedding_model: id of the model, or file of the word table, for queries.
         levels: S names; by default "m", or s, m, l.
-        seed: of which rows are learned from, and of the codebook.
-        raster_preset: constants that the field is rendered with.
+        seed: of the choice of rows and of the codebook.
+        raster_preset: rasteriser constants.
         progress: called for the stages "coding" and "codes".
 
     Returns:
-        A field whose provenance has the mean cosine of decoded codes with features, a level.
+        A field whose provenance has, per level, the mean cosine of decoded codes and features.
 
     Raises:
-        InputError: there is not one feature a Gaussian, no row is known, or a number is out of range.
+        InputError: features do not match the Gaussians, all are zero, or a number is out of range.
     """
     rows = features if isinstance(features, (np.ndarray, Tensor)) else np.asarray(features)
     if rows.ndim == 2:
         rows = rows[:, None]
     if rows.ndim != 3 or len(rows) != len(gaussians):
         raise InputError(
-            f"features {list(rows.shape)} are not one row for each of {len(gaussians):,} Gaussians; give those of this "
+            f"features {list(rows.shape)} are not one row for each of {len(gaussians):,} Gaussians; use those of this "
             "splat, in its order"
         )
     names = _level_names(levels, rows.shape[1])
@@ -132,30 +128,26 @@ def field_from_langsplatv2(
     embedding_model: str = "",
     levels: Sequence[str] | None = None,
 ) -> LanguageField:
-    """A field of LangSplatV2's checkpoints: their codebooks, and the codes that their renderer takes from the logits.
+    """Make a field of LangSplatV2's checkpoints: their codebooks, and the codes of their renderer.
 
-    A code is the softmax of the logits, cut to its K largest entries and scaled to sum 1. Of several codebooks a
+    A code is the softmax of the logits, cut to its K largest entries and scaled to sum 1. Of several codebooks per
     level (residual quantisation) the codes are added.
 
     Args:
-        paths: a checkpoint a level, fine to coarse, of one splat.
-        k: entries kept, as in the training (``--topk``).
+        paths: one checkpoint per level, fine to coarse, of one splat.
+        k: entries kept, as LangSplatV2's option topk in training.
         embedding_model: as for ``field_from_features``; LangSplatV2 trains with open_clip's ViT-B-16.
         levels: names of the levels; by default "m", or s, m, l.
-
-    Raises:
-        MissingFileError, FileFormatError: as ``read_langsplatv2``, or the checkpoints are of different splats.
-        InputError: there is no checkpoint, or K is out of range.
     """
     if not paths:
-        raise InputError("give at least one checkpoint of LangSplatV2")
+        raise InputError("pass at least one checkpoint of LangSplatV2")
     read = [read_langsplatv2(path) for path in paths]
     first = read[0]
     for path, level in zip(paths, read, strict=True):
         same = level.gaussians.fingerprint() == first.gaussians.fingerprint()
         if not same or level.codebooks.shape != first.codebooks.shape:
-            problem = f"holds another splat than {paths[0]}, or other codebooks"
-            raise FileFormatError(Path(path), problem, "give the levels of one training")
+            problem = f"contains another splat than {paths[0]}, or other codebooks"
+            raise FileFormatError(Path(path), problem, "use the levels of one training")
     if not 1 <= k <= first.codebooks.shape[1]:
         raise InputError(f"k must be 1 to {first.codebooks.shape[1]}, got {k}")
     names = _level_names(levels, len(read))
@@ -168,8 +160,8 @@ def field_from_langsplatv2(
 
 
 def langsplatv2_levels(path: str | Path) -> list[Path]:
-    """The checkpoints that belong together: of a file in a folder NAME_1, _2 or _3 also those of the same name in the
-    other two, fine to coarse; otherwise the file alone."""
+    """Return the checkpoints of one training, fine to coarse: for a file in a folder NAME_1, _2 or _3 those of the same
+    name in all three; otherwise the file alone."""
     path = Path(path)
     found = _LEVEL_FOLDER.fullmatch(path.absolute().parent.name)
     if not found:
@@ -200,14 +192,14 @@ def _info(
 
 
 def _unit(rows: Tensor | np.ndarray) -> Tensor:
-    """[R, D] float32 of unit norm on the CPU; rows that are zero or not finite are zero."""
+    """Return [R, D] float32 of unit norm on the CPU; rows that are not finite become zero."""
     known = rows.detach().cpu().numpy() if isinstance(rows, Tensor) else rows
     values = torch.from_numpy(np.array(known, np.float32))
     return normalise_embeddings(torch.where(torch.isfinite(values).all(1, keepdim=True), values, 0.0))
 
 
 def _learned_atoms(rows: Tensor | np.ndarray, n_atoms: int, k: int, seed: int, progress: Progress) -> Tensor:
-    """[L, D] a codebook from known rows, drawn by the seed where there are many."""
+    """Return a codebook [L, D] learned from rows that are not zero, a random sample of many."""
     order = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))
     drawn: list[Tensor] = []
     for part in order.split(LEARNED_FROM):
@@ -225,7 +217,7 @@ def _learned_atoms(rows: Tensor | np.ndarray, n_atoms: int, k: int, seed: int, p
 def _coded(
     rows: Tensor | np.ndarray, atoms: Tensor, k: int, level: str, progress: Progress
 ) -> tuple[SparseCodes, float]:
-    """Codes of all rows, and the mean cosine of the decoded with the known ones."""
+    """Return the codes of all rows, and the mean cosine of decoded codes with rows that are not zero."""
     indices, weights, total, known = [], [], 0.0, 0
     stage = f"codes {level}"
     progress(stage, 0, len(rows))
@@ -244,7 +236,7 @@ def _coded(
 
 
 def _top_codes(level: LangSplatV2Level, k: int) -> tuple[Tensor, Tensor]:
-    """[N, V K] indices and weights of a level."""
+    """Return [N, V K] indices and weights of a level."""
     _, layers, size = level.logits.shape
     indices, weights = [], []
     for layer in range(layers):

@@ -1,4 +1,4 @@
-"""Who is who: the Gaussians of a splat among those of the same splat after an edit, by their numbers alone."""
+"""Matching of the Gaussians of a splat before and after an edit, by their numbers alone."""
 
 from __future__ import annotations
 
@@ -15,26 +15,22 @@ from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
 
-NEAREST = 16  # Gaussians within the tolerance that are compared with one whose numbers were rounded
-_MIX = np.uint64(0x9E3779B97F4A7C15)  # odd, with bits of no pattern: multiplying by it spreads differences
+NEAREST = 16  # Gaussians within the tolerance that are compared with a rounded one
+_MIX = np.uint64(
+    0x9E3779B97F4A7C15
+)  # odd, without a pattern in its bits: multiplying by it spreads differences
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far the numbers of one Gaussian may be apart before and after an edit, for formats that round.
-
-    Attributes:
-        distance: of the means, in world units; of each scale too, where that is more than ``scale`` allows.
-        scale: of each scale, as a share of the larger one.
-        opacity: of the opacities.
-
-    Raises:
-        InputError: one is negative or not finite, or the distance is 0.
-    """
+    """Largest differences between the numbers of one Gaussian before and after an edit, for formats that round."""
 
     distance: float
+    """Of the means, in world units; also of each scale, if that is more than ``scale`` allows. Above 0."""
     scale: float = 0.1
+    """Of each scale, as a share of the larger one."""
     opacity: float = 0.07
+    """Of the opacities."""
 
     def __post_init__(self) -> None:
         for name in ("distance", "scale", "opacity"):
@@ -48,17 +44,14 @@ class Tolerance:
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Which Gaussian before an edit each Gaussian after it is.
-
-    Attributes:
-        n_before: Gaussians before.
-        before: [M] int64, for each Gaussian after the edit its row before; -1 for an appended one. None is named twice.
-        exact: [M] boolean, the numbers that decide blending weights are the same bytes.
-    """
+    """The row before an edit of each Gaussian after it."""
 
     n_before: int
-    before: Tensor  # [M]
-    exact: Tensor  # [M]
+    """Number of Gaussians before."""
+    before: Tensor
+    """[M] int64, row before of each Gaussian after, each at most once; -1 for an appended one."""
+    exact: Tensor
+    """[M] boolean, whether the numbers that decide blending weights are the same bytes."""
 
     __repr__ = brief
 
@@ -71,7 +64,7 @@ class Matching:
 
     @property
     def n_rounded(self) -> int:
-        """Matched Gaussians whose numbers differ within the tolerance."""
+        """Number of matched Gaussians whose numbers differ within the tolerance."""
         return self.n_matched - int(self.exact.sum())
 
     @property
@@ -84,7 +77,7 @@ class Matching:
 
     @property
     def is_identity(self) -> bool:
-        """Whether nothing was changed: every row is what it was."""
+        """Whether every row is what it was."""
         return (
             len(self) == self.n_before
             and bool(self.exact.all())
@@ -92,10 +85,9 @@ class Matching:
         )
 
     def unmoved(self) -> Tensor:
-        """Boolean [M]: Gaussians of the same bytes that have kept their order among each other, as many as can be.
+        """Return boolean [M], the largest set of exact Gaussians that kept their order among each other.
 
-        Equal depths are painted in the order of rows. So what has overtaken others may change pictures, though its
-        numbers are the same.
+        Gaussians of equal depth are blended in the order of rows, so a new order may change pictures.
         """
         rows = self.exact.nonzero()[:, 0]
         kept = torch.zeros(len(self), dtype=torch.bool)
@@ -103,22 +95,17 @@ class Matching:
         return kept
 
     def counts(self) -> dict[str, int]:
-        """How many were matched, and of these rounded, how many appended and deleted."""
+        """Return the numbers of matched, rounded (among the matched), appended and deleted Gaussians."""
         return {name: getattr(self, f"n_{name}") for name in ("matched", "rounded", "appended", "deleted")}
 
 
 def match(before: Gaussians, after: Gaussians, tolerance: Tolerance | None = None) -> Matching:
-    """Find the Gaussians of a splat in the same splat after an edit, whatever their order is now.
+    """Match the M Gaussians ``after`` an edit with the N ``before`` it, in any order.
 
-    First by the bytes of means, quats, scales and opacities; of several alike the first is the first. Colours do not
-    count. Then, with a tolerance, what is left: two Gaussians are one if each is the other's best choice among those
-    within the tolerance, by the sum of their differences in units of it. Rotations do not count there. Rows that are
-    not finite are matched by their bytes only.
-
-    Args:
-        before: N Gaussians.
-        after: M Gaussians.
-        tolerance: None matches equal bytes only.
+    Gaussians with the same bytes of means, quats, scales and opacities match first, duplicates in their order. With a
+    tolerance, two of the remaining match if each is the other's best choice among those within the tolerance, by the
+    sum of differences in units of it; rotations do not count here. Colours never count. Rows that are not finite match
+    by bytes only.
     """
     found = _same_bytes(_numbers(before).view(np.uint32), _numbers(after).view(np.uint32))
     exact = found >= 0
@@ -133,13 +120,13 @@ def match(before: Gaussians, after: Gaussians, tolerance: Tolerance | None = Non
 
 
 def _numbers(gaussians: Gaussians) -> NDArray[np.float32]:
-    """[N, 11]: mean, quat, scales, opacity."""
+    """Return [N, 11]: mean, quat, scales, opacity."""
     parts = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities[:, None]
     return torch.cat(parts, 1).detach().cpu().contiguous().numpy()
 
 
 def _same_bytes(before: NDArray[np.uint32], after: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """[M]: the row of ``before`` [N, 11] with the bytes of each row of ``after`` [M, 11], -1 for none; each once."""
+    """Return [M], the row of ``before`` [N, 11] with the bytes of each row of ``after`` [M, 11], each once, or -1."""
     _, group = np.unique(np.concatenate([_hashes(before), _hashes(after)]), return_inverse=True)
     old, new = group[: len(before)], group[len(before) :]
     # The n-th of a group before is the n-th of it after.
@@ -147,7 +134,7 @@ def _same_bytes(before: NDArray[np.uint32], after: NDArray[np.uint32]) -> NDArra
     old_keys, new_keys = (part * stride + _place_in_group(part) for part in (old, new))
     order = np.argsort(old_keys)
     at = np.searchsorted(old_keys, new_keys, sorter=order)
-    row = np.append(order, 0)[at]  # past the last: any, as the comparison fails or is of equal bytes
+    row = np.append(order, 0)[at]  # any row past the last: the comparison fails, or finds equal bytes
     found = np.full(len(after), -1, np.int64)
     if len(before):
         same = (at < len(before)) & (old_keys[row] == new_keys) & (before[row] == after).all(1)
@@ -156,7 +143,7 @@ def _same_bytes(before: NDArray[np.uint32], after: NDArray[np.uint32]) -> NDArra
 
 
 def _hashes(rows: NDArray[np.uint32]) -> NDArray[np.uint64]:
-    """[N]: 64 bits of each row [N, C]. Equal rows have equal hashes; the others are compared afterwards."""
+    """Return [N], 64 bits per row [N, C]; the caller compares rows of equal hash."""
     found = np.zeros(len(rows), np.uint64)
     for column in rows.T:
         found = (found ^ column) * _MIX
@@ -165,7 +152,7 @@ def _hashes(rows: NDArray[np.uint32]) -> NDArray[np.uint64]:
 
 
 def _place_in_group(group: NDArray[np.int64]) -> NDArray[np.int64]:
-    """[N]: how many of the same group come before each."""
+    """Return [N], how many of the same group come before each."""
     order = np.argsort(group, kind="stable")
     ordered = group[order]
     starts = np.searchsorted(ordered, ordered)
@@ -177,7 +164,7 @@ def _place_in_group(group: NDArray[np.int64]) -> NDArray[np.int64]:
 def _within(
     before: NDArray[np.float32], after: NDArray[np.float32], tolerance: Tolerance
 ) -> NDArray[np.int64]:
-    """[M]: the row of ``before`` that each of ``after`` is within the tolerance, -1 for none; each once."""
+    """Return [M], the row of ``before`` matched within the tolerance to each of ``after``, each once, or -1."""
     found = np.full(len(after), -1, np.int64)
     if not len(before) or not len(after):
         return found
@@ -189,9 +176,7 @@ def _within(
         first_of_new, first_of_old = (np.zeros(len(new), bool) for _ in range(2))
         first_of_new[np.unique(new, return_index=True)[1]] = True
         first_of_old[np.unique(old, return_index=True)[1]] = True
-        both = (
-            first_of_new & first_of_old
-        )  # each is the other's best choice; the cheapest pair of all always is
+        both = first_of_new & first_of_old  # mutual best choices; the cheapest pair always is one
         found[new[both]] = old[both]
         taken[old[both]] = True
         left = (found[new] < 0) & ~taken[old]
@@ -202,8 +187,7 @@ def _within(
 def _candidates(
     before: NDArray[np.float32], after: NDArray[np.float32], tolerance: Tolerance
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Pairs (row of ``after``, row of ``before``) within the tolerance, and the sum of their differences in units of
-    it."""
+    """Return pairs (row of ``after``, row of ``before``) within the tolerance, and the sums of their differences."""
     from scipy.spatial import KDTree
 
     count = min(NEAREST, len(before))
@@ -225,12 +209,12 @@ def _candidates(
 
 
 def _longest_rising(rows: Tensor) -> Tensor:
-    """Places of a longest rising part of distinct numbers [E], in order."""
+    """Return the places of a longest increasing subsequence of distinct numbers [E]."""
     if len(rows) < 2 or bool((rows.diff() > 0).all()):
         return torch.arange(len(rows))
-    smallest: list[int] = []  # the smallest last number of a rising part of each length
+    smallest: list[int] = []  # smallest last number of a subsequence of each length
     at: list[int] = []  # its place
-    earlier: list[int] = []  # the place before each, in the longest part that ends there
+    earlier: list[int] = []  # place before each, in the longest subsequence that ends there
     for place, row in enumerate(rows.tolist()):
         length = bisect_left(smallest, row)
         earlier.append(at[length - 1] if length else -1)

@@ -21,34 +21,23 @@ MANY = 0.3  # share of a view's regions; about a tenth are badly explained where
 
 @dataclass(frozen=True, eq=False)
 class CodedView:
-    """The regions of one view under a field's codebook.
+    """The regions of one view under a field's codebook."""
 
-    Attributes:
-        codes: of the regions, one SparseCodes a level, all over L' atoms.
-        codebook: [S, L', D] float32; the field's own atoms come first, unchanged.
-        n_new: atoms added at each level.
-        n_regions: regions at all levels together, those of norm zero not counted.
-        n_badly_explained: how many of these the field's own atoms explain badly; None if the field does not record what
-            to expect of its codebook.
-    """
-
-    codes: list[SparseCodes]
-    codebook: Tensor  # [S, L', D]
-    n_new: list[int]
-    n_regions: int
-    n_badly_explained: int | None
+    codes: list[SparseCodes]  # per level, over L' atoms
+    codebook: Tensor  # [S, L', D] float32; begins with the field's own atoms
+    n_new: list[int]  # atoms added per level
+    n_regions: int  # at all levels, without those of norm zero
+    n_badly_explained: (
+        int | None
+    )  # by the field's own atoms; None if the field does not record what to expect
 
 
-def embeddings_of(view_name: str, regions: Regions, levels: Sequence[str], dim: int) -> list[Tensor]:
-    """S x [R, D]: the embeddings of a view's regions at a field's levels.
-
-    Raises:
-        InputError: the regions have other levels, or embeddings of another size.
-    """
+def view_embeddings(view_name: str, regions: Regions, levels: Sequence[str], dim: int) -> list[Tensor]:
+    """Return S x [R, D], the embeddings of a view's regions; an InputError if levels or size are not the field's."""
     if tuple(regions.levels) != tuple(levels):
         raise InputError(
             f"the regions have levels {list(regions.levels)}, the field {list(levels)}; "
-            "give regions made as the field's were"
+            "use regions made as the field's were"
         )
     embeddings = [regions.load_embeddings(view_name, level) for level in levels]
     for rows in embeddings:
@@ -67,18 +56,15 @@ def code_view(
     thresholds: Sequence[float] | None,
     new_atoms: int = 0,
 ) -> CodedView:
-    """Code a view's regions, with atoms added for those badly explained if wanted.
+    """Code a view's regions, and add at most ``new_atoms`` atoms per level for those badly explained.
 
     Args:
         codebook: [S, L, D] float32.
         embeddings: S x [R_s, D].
-        k: K, the most atoms of a code.
+        k: most atoms of a code.
         thresholds: per level, the cosine below which a region is badly explained (``explained_thresholds``); None if
             not known.
-        new_atoms: add at most so many atoms a level.
-
-    Raises:
-        InputError: embeddings are not finite, ``new_atoms`` is negative or too large, or wanted without ``thresholds``.
+        new_atoms: 0 or more; needs ``thresholds``.
     """
     check_new_atoms(codebook.shape[1], new_atoms)
     if thresholds is None and new_atoms:
@@ -110,10 +96,9 @@ def code_view(
 
 
 def append_atoms(codebook: Tensor, new: Sequence[Tensor]) -> Tensor:
-    """[S, L', D]: a codebook [S, L, D] with S x [M_s, D] atoms after each level's own.
+    """Append S x [M_s, D] atoms to a codebook [S, L, D].
 
-    All levels have as many places as the one that needs most. The places left over are filled with zeros, which no
-    code ever uses, and are taken first when atoms are added again.
+    Shorter levels are padded with zero atoms, which no code uses; the next call replaces these first.
     """
     levels = []
     for atoms, more in zip(codebook, new, strict=True):
@@ -127,7 +112,7 @@ def append_atoms(codebook: Tensor, new: Sequence[Tensor]) -> Tensor:
 
 
 def explained_thresholds(provenance: dict[str, Any], levels: Sequence[str]) -> list[float] | None:
-    """Per level, the cosine below which its codebook explains a region badly; None where it is not recorded."""
+    """Return, per level, the cosine below which its codebook explains a region badly; None if not recorded."""
     try:
         return [float(provenance["coding"][level]["explained_from"]) for level in levels]
     except (KeyError, TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""What a field was made from: the record that goes into its file."""
+"""The record of a field's build that goes into its file."""
 
 from __future__ import annotations
 
@@ -23,22 +23,19 @@ from scoup.uplift.region_sums import RegionSums
 
 
 def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
-    """SHA-256 of the label maps of views."""
+    """Return a SHA-256 of the label maps of views."""
     digests = {name: sums.views[name].labels_digest for name in view_names}
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
 
 def embedding_model_of(features: Path, regions: Regions, field: Path, named: str | None = None) -> str:
-    """The embedding model that a field is to name; "" where nothing says which it is.
+    """Return the embedding model for a field to record; "" if it is unknown.
 
     Args:
         features: folder of the regions, whose manifest names the model.
         regions: those of the folder.
-        field: the file to be written.
-        named: a model, or a word table; the table is named relative to the field.
-
-    Raises:
-        InputError: the vectors of the table are of another size than the embeddings of the regions.
+        field: the file to be written; a word table is recorded relative to it.
+        named: a model or word table that takes precedence over the manifest.
     """
     if named is None:
         manifest = read_manifest(features)
@@ -49,8 +46,8 @@ def embedding_model_of(features: Path, regions: Regions, field: Path, named: str
     wanted = regions.load_embeddings(regions.view_names[0], regions.levels[0]).shape[1]
     if dim != wanted:
         raise InputError(
-            f"{named}: holds vectors of {dim} dimensions, but {features} holds embeddings of "
-            f"{wanted}; give the table that was made with the same model"
+            f"{named}: contains vectors of {dim} dimensions, but {features} contains embeddings of "
+            f"{wanted}; use the table made with the same model"
         )
     return Path(os.path.relpath(named, field.absolute().parent)).as_posix()
 
@@ -62,14 +59,9 @@ def build_record(
     codes: RegionCodes,
     sharpness: Tensor | None,
 ) -> dict[str, Any]:
-    """What a field records of its build.
+    """Return the record of a build.
 
-    Args:
-        settings: of the build.
-        inputs: the ``region_codes.inputs_digest``.
-        sums: of the views that voted.
-        codes: of their regions.
-        sharpness: [S], of the rounds after the first; None after a single round.
+    ``inputs`` is the ``region_codes.inputs_digest``, ``sharpness`` [S] that of the rounds after the first.
     """
     names = list(sums.views)
     record: dict[str, Any] = {

@@ -1,10 +1,10 @@
-"""Views added to region sums: each is rasterised once, unless it is in them already and has not changed."""
+"""The loop over views: each is rasterised once and added to the region sums, unless they contain it unchanged."""
 
 from __future__ import annotations
 
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +26,7 @@ from scoup.scene.regions import Regions
 from scoup.uplift.region_sums import RegionSums
 
 STAGE = "region sums"
-READERS = 4  # threads that read views for a GPU, each one ahead; for a CPU there is one
+READERS = 4  # threads that read views ahead for a GPU; for a CPU there is one
 
 
 def region_sums(
@@ -43,16 +43,16 @@ def region_sums(
 
     Args:
         gaussians: the trained scene.
-        cameras: posed views; those without regions are passed over.
-        regions: their label maps; they are brought to the size of the camera.
+        cameras: posed views; those without regions are skipped.
+        regions: label maps; they are resized to the camera.
         raster_preset, backend: see ``raster.project``.
-        path: keep the sums in this folder. Views that it holds already, of the same scene and with the same label maps
-            and cameras, are not rasterised again.
+        path: keep the sums in this folder. Views that it contains, with the same label maps and cameras, are not
+            rasterised again.
         progress: called for the stage "region sums".
         more: further arguments of ``RegionSums``.
 
     Raises:
-        InputError: no camera has regions, the folder holds sums of another scene, or an argument is of a wrong type.
+        InputError: no camera has regions, the folder is of another scene, or an argument is of a wrong type.
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
@@ -72,21 +72,18 @@ def region_sums(
         check_sums(sums, gaussians, regions, raster_preset)
     else:
         new = None if path is None else Path(path)
-        sums = RegionSums.of(gaussians, regions.levels, raster_preset, path=new, **more)
+        sums = RegionSums.empty(gaussians, regions.levels, raster_preset, path=new, **more)
     add_views(sums, gaussians, chosen, regions, backend, progress)
     sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
     return sums
 
 
-def resumed(
+def resume_sums(
     path: Path, gaussians: Gaussians, regions: Regions, raster_preset: str = "inria", **more: Any
 ) -> RegionSums:
-    """Region sums in a folder: those an interrupted build has left there, or new ones.
+    """Open the region sums that an interrupted build has left in a folder, or make new ones there.
 
-    Args:
-        path: the folder; what is there and cannot be continued is replaced, with a warning.
-        gaussians, regions, raster_preset: of the build.
-        more: further arguments of ``RegionSums``.
+    A folder that cannot be continued is replaced, with a warning.
     """
     if path.exists():
         try:
@@ -94,12 +91,12 @@ def resumed(
             check_sums(sums, gaussians, regions, raster_preset)
             wanted = {"weights": "float32", "least_weight": 0.0, **more}
             if wanted != {name: getattr(sums, name) for name in wanted}:
-                raise InputError("its weights were kept in another way")
+                raise InputError("its weights are kept in another way")
             return sums
         except (InputError, FileFormatError) as error:
             warnings.warn(f"{path}: cannot be continued ({error}); starting over", ScoupWarning, stacklevel=2)
             remove(path)
-    return RegionSums.of(gaussians, regions.levels, raster_preset, path=path, **more)
+    return RegionSums.empty(gaussians, regions.levels, raster_preset, path=path, **more)
 
 
 def add_views(
@@ -110,13 +107,9 @@ def add_views(
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> None:
-    """Bring sums up to date with views: those that are not there, or have changed, are rasterised and appended.
+    """Rasterise and append the views that the sums lack, or contain with other cameras or label maps.
 
-    Interrupted at any moment, the sums hold the views that were complete.
-
-    Args:
-        sums: of the same Gaussians.
-        cameras: views with regions.
+    Interrupted at any moment, the sums contain the views that were complete.
     """
     prepared: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(cameras))
@@ -124,21 +117,21 @@ def add_views(
     def append(camera: Camera, combined: CombinedLabels, found: ViewSums, order: Tensor | None) -> None:
         sums.append(camera.name, replace(found, labels_digest=combined.digest()), camera, order)
 
-    with ThreadPoolExecutor(1) as writer:  # a view is appended while the next one is projected
+    with ThreadPoolExecutor(1) as writer:  # appends a view while the next one is projected
         written: Future[None] | None = None
         for done, (camera, combined) in enumerate(read_labels(regions, cameras, gaussians.device), start=1):
-            if holds_view(sums, camera, combined):
+            if contains_view(sums, camera, combined):
                 progress(STAGE, done, len(cameras))
                 continue
             if not sums.writable:
                 raise InputError(
                     f"{sums.path}: lacks the view {camera.name!r}, or it has changed since (camera or label maps); "
-                    "add it with scoup update, or build without these region sums"
+                    "add it by an update of the field, or build without these region sums"
                 )
             prepared = prepared or raster.prepare_gaussians(gaussians, backend)
             projection = raster.project(prepared, camera, sums.raster_preset)
             if written is not None:
-                written.result()  # before the next one is begun: killed, one view at most is done again
+                written.result()  # before the next one: if killed, one view at most is lost
             found = raster.region_sums(projection, combined)
             written = writer.submit(append, camera, combined, found, prepared.order)
             progress(STAGE, done, len(cameras))
@@ -146,34 +139,24 @@ def add_views(
             written.result()
 
 
-def holds_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
-    """Whether the sums hold this very view: same camera, same label maps."""
+def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
+    """Whether the sums contain this view with the same camera and label maps."""
     view = sums.views.get(camera.name)
-    return (
-        view is not None
-        and view.camera_digest == camera.fingerprint()
-        and view.labels_digest == combined.digest()
-    )
+    return view is not None and view.digests == (camera.fingerprint(), combined.digest())
 
 
 def changed_views(
     sums: RegionSums, cameras: Sequence[Camera], regions: Regions, device: torch.device
 ) -> list[Camera]:
-    """Those of the cameras whose views the sums do not hold, or hold with another camera or other label maps."""
-    return [
-        camera
-        for camera, labels in read_labels(regions, cameras, device)
-        if not holds_view(sums, camera, labels)
-    ]
+    """Return the cameras whose views the sums lack, or contain with another camera or other label maps."""
+    read = read_labels(regions, cameras, device)
+    return [camera for camera, labels in read if not contains_view(sums, camera, labels)]
 
 
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
 ) -> Generator[tuple[Camera, CombinedLabels], None, None]:
-    """Cameras and the combinations of their regions, on a device, view by view.
-
-    Other threads read the next views meanwhile.
-    """
+    """Yield cameras and the label tuples of their pixels, on a device; threads read the next views ahead."""
 
     def load(camera: Camera) -> CombinedLabels:
         labels = regions.load_labels(camera.name, camera.width, camera.height)
@@ -182,12 +165,6 @@ def read_labels(
         return raster.combine(labels.pin_memory().to(device, non_blocking=True))
 
     n_readers = 1 if device.type == "cpu" else READERS
-    yield from _ahead(load, cameras, n_readers)
-
-
-def _ahead(
-    load: Callable[[Camera], CombinedLabels], cameras: Sequence[Camera], n_readers: int
-) -> Iterator[tuple[Camera, CombinedLabels]]:
     waiting: deque[tuple[Camera, Future[CombinedLabels]]] = deque()
     with ThreadPoolExecutor(n_readers) as readers:
         try:
@@ -205,11 +182,7 @@ def _ahead(
 
 
 def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:
-    """Refuse region sums of another scene.
-
-    Raises:
-        InputError: they are.
-    """
+    """Raise an InputError for region sums of another scene."""
     wrong = [
         what
         for what, same in (
@@ -221,17 +194,13 @@ def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_
     ]
     if wrong:
         raise InputError(
-            f"{sums.path or 'the region sums given'}: made with other {' and '.join(wrong)}; make them from the same "
-            "splat, region features and --raster-preset, or leave them away"
+            f"{sums.path or 'the region sums'}: made with other {' and '.join(wrong)}; make them from the same splat, "
+            "region features and raster_preset, or omit them"
         )
 
 
 def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:
-    """The cameras that have region maps, in order.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the cameras that have region maps, in order; an InputError for none."""
     chosen = [camera for camera in cameras if camera.name in regions]
     if not chosen:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Embeddings and codes of the regions of all views: what the vote multiplies the region sums with."""
+"""Embeddings and codes of the regions of all views; the vote multiplies the region sums with the codes."""
 
 from __future__ import annotations
 
@@ -25,30 +25,15 @@ from scoup.uplift.region_sums import RegionSums, Rows
 
 @dataclass(frozen=True, eq=False)
 class RegionEmbeddings:
-    """The embeddings of the regions of all views.
-
-    Attributes:
-        levels: level names.
-        of_levels: S x [R, D] float32, one row a region of any view.
-        rows: per level, the rows of each view in them.
-    """
+    """The embeddings of the regions of all views."""
 
     levels: tuple[str, ...]
-    of_levels: Sequence[Tensor]
+    of_levels: Sequence[Tensor]  # S x [R, D] float32, one row per region of any view
     rows: Rows
 
     @classmethod
-    def of(cls, regions: Regions) -> RegionEmbeddings:
-        """Those of all views of ``regions``.
-
-        Raises:
-            InputError: they cannot be coded: a level has none, or none but zeros, or the levels differ in size.
-        """
-        return cls.unchecked(regions).checked()
-
-    @classmethod
-    def unchecked(cls, regions: Regions) -> RegionEmbeddings:
-        """The same of any views, also of too few to be coded."""
+    def load(cls, regions: Regions) -> RegionEmbeddings:
+        """Read the embeddings of all views of ``regions``."""
         if not len(regions):
             none: Rows = [{} for _ in regions.levels]
             return cls(regions.levels, [torch.zeros(0, 0) for _ in regions.levels], none)
@@ -56,15 +41,8 @@ class RegionEmbeddings:
         return cls(regions.levels, of_levels, rows)
 
     @classmethod
-    def joined(cls, parts: Sequence[tuple[RegionEmbeddings, str]]) -> RegionEmbeddings:
-        """Those of some views, in their order.
-
-        Args:
-            parts: embeddings that hold a view, and its name.
-
-        Raises:
-            InputError: they cannot be coded (``of``).
-        """
+    def concatenate(cls, parts: Sequence[tuple[RegionEmbeddings, str]]) -> RegionEmbeddings:
+        """Return the embeddings of views, each given as embeddings that contain it and its name."""
         levels = parts[0][0].levels
         blocks = [part.of_view(name) for part, name in parts]
         rows: list[dict[str, slice]] = []
@@ -74,18 +52,14 @@ class RegionEmbeddings:
         sizes = {block.shape[1] for of_view in blocks for block in of_view}
         if len(sizes) > 1:
             raise InputError(f"the views have embeddings of different sizes {sorted(sizes)}: they mix models")
-        return cls(levels, [torch.cat(of_level) for of_level in zip(*blocks, strict=True)], rows).checked()
+        return cls(levels, [torch.cat(of_level) for of_level in zip(*blocks, strict=True)], rows)
 
     def of_view(self, view_name: str) -> list[Tensor]:
-        """S x [R, D], the embeddings of the regions of one view."""
+        """Return S x [R, D], the embeddings of one view."""
         return [part[rows[view_name]] for part, rows in zip(self.of_levels, self.rows, strict=True)]
 
-    def checked(self) -> RegionEmbeddings:
-        """Themselves, if they can be coded.
-
-        Raises:
-            InputError: see ``of``.
-        """
+    def check(self) -> None:
+        """Raise an InputError if they cannot be coded: a level is empty or all zero, or levels differ in size."""
         sizes = {level: part.shape[1] for level, part in zip(self.levels, self.of_levels, strict=True)}
         if len(set(sizes.values())) > 1:
             raise InputError(f"the levels have embeddings of different sizes {sizes}: they mix models")
@@ -94,37 +68,27 @@ class RegionEmbeddings:
                 raise InputError(f"level {level!r} has no regions in any view; every level needs some")
             if not part.any():
                 raise InputError(
-                    f"level {level!r} has only zero embeddings, as black photographs get from --embedder colors; check "
-                    "the photographs, or extract the regions with a CLIP model"
+                    f"level {level!r} has only zero embeddings, as the embedder colors makes of black photographs; "
+                    "check the photographs, or extract the regions with a CLIP model"
                 )
-        return self
 
 
 @dataclass(frozen=True, eq=False)
 class RegionCodes:
-    """One codebook and one set of codes a level.
+    """One codebook and one set of codes per level."""
 
-    Attributes:
-        codebook: [S, L, D] float32.
-        codes: per level, of the regions of all views.
-        rows: per level, the rows of each view in them.
-        reports: per level, the report of the coding as JSON values.
-        embeddings: per level [R, D] float16 of the regions, from which things are made again when views change; none
-            where nobody wants things.
-    """
-
-    codebook: Tensor  # [S, L, D]
-    codes: Sequence[SparseCodes]
+    codebook: Tensor  # [S, L, D] float32
+    codes: Sequence[SparseCodes]  # per level, of the regions of all views
     rows: Rows
-    reports: Sequence[dict[str, Any]]
-    embeddings: Sequence[Tensor] = ()
+    reports: Sequence[dict[str, Any]]  # per level, report of the coding as JSON values
+    embeddings: Sequence[Tensor] = ()  # per level [R, D] float16, to find things again; empty without things
 
     @property
     def n_atoms(self) -> int:
         return self.codebook.shape[1]
 
-    def keep(self, sums: RegionSums, key: str) -> None:
-        """Keep them beside region sums, under a key of everything they depend on."""
+    def save(self, sums: RegionSums, key: str) -> None:
+        """Keep them beside region sums; ``key`` is a digest of everything they depend on."""
         tensors = {"codebook": self.codebook}
         for s, level in enumerate(self.codes):
             tensors |= {f"indices.{s}": level.indices, f"weights.{s}": level.weights}
@@ -133,12 +97,8 @@ class RegionCodes:
         sums.keep_codes({"key": key, "rows": rows, "reports": list(self.reports)}, tensors)
 
     @classmethod
-    def kept(cls, sums: RegionSums, key: str | None = None) -> RegionCodes | None:
-        """Those kept beside region sums; None where there are none, or others than those of a key.
-
-        Raises:
-            InputError: they make no sense.
-        """
+    def load(cls, sums: RegionSums, key: str | None = None) -> RegionCodes | None:
+        """Return the codes kept beside region sums; None if there are none, or of another ``key``."""
         if sums.codes is None or (key is not None and sums.codes["header"].get("key") != key):
             return None
         header, tensors = sums.codes["header"], sums.codes["tensors"]
@@ -160,22 +120,33 @@ class RegionCodes:
                 raise ValueError("embeddings of other regions")
             return cls(codebook, codes, rows, list(header["reports"]), embeddings)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, InputError) as error:
-            raise InputError(f"{sums.path}: the codes in it make no sense ({error}); build again") from error
+            raise InputError(f"{sums.path}: the codes in it are invalid ({error}); build again") from error
 
-    def without(self, view_name: str) -> RegionCodes:
-        """The same, but for one view, whose codes stay unused.
-
-        Raises:
-            InputError: there is no such view.
-        """
+    def without_view(self, view_name: str) -> RegionCodes:
+        """Return them without one view, whose codes stay unused."""
         if view_name not in self.rows[0]:
             known = ", ".join(list(self.rows[0])[:5])
-            raise InputError(f"the view {view_name!r} is not in the field; there are {known}, ...")
+            raise InputError(f"the view {view_name!r} is not in the field; its views are {known}, ...")
         rows = [{name: part for name, part in level.items() if name != view_name} for level in self.rows]
         return replace(self, rows=rows)
 
-    def compacted(self) -> RegionCodes:
-        """The same, where most of the codes are unused: without these. Else itself."""
+    def with_view(
+        self, view_name: str, codes: Sequence[SparseCodes], codebook: Tensor, embeddings: Sequence[Tensor]
+    ) -> RegionCodes:
+        """Add or replace a view, given codes and embeddings [R, D] of its regions per level.
+
+        ``codebook`` [S, L', D] begins with the atoms of before.
+        """
+        longer, rows = [], []
+        for old, new, places in zip(self.codes, codes, self.rows, strict=True):
+            longer.append(concatenate_codes(old, new))
+            rows.append({**places, view_name: slice(len(old), len(old) + len(new))})
+        parts = zip(self.embeddings, embeddings, strict=False)
+        known = [torch.cat([of_level, own.cpu().half()]) for of_level, own in parts]
+        return RegionCodes(codebook, longer, rows, self.reports, known)
+
+    def compact(self) -> RegionCodes:
+        """Drop unused codes if they are more than half of all."""
         used = sum(part.stop - part.start for level in self.rows for part in level.values())
         if 2 * used >= sum(map(len, self.codes)):
             return self
@@ -183,34 +154,11 @@ class RegionCodes:
         for level, places in zip(self.codes, self.rows, strict=True):
             chosen.append(torch.cat([torch.arange(part.start, part.stop) for part in places.values()]))
             codes.append(level.rows(chosen[-1]))
-            ends = accumulate(part.stop - part.start for part in places.values())
-            rows.append(
-                {
-                    name: slice(end - (part.stop - part.start), end)
-                    for (name, part), end in zip(places.items(), ends, strict=True)
-                }
-            )
+            sizes = [part.stop - part.start for part in places.values()]
+            ends = zip(places, sizes, accumulate(sizes), strict=True)
+            rows.append({name: slice(end - size, end) for name, size, end in ends})
         embeddings = [part[own] for part, own in zip(self.embeddings, chosen, strict=False)]
         return RegionCodes(self.codebook, codes, rows, self.reports, embeddings)
-
-    def with_view(
-        self, view_name: str, codes: Sequence[SparseCodes], codebook: Tensor, embeddings: Sequence[Tensor]
-    ) -> RegionCodes:
-        """One view more, or with other regions.
-
-        Args:
-            view_name: its name.
-            codes: per level, of its regions, over the atoms of ``codebook``.
-            codebook: [S, L', D], whose first atoms are those of before.
-            embeddings: per level [R, D], of its regions.
-        """
-        longer, rows = [], []
-        for old, new, places in zip(self.codes, codes, self.rows, strict=True):
-            longer.append(joined(old, new))
-            rows.append({**places, view_name: slice(len(old), len(old) + len(new))})
-        parts = zip(self.embeddings, embeddings, strict=False)
-        known = [torch.cat([of_level, own.cpu().half()]) for of_level, own in parts]
-        return RegionCodes(codebook, longer, rows, self.reports, known)
 
 
 def learn_region_codes(
@@ -220,12 +168,13 @@ def learn_region_codes(
     device: torch.device,
     progress: Progress = no_progress,
 ) -> RegionCodes:
-    """Codes of every level; kept beside the sums as soon as they are known.
+    """Learn the codes of every level and keep them beside the sums.
 
-    Codes that are there already, of these embeddings and settings, are used as they are.
+    Codes of the same embeddings and settings that are there already are used.
     """
+    embeddings.check()
     key = inputs_digest("", [], embeddings, settings.of_codes)
-    kept = RegionCodes.kept(sums, key)
+    kept = RegionCodes.load(sums, key)
     if kept is not None:
         return kept
     learned: list[tuple[Tensor, SparseCodes, dict[str, Any]]] = []
@@ -236,40 +185,35 @@ def learn_region_codes(
             **settings.of_fit,
             progress=lambda _, done, total, stage=stage: progress(stage, done, total),
         )
-        # Seconds would make two equal builds write different bytes.
+        # With seconds, two equal builds would write different bytes.
         report = {name: value for name, value in asdict(book.report).items() if name != "seconds"}
         learned.append((book.atoms.cpu(), book.codes.to("cpu"), report))
     atoms, codes, reports = zip(*learned, strict=True)
     known = [rows.cpu().half() for rows in embeddings.of_levels] if settings.things else []
     coded = RegionCodes(torch.stack(atoms), codes, embeddings.rows, reports, known)
     if sums.writable:
-        coded.keep(sums, key)
+        coded.save(sums, key)
     return coded
 
 
-def joined(first: SparseCodes, second: SparseCodes) -> SparseCodes:
-    """The rows of both, over the atoms of the second; shorter codes are filled up with zeros."""
+def concatenate_codes(first: SparseCodes, second: SparseCodes) -> SparseCodes:
+    """Return the rows of both over the atoms of the second; shorter codes are padded with zeros."""
     k = max(first.k, second.k)
-    indices, weights = [], []
-    for codes in (first, second):
-        fill = (0, k - codes.k)
-        indices.append(
-            torch.nn.functional.pad(codes.indices.long(), fill)
-        )  # torch joins few things of type uint16
-        weights.append(torch.nn.functional.pad(codes.weights, fill))
-    return SparseCodes(torch.cat(indices).to(second.indices.dtype), torch.cat(weights), second.n_atoms)
+    parts = [
+        # int64, because torch.cat supports uint16 only in part
+        [torch.nn.functional.pad(part, (0, k - codes.k)) for part in (codes.indices.long(), codes.weights)]
+        for codes in (first, second)
+    ]
+    indices, weights = map(torch.cat, zip(*parts, strict=True))
+    return SparseCodes(indices.to(second.indices.dtype), weights, second.n_atoms)
 
 
 def inputs_digest(
     fingerprint: str, cameras: Sequence[Camera], embeddings: RegionEmbeddings, settings: Mapping[str, Any]
 ) -> str:
-    """SHA-256 of everything that a result depends on but the label maps, which have a digest for each view.
+    """Return a SHA-256 of everything a result depends on but label maps, which have a digest per view.
 
-    Args:
-        fingerprint: of the Gaussians.
-        cameras: the views.
-        embeddings: of their regions.
-        settings: plain JSON values.
+    ``fingerprint`` is that of the Gaussians, ``settings`` are JSON values.
     """
     digest = hashlib.sha256(json.dumps([VERSION, fingerprint, settings], sort_keys=True).encode())
     for camera in cameras:

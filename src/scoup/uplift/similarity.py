@@ -1,7 +1,7 @@
-"""How alike small renders of a splat and photographs are.
+"""Similarity of small renders of a splat and photographs.
 
-Both are reduced to the detail of middle size (``detail``), and correlated over the pixels that the Gaussians paint.
-Neither exposure, white balance nor a background that the splat lacks plays a part.
+Both are reduced to detail of middle size (``detail``), and correlated over the pixels to which Gaussians contribute.
+Exposure, white balance and a background that the splat lacks do not matter.
 """
 
 from __future__ import annotations
@@ -21,28 +21,27 @@ from scoup.scene.gaussians import SH_C0, Gaussians
 Array = NDArray[np.float64]
 
 LONGEST_SIDE = 256  # of a render, in pixels
-FINEST, COARSEST = 1.5, 10.0  # standard deviations between which detail lies, in pixels of the longest side
-LEAST_PAINTED = 0.002  # mean alpha below which a render is not compared with photographs
-LEAST_CONTRAST = 4 / 255  # standard deviation of detail below which it stays weaker than that of other places
-LEAST_DETAIL = 0.1  # mean square of the detail that is compared; where detail is strong, it is about 1
-PLAIN = 0.002  # mean square of the detail below which a whole photograph shows nothing
+FINEST, COARSEST = 1.5, 10.0  # standard deviations of the blurs whose difference is detail, in pixels
+LEAST_COVERED = 0.002  # mean alpha below which a render is not compared
+LEAST_CONTRAST = (
+    4 / 255
+)  # standard deviation of detail below which it is not scaled up to that of other places
+LEAST_DETAIL = 0.1  # mean square of detail that is compared; strong detail is about 1
+PLAIN = 0.002  # mean square of detail below which a photograph shows nothing
 
 
 def small_views(cameras: Sequence[Camera]) -> list[Camera]:
-    """At least one camera, all at the size of the first one, or smaller.
-
-    One size for all, whatever their shapes: renders are compared with the photographs of other views, too.
-    """
+    """Resize cameras to one size, because renders are also compared with the photographs of other views."""
     first = cameras[0]
     scale = min(1.0, LONGEST_SIDE / max(first.width, first.height))
     width, height = (max(1, round(side * scale)) for side in (first.width, first.height))
     return [camera.resized(width, height) for camera in cameras]
 
 
-def renders_of(
+def render_small(
     gaussians: Gaussians, views: Sequence[Camera], raster_preset: str, backend: str | None
 ) -> tuple[Array, Array]:
-    """Renders [V, H, W, 3] over black in the constant part of the colours, and their alphas [V, H, W]."""
+    """Return renders [V, H, W, 3] of the constant part of the colours over black, and their alphas [V, H, W]."""
     prepared = raster.prepare_gaussians(gaussians, backend)
     colors = (SH_C0 * prepared.gaussians.sh[:, 0] + 0.5).clamp(min=0)
     images, alphas = [], []
@@ -53,8 +52,8 @@ def renders_of(
     return np.stack(images), np.stack(alphas)
 
 
-def photographs_of(views: Sequence[Camera]) -> Array:
-    """[V, H, W, 3] in 0..1, of views of one size; NaN where there is none that can be read."""
+def load_photographs(views: Sequence[Camera]) -> Array:
+    """Return [V, H, W, 3] in 0..1, of views of one size; NaN for photographs that cannot be read."""
     return np.stack([_photograph(camera) for camera in views])
 
 
@@ -66,15 +65,14 @@ def _photograph(camera: Camera) -> Array:
 
 
 def similarities(images: Array, alphas: Array, photographs: Array) -> Array:
-    """[V, V] correlation of the detail of each render with that of each photograph, over the pixels painted.
+    """Return [V, V] correlations of the detail of each render with that of each photograph, weighted by alpha.
+
+    They are NaN if a render covers too little, either has hardly any detail, or there is no photograph.
 
     Args:
         images: [V, H, W, 3] renders over black, 0..1.
-        alphas: [V, H, W] of them; the weights of the pixels.
-        photographs: [V, H, W, 3], 0..1; all NaN where there is none.
-
-    Returns:
-        Correlations; NaN where a render paints too little, either has hardly any detail, or there is no photograph.
+        alphas: [V, H, W] of the renders.
+        photographs: [V, H, W, 3], 0..1; all NaN if missing.
     """
     count = len(images)
     missing: NDArray[np.bool_] = np.isnan(photographs[:, 0, 0, 0])
@@ -97,8 +95,8 @@ def similarities(images: Array, alphas: Array, photographs: Array) -> Array:
     power_seen = (weighted * seen).sum((1, 2)) - (mean_seen**2).sum(1)
     power_taken = np.einsum("ip,jp->ij", weights, (taken**2).sum(2), optimize=True) - (mean_taken**2).sum(2)
     least = 3 * LEAST_DETAIL
-    # A photograph that is plain where the Gaussians paint, but not elsewhere, is unlike the render.
-    usable = (mass >= LEAST_PAINTED) & (power_seen >= least)
+    # A photograph that is plain only where the Gaussians are is unlike the render.
+    usable = (mass >= LEAST_COVERED) & (power_seen >= least)
     telling = ~missing & ((taken**2).sum(2).mean(1) >= 3 * PLAIN)
     usable = usable[:, None] & telling[None, :]
     scale = np.sqrt(np.maximum(power_seen[:, None], least) * np.maximum(power_taken, least))
@@ -106,9 +104,8 @@ def similarities(images: Array, alphas: Array, photographs: Array) -> Array:
 
 
 def detail(images: Array) -> Array:
-    """Structure of middle size in images [V, H, W, 3], about equally strong everywhere: no brightness, and nothing that
-    one strong edge could outweigh.
-    """
+    """Return structure of middle size in images [V, H, W, 3], without brightness, about equally strong everywhere, so
+    that no single edge dominates."""
     scale = max(images.shape[1:3]) / LONGEST_SIDE
 
     def blurred(maps: Array, sigma: float) -> Array:

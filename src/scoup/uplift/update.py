@@ -16,15 +16,15 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
 from scoup.uplift import fit
-from scoup.uplift.build import things_of
-from scoup.uplift.new_views import MANY, CodedView, code_view, embeddings_of, explained_thresholds
+from scoup.uplift.build import thing_table
+from scoup.uplift.new_views import MANY, CodedView, code_view, explained_thresholds, view_embeddings
 from scoup.uplift.rasterise import add_views
 from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
 
 MOST_UPDATES = 100
-"""Updates that a field records; of those before them, their number."""
+"""Updates that a field records; earlier ones are counted."""
 
 
 def update(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -39,27 +39,29 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     check_fit: bool = True,
     progress: Progress = no_progress,
 ) -> LanguageField:
-    """A new field after views were added, changed or removed: only these are rasterised, then all views vote again.
+    """Add, change or remove views of a field: only these are rasterised, then all views vote again.
 
-    The field's atoms and the codes of the other views' regions stay. Things that no earlier view showed may have no
-    atoms; ``new_atoms`` adds some for the regions that the codebook explains badly (``Codebook.extended``). All levels
-    then have as many places for atoms as the one that needs most; the others are filled up with zeros, which no code
-    uses.
+    The field's atoms and the codes of the other views' regions stay. Objects that no earlier view showed may have no
+    atoms; ``new_atoms`` adds some for the regions that the codebook explains badly (``Codebook.extended``). Levels
+    that need fewer than the others are padded with zero atoms, which no code uses.
 
     Args:
         field: built with these sums; not changed. Its geometry is read only if a view is added.
         sums: kept region sums of the field; changed.
         add: cameras of new views, and of views whose regions have changed since.
-        regions: ``Regions`` that hold the names of these cameras, with the field's levels.
-        remove: names of views to leave out from now on.
-        new_atoms: add at most so many atoms a level and view. With 0 a warning is given if more than 30 % of a view's
-            regions are badly explained.
+        regions: of these cameras, with the field's levels.
+        remove: names of views to remove.
+        new_atoms: most atoms to add per level and view. 0 warns if more than 30 % of a view's regions are badly
+            explained.
         backend: of rasteriser and vote.
         check_fit: compare small renders of the views to add with their photographs first, as ``build`` does.
         progress: called for the stages "region sums" and "vote".
 
+    Returns:
+        A new field.
+
     Raises:
-        InputError: the sums are not those of the field, a view to remove is not there, none would be left, levels or
+        InputError: the sums are not those of the field, a view to remove is missing, no view would be left, levels or
             embeddings do not fit, ``new_atoms`` is negative or makes more than 65536 atoms, or the field does not
             record how well its codebook explains regions; or the field's Gaussians and the cameras to add do not fit.
 
@@ -76,18 +78,18 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
         3
     """
     check_arguments("update", field=(field, LanguageField), sums=(sums, RegionSums))
-    coded, add = codes_of(field, sums), list(add)
+    coded, add = field_codes(field, sums), list(add)
     if regions is None:
         if add:
             raise InputError(
-                "update: views to add are given without their regions; give regions=load_regions(folder, cameras)"
+                "update: the views to add have no regions; pass regions=load_regions(folder, cameras)"
             )
         regions = Regions.from_maps({})
     if check_fit and add:
         fit.check_fit(field.gaussians, add, field.info.raster_preset, backend, field.geometry_path)
     changed, coded = _code_new_views(field, coded, add, regions, new_atoms)
     for name in remove:
-        coded = coded.without(name)
+        coded = coded.without_view(name)
     if not coded.rows[0]:
         raise InputError("no view would be left to vote; keep at least one")
     if add:
@@ -97,11 +99,11 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
 
     device = field.codebook.device
     found = vote_again(field, sums, coded, backend, progress)
-    things = things_of(sums, coded, progress=progress)
-    coded.compacted().keep(sums, "")  # without codes that are not used any more, where these are many
+    things = thing_table(sums, coded, progress=progress)
+    coded.compact().save(sums, "")
     provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
-    provenance |= with_update(provenance, _record(add, changed, remove, field.levels))
+    provenance |= append_update(provenance, _record(add, changed, remove, field.levels))
     if found.sharpness is not None:
         provenance["sharpness"] = found.sharpness.tolist()
     updated = LanguageField(
@@ -126,19 +128,17 @@ def vote_again(
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> GaussianCodes:
-    """The vote of all views of ``coded`` by the sums, with the settings that the field was built with."""
-    settings = _Recorded.of(field)
-    voters = sums.of_views(coded.rows[0], coded.rows)
+    """Let all views of ``coded`` vote, with the settings of the field's build."""
+    settings = _Recorded.read(field)
+    voters = sums.select(coded.rows[0], coded.rows)
     return vote(
         voters, coded.codes, coded.codebook.to(field.codebook.device), settings.rounds, settings.keep or None,
         settings.keep or settings.k, backend, progress,
     )  # fmt: skip
 
 
-def with_update(provenance: Mapping[str, Any], record: dict[str, Any]) -> dict[str, Any]:
-    """The entries of a field's provenance that say how it was updated, with one update more: the newest, and how many
-    there were before them.
-    """
+def append_update(provenance: Mapping[str, Any], record: dict[str, Any]) -> dict[str, Any]:
+    """Return the entries of a field's provenance about updates after one more: the newest, and the number before."""
     updates = [*provenance.get("updates", []), record]
     left_out = max(0, len(updates) - MOST_UPDATES)
     known = {"updates": updates[left_out:]}
@@ -148,15 +148,14 @@ def with_update(provenance: Mapping[str, Any], record: dict[str, Any]) -> dict[s
 
 @dataclass(frozen=True)
 class _Recorded:
-    """Settings of the build that a field records: K of a region's code, atoms a Gaussian keeps (0:
-    all), rounds."""
+    """Settings of the build that a field records."""
 
     k: int
     keep: int
     rounds: int
 
     @classmethod
-    def of(cls, field: LanguageField) -> _Recorded:
+    def read(cls, field: LanguageField) -> _Recorded:
         settings = field.info.provenance.get("settings", {})
         kept = field.code_indices.shape[2]
         return cls(
@@ -169,13 +168,11 @@ class _Recorded:
 def _code_new_views(
     field: LanguageField, coded: RegionCodes, cameras: Sequence[Camera], regions: Regions, new_atoms: int
 ) -> tuple[list[CodedView], RegionCodes]:
-    """The regions of views under the codebook of ``coded``, and ``coded`` with them; warns where it explains many of
-    them badly.
-    """
+    """Code the regions of views, and add them to ``coded``; warns if the codebook explains many of them badly."""
     found: list[CodedView] = []
-    recorded = _Recorded.of(field)
+    recorded = _Recorded.read(field)
     for name in (camera.name for camera in cameras):
-        rows = embeddings_of(name, regions, field.levels, field.dim)
+        rows = view_embeddings(name, regions, field.levels, field.dim)
         thresholds = explained_thresholds(field.info.provenance, field.levels)
         view = code_view(coded.codebook, rows, recorded.k, thresholds, new_atoms)
         _warn_of_badly_explained(name, view, new_atoms)
@@ -184,24 +181,20 @@ def _code_new_views(
     return found, coded
 
 
-def codes_of(field: LanguageField, sums: RegionSums) -> RegionCodes:
-    """The codes of a field's regions, kept beside its region sums.
-
-    Raises:
-        InputError: the sums are not those of the field.
-    """
-    coded = RegionCodes.kept(sums)
+def field_codes(field: LanguageField, sums: RegionSums) -> RegionCodes:
+    """Return the codes of a field's regions, kept beside its region sums; an InputError for sums of another field."""
+    coded = RegionCodes.load(sums)
     if sums.fingerprint != field.info.fingerprint or sums.levels != field.levels:
         raise InputError(f"{sums.path or 'the region sums'}: are of another scene than the field")
     if coded is None or not torch.equal(coded.codebook, field.codebook.cpu()):
         raise InputError(
-            f"{sums.path or 'the region sums'}: hold no codes of this field; build it with --keep-sums, and give the "
-            "sums written beside it"
+            f"{sums.path or 'the region sums'}: contain no codes of this field; build it with its sums kept, and use "
+            "those"
         )
     if sorted(field.info.provenance.get("views", coded.rows[0])) != sorted(coded.rows[0]):
         raise InputError(
-            f"{sums.path or 'the region sums'}: hold other views than the field: one of the two is older; give the "
-            "sums written beside it, or build the field again with --keep-sums"
+            f"{sums.path or 'the region sums'}: contain other views than the field, one of the two is older; use the "
+            "sums written beside it, or build the field again with its sums kept"
         )
     return coded
 
@@ -211,7 +204,7 @@ def _warn_of_badly_explained(view_name: str, coded: CodedView, new_atoms: int) -
     if not new_atoms and share > MANY:
         warnings.warn(
             f"{share:.0%} of the regions of {view_name!r} are badly explained by the field's codebook; add atoms for "
-            "them (new_atoms=8, --new-atoms 8), or build again with this view among the others",
+            "them (new_atoms=8), or build again with this view",
             ScoupWarning,
             stacklevel=4,
         )
@@ -220,7 +213,7 @@ def _warn_of_badly_explained(view_name: str, coded: CodedView, new_atoms: int) -
 def _record(
     add: Sequence[Camera], coded: Sequence[CodedView], remove: Sequence[str], levels: Sequence[str]
 ) -> dict[str, Any]:
-    """What an update did, for the field's provenance."""
+    """Return the record of an update for the field's provenance."""
     atoms = {
         camera.name: dict(zip(levels, view.n_new, strict=True))
         for camera, view in zip(add, coded, strict=True)

@@ -104,7 +104,7 @@ class PairRule(ABC):
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        sums = RegionSums.of(gaussians, regions.levels, raster_preset)
+        sums = RegionSums.empty(gaussians, regions.levels, raster_preset)
         for camera in cameras_with_regions(cameras, regions):
             labels = regions.load_labels(camera.name, camera.width, camera.height)
             projection = raster.project(gaussians, camera, raster_preset)

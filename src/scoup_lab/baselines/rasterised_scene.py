@@ -115,7 +115,7 @@ class RasterisedScene:
             self._embeddings[views] = [regions.embeddings(level)[0] for level in regions.levels]
         if views != 1:
             rows = [regions.embeddings(level)[1] for level in regions.levels]
-            sums = sums.of_views([name for name in sums.views if name in regions], rows)
+            sums = sums.select([name for name in sums.views if name in regions], rows)
         scene = self if views == 1 else self.with_regions(regions)
         return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}), scene=scene)
 

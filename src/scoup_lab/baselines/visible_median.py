@@ -30,7 +30,7 @@ def streaming_median(sums: RegionSums, embeddings: Tensor, level: int) -> Tensor
     ``embeddings``: [R, D] of the regions of the level, any norm.
     """
     if sums.rows is None:
-        raise InputError("the rows of each view are not known (RegionSums.of_views)")
+        raise InputError("the rows of each view are not known (RegionSums.select)")
     unit = normalise_embeddings(embeddings.cpu())
     found = torch.zeros(sums.n_gaussians, unit.shape[1])
     total = torch.zeros(sums.n_gaussians, 1)

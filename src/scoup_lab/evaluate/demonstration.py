@@ -135,7 +135,7 @@ def run_demo(
 
 def _fitted(scene: RasterisedScene, field: LanguageField, settings: BuildSettings) -> dict[str, FittedMethod]:
     """Return the field, the same without the top-K step, and dense uplift."""
-    coded = RegionCodes.kept(scene.region_sums())
+    coded = RegionCodes.load(scene.region_sums())
     assert coded is not None  # the build has kept them there
     scene.inputs().keep(learn_codes, settings, (list(coded.codes), coded.codebook))
     return {

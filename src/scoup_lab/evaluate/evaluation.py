@@ -16,7 +16,7 @@ from scoup.io import check_output, default_preset, load_gaussians, load_regions
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.checkpoint import checkpoint, continued, save_field
+from scoup.uplift.checkpoint import checkpoint, resume_message, save_field
 from scoup_lab.evaluate.report import SUFFIXES, Report
 from scoup_lab.evaluate.scenes import SceneFiles
 
@@ -78,7 +78,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
             if path.is_file() and not self.rebuild:  # another process has built it meanwhile
                 return _stored(path, gaussians, settings)
             with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
-                if message := continued(sums, len(regions)):
+                if message := resume_message(sums, len(regions)):
                     say(message)
                 field = build(
                     gaussians,

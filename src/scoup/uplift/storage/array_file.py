@@ -30,26 +30,16 @@ _REMEDY = "copy it again, or make the region sums again"
 
 @dataclass(frozen=True, eq=False)
 class StoredArrays:
-    """What one file holds.
-
-    Attributes:
-        header: its JSON values.
-        arrays: read-only; backed by the file, or in memory.
-        bytes: of the file.
-    """
+    """The contents of one file."""
 
     header: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
-    bytes: int
+    arrays: dict[str, NDArray[Any]]  # read-only; backed by the file, or in memory
+    bytes: int  # of the file
 
 
 def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Write a file, in place of what is there; it appears whole, but is not flushed. Returns its bytes.
-
-    Raises:
-        WriteError: the system refuses.
-    """
-    # As safetensors orders them: then each begins at a multiple of its size.
+    """Write or replace a file whole, without flushing it; return its size."""
+    # In the order of safetensors: then each begins at a multiple of its item size.
     names = sorted(arrays, key=lambda name: (-arrays[name].dtype.itemsize, name))
     layout, end = {}, 0
     for name in names:
@@ -62,7 +52,7 @@ def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDA
     checksum = zlib.crc32(head)
     for part in parts:
         checksum = zlib.crc32(part, checksum)
-    # Not flushed one by one: ``base.locks.Output`` flushes the folder before it gets its name, and a checksum tells.
+    # Not flushed one by one: ``base.locks.Output`` flushes the folder before renaming it; checksums detect the rest.
     with atomic_file(path, overwrite=True, flush=False) as stream:
         stream.write(len(head).to_bytes(8, "little"))
         stream.write(with_checksum(head, f"{checksum:08x}"))
@@ -72,12 +62,7 @@ def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDA
 
 
 def read_arrays(path: Path) -> StoredArrays:
-    """Read a file. All of it is read once, to compare its checksum.
-
-    Raises:
-        FileFormatError: it is of another kind, or damaged.
-        InputError: the system refuses.
-    """
+    """Read a file, all of it once, to compare its checksum; a FileFormatError if it is damaged or of another kind."""
     data = _mapped(path)
     length = int.from_bytes(data[:8].tobytes(), "little")
     head = data[8 : 8 + length].tobytes() if length < len(data) else b""
@@ -94,17 +79,17 @@ def read_arrays(path: Path) -> StoredArrays:
         header = json.loads(layout.pop("__metadata__")[_KEY])
         arrays = {name: _array(data[8 + length :], **item) for name, item in layout.items()}
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise FileFormatError(path, f"makes no sense ({error})", "make the region sums again") from error
+        raise FileFormatError(path, f"is invalid ({error})", "make the region sums again") from error
     return StoredArrays(header, arrays, len(data))
 
 
 def with_checksum(head: bytes, checksum: str) -> bytes:
-    """Return the head of a file with another checksum in it; the file's own is taken with ``NO_CHECKSUM`` there."""
+    """Return the head of a file with another checksum; checksums are computed with ``NO_CHECKSUM`` in it."""
     return _CHECKSUM.sub(rb'\\"checksum\\": \\"%s\\"' % checksum.encode(), head, count=1)
 
 
 def _mapped(path: Path) -> NDArray[np.uint8]:
-    """The bytes of a file, which is not held open: there may be more views than a process may have open files."""
+    """Map a file without keeping it open: there may be more views than a process may have open files."""
     try:
         size = path.stat().st_size
         data = (
@@ -114,14 +99,14 @@ def _mapped(path: Path) -> NDArray[np.uint8]:
         )
     except OSError as error:
         raise InputError(str(refused_read(path, error))) from error
-    except RuntimeError as error:  # of torch, which was refused the file
+    except RuntimeError as error:  # torch's, for a file that it cannot open
         reason = FileNotFoundError() if not path.exists() else OSError(str(error).splitlines()[0])
         raise InputError(str(refused_read(path, reason))) from error
     return data.numpy()
 
 
 def _array(data: NDArray[np.uint8], dtype: str, shape: list[int], data_offsets: list[int]) -> NDArray[Any]:
-    """One array; a ValueError where its place is outside or has another size."""
+    """Return one array; a ValueError if it lies outside the file or has another size."""
     kind, (first, end) = np.dtype(_TYPES[dtype]), data_offsets
     if min([first, *shape], default=0) < 0 or not first <= end <= len(data):
         raise ValueError("an array beyond the file")

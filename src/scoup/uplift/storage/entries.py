@@ -1,4 +1,4 @@
-"""The compact form of a view's region sums: seven bytes an entry, by buckets of Gaussians."""
+"""The compact form of a view's region sums: seven bytes per entry, by buckets of Gaussians."""
 
 from __future__ import annotations
 
@@ -11,42 +11,29 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 
-BUCKET = 256  # Gaussians whose entries lie together; a place among them is one byte
-MOST_COMBINATIONS = 1 << 16  # of one part of a view; what has more is kept in several parts
+BUCKET = 256  # Gaussians whose entries lie together; a place in a bucket takes one byte
+MOST_COMBINATIONS = 1 << 16  # per part of a view; views with more have several parts
 
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Region sums of one view, or of some of its combinations, by buckets of ``BUCKET`` Gaussians.
+    """Region sums of one view, or of some of its label tuples, by buckets of ``BUCKET`` Gaussians."""
 
-    Attributes:
-        buckets: [B] uint32, those that have entries, rising.
-        starts: [B + 1] uint32, where the entries of each of them begin.
-        places: [E] uint8, the Gaussian in its bucket, rising.
-        combinations: [E] uint16.
-        weights: [E] float32 or float16.
-        table: [C, S] int32 regions of this view, -1 for none.
-    """
-
-    buckets: NDArray[np.uint32]
-    starts: NDArray[np.uint32]
-    places: NDArray[np.uint8]
-    combinations: NDArray[np.uint16]
-    weights: NDArray[np.floating]
-    table: NDArray[np.int32]
+    buckets: NDArray[np.uint32]  # [B] with entries, rising
+    starts: NDArray[np.uint32]  # [B + 1] first entry of each bucket
+    places: NDArray[np.uint8]  # [E] of the Gaussian in its bucket, rising
+    combinations: NDArray[np.uint16]  # [E] rows of ``table``
+    weights: NDArray[np.floating]  # [E] float32 or float16
+    table: NDArray[np.int32]  # [C, S] label tuples: regions of this view, -1 for none
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         return dict(vars(self))
 
     def check(self, n_levels: int, weight_type: np.dtype) -> None:
-        """Refuse arrays that do not fit; their numbers are checked where they are used.
-
-        Raises:
-            ValueError: types or shapes are others.
-        """
+        """Raise a ValueError for wrong types or shapes; numbers are checked where they are used."""
         types = (np.uint32, np.uint32, np.uint8, np.uint16, weight_type, np.int32)
         if [array.dtype for array in self.arrays().values()] != [np.dtype(kind) for kind in types]:
-            raise ValueError("arrays of other types")
+            raise ValueError("arrays of wrong types")
         if not (
             self.buckets.ndim == self.places.ndim == 1
             and self.starts.shape == (len(self.buckets) + 1,)
@@ -54,14 +41,10 @@ class Entries:
             and self.table.ndim == 2
             and self.table.shape[1] == n_levels
         ):
-            raise ValueError("arrays of other shapes")
+            raise ValueError("arrays of wrong shapes")
 
     def check_numbers(self, n_gaussians: int) -> None:
-        """Refuse numbers that point outside; nothing is read by them, and no memory taken, before.
-
-        Raises:
-            InputError: there is no such Gaussian, or no such combination of regions.
-        """
+        """Raise an InputError for numbers that point outside; call it before any is used."""
         most = n_gaussians
         last = self.places[:0]
         if len(self.buckets):
@@ -77,16 +60,16 @@ class Entries:
             and int(self.combinations.max(initial=0)) < max(len(self.table), 1)
             and (len(self.table) > 0 or not len(self.places))
         ):
-            raise InputError("the region sums are damaged: no such Gaussian or combination of regions")
+            raise InputError("the region sums are damaged: an entry of a missing Gaussian or label tuple")
 
     def gaussians(self) -> NDArray[np.int64]:
-        """[E] places in the order of the sums."""
+        """Return [E] places in the order of the sums."""
         counts = np.diff(self.starts.astype(np.int64))
         return np.repeat(self.buckets.astype(np.int64) * BUCKET, counts) + self.places
 
-    def of_buckets(self, first: int, last: int) -> Entries:
-        """A copy that holds the entries of buckets first to last - 1 only."""
-        low, high = self.among(first, last)
+    def select_buckets(self, first: int, last: int) -> Entries:
+        """Return a copy with the entries of buckets first to last - 1."""
+        low, high = self.find_buckets(first, last)
         begin, end = int(self.starts[low]), int(self.starts[high])
         return Entries(
             self.buckets[low:high].copy(),
@@ -97,33 +80,27 @@ class Entries:
             self.table,
         )
 
-    def among(self, first: int, last: int) -> tuple[int, int]:
-        """Where in ``buckets`` those of first to last - 1 begin and end."""
+    def find_buckets(self, first: int, last: int) -> tuple[int, int]:
+        """Return where in ``buckets`` those of first to last - 1 begin and end."""
         low, high = np.searchsorted(self.buckets, [first, last])
         return int(low), int(high)
 
 
 @dataclass(frozen=True, eq=False)
 class ViewRecord:
-    """The region sums of one view.
+    """The region sums of one view."""
 
-    Attributes:
-        camera_digest: of everything about the camera that decides the sums.
-        labels_digest: of its label maps.
-        parts: its entries; one part, but for views of very many combinations.
-    """
+    camera_digest: str  # of everything about the camera that decides the sums
+    labels_digest: str  # of its label maps
+    parts: tuple[Entries, ...]  # one, unless the view has more than ``MOST_COMBINATIONS``
 
-    camera_digest: str
-    labels_digest: str
-    parts: tuple[Entries, ...]
+    @property
+    def digests(self) -> tuple[str, str]:
+        return self.camera_digest, self.labels_digest
 
     @classmethod
-    def of_arrays(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> ViewRecord:
-        """From the header and the arrays of a record.
-
-        Raises:
-            KeyError, ValueError: something is missing.
-        """
+    def from_arrays(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> ViewRecord:
+        """Make a record of header and ``arrays``; a KeyError or ValueError if something is missing."""
         parts: list[Entries] = []
         while f"places.{len(parts)}" in arrays:
             number = len(parts)
@@ -135,7 +112,7 @@ class ViewRecord:
         return cls(str(header["camera"]), str(header["labels"]), tuple(parts))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Those of all parts, by names that ``of_arrays`` knows."""
+        """Return the arrays of all parts, as ``from_arrays`` takes them."""
         return {
             f"{name}.{i}": array for i, part in enumerate(self.parts) for name, array in part.arrays().items()
         }
@@ -148,7 +125,7 @@ def pack(
     table: NDArray[np.int32],  # [C, S]
     weight_type: np.dtype,
 ) -> list[Entries]:
-    """Entries in parts of at most ``MOST_COMBINATIONS``; of a view without any combination, one empty part."""
+    """Pack entries in parts of at most ``MOST_COMBINATIONS``; a view without label tuples has one empty part."""
     parts = []
     for first in range(0, max(1, len(table)), MOST_COMBINATIONS):
         mine: Any = slice(None)

@@ -1,4 +1,4 @@
-"""Region sums as sparse matrices, for what is not the vote: dense uplift, studies."""
+"""Region sums as sparse matrices, for dense uplift and studies; the vote reads the entries themselves."""
 
 from __future__ import annotations
 
@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 def triplets_of(
     view: ViewRecord, order: NDArray[np.int64], level: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """(gaussian, region, weight) [T] of a view and level, sorted, each pair once; ``order`` [N] names the Gaussians.
-
-    Raises:
-        InputError: the numbers of the entries point outside.
-    """
+    """See ``RegionSums.triplets``; ``order`` [N] is the row in the scene of each Gaussian."""
     gaussians, regions, weights = [], [], []
     for part in view.parts:
         part.check_numbers(len(order))
@@ -29,12 +25,12 @@ def triplets_of(
         there = region >= 0
         gaussians.append(order[part.gaussians()[there]])
         regions.append(region[there])
-        with np.errstate(all="ignore"):  # a damaged weight may be no number
+        with np.errstate(all="ignore"):  # a damaged weight may be NaN
             weights.append(part.weights[there].astype(np.float64))
     gaussian, region, weight = map(np.concatenate, (gaussians, regions, weights))
     stride = int(region.max(initial=0)) + 1
     keys, inverse = np.unique(gaussian * stride + region, return_inverse=True)
-    with np.errstate(all="ignore"):  # or too large for one
+    with np.errstate(all="ignore"):  # or too large
         total = np.bincount(inverse, weight, len(keys)).astype(np.float32)
     return keys // stride, keys % stride, total
 
@@ -42,7 +38,7 @@ def triplets_of(
 def csr_matrix(
     views: Mapping[str, ViewRecord], order: NDArray[np.int64], level: int, rows: Mapping[str, slice]
 ) -> csr_array:
-    """See ``RegionSums.matrix``. Entries are placed view by view: 8 bytes a non-zero in all."""
+    """See ``RegionSums.matrix``. Entries are placed view by view: 8 bytes per non-zero in all."""
     from scipy.sparse import csr_array
 
     count, total = len(order), max((part.stop for part in rows.values()), default=0)
@@ -55,7 +51,7 @@ def csr_matrix(
     free = ends[:-1].copy()  # the next place of each Gaussian
     for name, view in views.items():
         gaussian, region, weight = triplets_of(view, order, level)
-        # Where a Gaussian paints several regions of the view, they follow each other.
+        # The regions of the view to which one Gaussian contributes follow each other.
         first = np.flatnonzero(np.diff(gaussian, prepend=-1))
         repeats = np.diff(first, append=len(gaussian))
         at = free[gaussian] + np.arange(len(gaussian)) - np.repeat(first, repeats)

@@ -1,4 +1,4 @@
-"""From the region sums of a view, as a rasteriser makes them, to the entries that are kept."""
+"""The region sums of a view, as a rasteriser makes them, become the entries that are kept."""
 
 from __future__ import annotations
 
@@ -11,13 +11,7 @@ from scoup.uplift.storage.entries import Entries, pack
 
 
 class Packer:
-    """Packs views whose Gaussians are in any order, and remembers what the order of the last view has cost.
-
-    Args:
-        order: [N] int64, the row of the scene that each Gaussian of the entries is.
-        weights: "float32" or "float16".
-        least_weight: entries below are left out; 0 keeps all.
-    """
+    """Packs views whose Gaussians are in any order; arguments as for ``RegionSums``."""
 
     def __init__(self, order: Tensor, weights: str, least_weight: float) -> None:
         self._order = order
@@ -27,12 +21,7 @@ class Packer:
         self._same_order: Tensor | None = None
 
     def entries(self, sums: ViewSums, order: Tensor | None) -> list[Entries]:
-        """The entries of a view.
-
-        Args:
-            sums: from ``raster.region_sums``.
-            order: [N] int64, the row of the scene that each of the Gaussians rasterised is; None where none was moved.
-        """
+        """Return the entries of a view; arguments as for ``RegionSums.append``."""
         gaussian, combination, weight = sums.gaussian, sums.combination, sums.weight
         if self._least_weight > 0:
             kept = weight >= self._least_weight
@@ -47,11 +36,11 @@ class Packer:
 
     def _is_same(self, order: Tensor | None) -> bool:
         if order is not None and order is not self._same_order and torch.equal(order.cpu(), self._order):
-            self._same_order = order  # compared once, not again for each view
+            self._same_order = order  # compared once, not per view
         return order is not None and order is self._same_order
 
     def _places(self, device: torch.device) -> Tensor:
-        """[N] int64: the place here of each row of the scene."""
+        """Return [N] int64, the place here of each row of the scene."""
         if device not in self._place_of:
             self._place_of[device] = torch.argsort(self._order).to(device)
         return self._place_of[device]

@@ -1,1 +1,1 @@
-"""The vote, a backend a module; the reference is the specification."""
+"""Backends of the vote, one per module; ``reference`` is the specification."""

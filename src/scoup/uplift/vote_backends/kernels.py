@@ -1,4 +1,4 @@
-"""The sums of the vote on a GPU: a program for each Gaussian and level walks down its entries.
+"""The sums of the vote on a GPU: one program per Gaussian and level reads its entries.
 
 No two programs write to the same sums, and the order of the additions is fixed: same input, same bytes.
 """
@@ -18,18 +18,18 @@ LEAST_FACTOR = tl.constexpr(reweighting.LEAST_FACTOR)
 
 @triton.jit(do_not_specialize=["n_levels", "n_atoms"])
 def vote_kernel(
-    starts,  # [n + 1] int64: where the entries of each Gaussian begin
+    starts,  # [n + 1] int64: first entry of each Gaussian
     combinations,  # [E] int32
-    shares,  # [E] float32: how much of the combination the Gaussian paints
+    shares,  # [E] float32: blending weights of the Gaussian in the label tuple
     rows,  # [C, S] int32: of the regions in the tables of codes, -1 for none
     atoms,  # [R, K] int32
     weights,  # [R, K] float32
-    inverse_norms,  # [R] float32: of the decoded codes, 0 where one decodes to nothing
+    inverse_norms,  # [R] float32: of the decoded codes, 0 where one decodes to zero
     grams,  # [S, L, L] float32
     earlier_atoms,  # [n, S, EARLIER_K] int32
     earlier_weights,  # [n, S, EARLIER_K] float32
     sharpness,  # [S] float32
-    out,  # [n, S, L] float32: every number is written
+    out,  # [n, S, L] float32
     n_levels,
     n_atoms,
     K: tl.constexpr,
@@ -37,7 +37,7 @@ def vote_kernel(
     ATOMS: tl.constexpr,
     ENTRIES: tl.constexpr,
 ):
-    """ENTRIES at a time; what is earlier is not read where EARLIER_K is 0."""
+    """Add up ENTRIES at a time; the earlier round is not read where EARLIER_K is 0."""
     gaussian, level = tl.program_id(0), tl.program_id(1)
     own = gaussian.to(tl.int64) * n_levels + level
     atom = tl.arange(0, ATOMS)
@@ -78,9 +78,7 @@ def products_with_earlier(
     EARLIER_K: tl.constexpr,
     ATOMS: tl.constexpr,
 ):
-    """Inner products of all atoms with what the Gaussian's earlier code decodes to [ATOMS], and the sum of its weights,
-    0 where it has none.
-    """
+    """Return products [ATOMS] of all atoms with the Gaussian's decoded earlier code, and the sum of its weights."""
     products = tl.zeros([ATOMS], tl.float32)
     total = 0.0
     gram = grams + level.to(tl.int64) * n_atoms * n_atoms
@@ -102,7 +100,7 @@ def dense_codes(
     ATOMS: tl.constexpr,
     ENTRIES: tl.constexpr,
 ):
-    """[ENTRIES, ATOMS] codes of regions."""
+    """Return [ENTRIES, ATOMS] codes of regions."""
     found = tl.zeros([ENTRIES, ATOMS], tl.float32)
     for slot in range(K):
         index = tl.load(atoms + row * K + slot, mask=row >= 0, other=0)

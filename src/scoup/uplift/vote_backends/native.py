@@ -13,7 +13,7 @@ from scoup.base.native import require_core
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
-from scoup.uplift.vote import VotedEntries
+from scoup.uplift.vote import CodedEntries
 
 
 class Vote:
@@ -22,7 +22,7 @@ class Vote:
     def __init__(
         self,
         n_gaussians: int,
-        views: Sequence[VotedEntries],
+        views: Sequence[CodedEntries],
         codes: Sequence[SparseCodes],
         grams: Tensor,
         device: torch.device,
@@ -46,7 +46,7 @@ class Vote:
         first, last = buckets.start * BUCKET, min(buckets.stop * BUCKET, count)
         indices = torch.empty(max(0, last - first), levels, keep, dtype=index_dtype(n_atoms))
         weights = torch.empty(max(0, last - first), levels, keep)
-        if not buckets:  # a process may have no share
+        if not buckets:  # a process may have no views
             return indices, weights
         known = None if earlier is None else _arrays(earlier)
         threads = torch.get_num_threads()

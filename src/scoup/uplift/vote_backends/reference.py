@@ -1,4 +1,4 @@
-"""The vote in plain torch: the readable specification that the faster ones are tested against."""
+"""The vote in plain torch: the specification that the faster backends are tested against."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scoup.base.errors import InputError
 from scoup.scene.codes import SparseCodes, check_atoms
 from scoup.uplift.reweighting import LEAST_FACTOR, EarlierRound
 from scoup.uplift.storage.entries import BUCKET
-from scoup.uplift.vote import VotedEntries
+from scoup.uplift.vote import CodedEntries
 
 BUCKETS_AT_A_TIME = 64
 
@@ -23,7 +23,7 @@ class Vote:
     def __init__(
         self,
         n_gaussians: int,
-        views: Sequence[VotedEntries],
+        views: Sequence[CodedEntries],
         codes: Sequence[SparseCodes],
         grams: Tensor,
         device: torch.device,
@@ -54,7 +54,7 @@ class Vote:
         return torch.cat([indices for indices, _ in found]), torch.cat([weights for _, weights in found])
 
     def sums(self, earlier: EarlierRound | None, buckets: range) -> Tensor:
-        """[n, S, L]: w_i = sum of A[i, r] W_r for the Gaussians of some buckets."""
+        """Return [n, S, L], w_i = sum of A[i, r] W_r for the Gaussians of some buckets."""
         first = buckets.start * BUCKET
         count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - first)
         n_atoms = self._codes[0].n_atoms
@@ -90,15 +90,15 @@ class Vote:
         return found
 
     def chunks(self, buckets: range) -> Iterator[range]:
-        """The buckets whose sums are in memory at a time; one lot at least, be it of none."""
+        """Yield the buckets whose sums are in memory at a time; one empty range for none."""
         if not buckets:
             yield buckets
         for first in range(buckets.start, buckets.stop, BUCKETS_AT_A_TIME):
             yield range(first, min(first + BUCKETS_AT_A_TIME, buckets.stop))
 
-    def _entries(self, view: VotedEntries, buckets: range) -> tuple[Tensor, Tensor, Tensor]:
-        """(place [E] from the first bucket's start, row of the region at each level [E, S], weight [E])."""
-        part = view.entries.of_buckets(buckets.start, buckets.stop)
+    def _entries(self, view: CodedEntries, buckets: range) -> tuple[Tensor, Tensor, Tensor]:
+        """Return places [E] from the first bucket's start, rows of the regions [E, S] and weights [E]."""
+        part = view.entries.select_buckets(buckets.start, buckets.stop)
         parts = (
             part.gaussians() - buckets.start * BUCKET,
             view.regions[part.combinations],
@@ -108,7 +108,7 @@ class Vote:
         return gaussian, regions, weight
 
     def _cosines(self, earlier: EarlierRound, level: int, gaussian: Tensor, row: Tensor) -> Tensor:
-        """[T] cosines of decoded codes of Gaussians and regions; 1 where the Gaussian has no code."""
+        """Return [T] cosines of decoded codes of Gaussians and regions; 1 where the Gaussian has no code."""
         gram, codes = self._grams[level], self._codes[level]
         own = earlier.indices[:, level].to(self._device).long()[gaussian]  # [T, K]
         own_weights = earlier.weights[:, level].to(self._device)[gaussian]
@@ -120,7 +120,7 @@ class Vote:
         return torch.where(own_weights.sum(1) > 0, cosines, 1.0)
 
     def _unit(self, indices: Tensor, weights: Tensor) -> Tensor:
-        """Weights scaled so that decoded codes have norm 1; what decodes to nothing becomes nothing."""
+        """Scale weights so that decoded codes have norm 1; codes that decode to zero become zero."""
         out = torch.empty_like(weights)
         for level, gram in enumerate(self._grams):
             atoms, parts = indices[:, level].long(), weights[:, level]
@@ -131,11 +131,7 @@ class Vote:
 
 
 def check_regions(regions: np.ndarray, codes: Sequence[SparseCodes]) -> None:
-    """Refuse rows [C, S] of codes that are not there.
-
-    Raises:
-        InputError: one is beyond them.
-    """
+    """Raise an InputError if a row [C, S] is beyond the codes."""
     for level, of_level in enumerate(codes):
         highest = int(regions[:, level].max(initial=-1))
         if highest >= len(of_level):
@@ -143,6 +139,6 @@ def check_regions(regions: np.ndarray, codes: Sequence[SparseCodes]) -> None:
 
 
 def _float32(weights: np.ndarray) -> np.ndarray:
-    """Weights as float32, without a word about damaged ones that are no numbers."""
+    """Return float32 weights, suppressing warnings about NaN in damaged ones."""
     with np.errstate(all="ignore"):
         return weights.astype(np.float32)

@@ -1,6 +1,6 @@
-"""The vote on a GPU: entries are brought there and sorted by Gaussian, some Gaussians at a time; a kernel adds up.
+"""The vote on a GPU: entries are copied there and sorted by Gaussian, some Gaussians at a time; a kernel adds up.
 
-Imports triton: import this module only where tensors are on a GPU.
+Imports triton: import this module only if tensors are on a GPU.
 """
 
 # A launch takes plain numbers as constants, and options beside the kernel's arguments.
@@ -19,29 +19,23 @@ from scoup.base.errors import InputError
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, Entries
-from scoup.uplift.vote import VotedEntries
+from scoup.uplift.vote import CodedEntries
 from scoup.uplift.vote_backends import reference
 from scoup.uplift.vote_backends.kernels import vote_kernel
 
 MOST_BUCKETS = 256  # at a time: 65,536 Gaussians
 MOST_ENTRIES = 1 << 24  # at a time: half a gigabyte, most of it to sort them
-MOST_SUMS = 1 << 26  # float32 numbers at a time; to find the largest takes several times as much
+MOST_SUMS = 1 << 26  # float32 numbers at a time; finding the largest takes several times as much
 _LANES = 1024  # entries times atoms that a program adds up together
 
 
 @dataclass(frozen=True, eq=False)
 class SortedEntries:
-    """The entries of all views for some Gaussians: those of one lie together, by view, then combination.
+    """The entries of all views for some Gaussians: those of one lie together, by view, then label tuple."""
 
-    Attributes:
-        starts: [n + 1] int64, where those of each Gaussian begin.
-        combinations: [E] int32, numbered through all views.
-        weights: [E] float32.
-    """
-
-    starts: Tensor
-    combinations: Tensor
-    weights: Tensor
+    starts: Tensor  # [n + 1] int64, first entry of each Gaussian
+    combinations: Tensor  # [E] int32, numbered through all views
+    weights: Tensor  # [E] float32
 
 
 class Vote(reference.Vote):
@@ -50,7 +44,7 @@ class Vote(reference.Vote):
     def __init__(
         self,
         n_gaussians: int,
-        views: Sequence[VotedEntries],
+        views: Sequence[CodedEntries],
         codes: Sequence[SparseCodes],
         grams: Tensor,
         device: torch.device,
@@ -71,7 +65,7 @@ class Vote(reference.Vote):
         )
 
     def sums(self, earlier: EarlierRound | None, buckets: range) -> Tensor:
-        """See ``reference.Vote.sums``; the order of all additions is fixed."""
+        """See ``reference.Vote.sums``."""
         entries = self._sorted(buckets)
         first, count = buckets.start * BUCKET, len(entries.starts) - 1
         levels, n_atoms = len(self._codes), self._codes[0].n_atoms
@@ -102,7 +96,7 @@ class Vote(reference.Vote):
         return [torch.cat(of_level) for of_level in zip(*found, strict=True)]
 
     def chunks(self, buckets: range) -> Iterator[range]:
-        """As many as the bounds above allow, and one at least."""
+        """Yield as many buckets at a time as the bounds above allow, one at least."""
         if not buckets:
             yield buckets
         most = max(1, min(MOST_BUCKETS, MOST_SUMS // (BUCKET * len(self._codes) * self._codes[0].n_atoms)))
@@ -116,7 +110,7 @@ class Vote(reference.Vote):
             first = last
 
     def _rows_of_combinations(self) -> Tensor:
-        """[C, S] int32: of all views' combinations, the rows of their regions among the codes of all levels."""
+        """Return [C, S] int32, the rows of all views' regions among the codes of all levels."""
         first, parts = 0, []
         for level, codes in enumerate(self._codes):
             regions = np.concatenate(
@@ -127,26 +121,26 @@ class Vote(reference.Vote):
         return torch.from_numpy(np.stack(parts, 1).astype(np.int32)).to(self._device)
 
     def _sorted(self, buckets: range) -> SortedEntries:
-        """The entries of some buckets, on the device."""
+        """Return the entries of some buckets, on the device."""
         n_buckets, device = len(buckets), self._device
         count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - buckets.start * BUCKET)
         groups, lengths = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         arrays: list[list[np.ndarray]] = [[np.zeros(0, kind)] for kind in (np.uint8, np.int16, np.float16)]
         for number, view in enumerate(self._views):
             part = view.entries
-            low, high = part.among(buckets.start, buckets.stop)
+            low, high = part.find_buckets(buckets.start, buckets.stop)
             starts = part.starts[low : high + 1].astype(np.int64)
             mine = slice(int(starts[0]), int(starts[-1]))
             groups.append(number * n_buckets + part.buckets[low:high].astype(np.int64) - buckets.start)
             lengths.append(np.diff(starts))
-            # Of uint16 the signed counterpart, with which torch can do more.
+            # int16 for uint16: torch supports few operations on uint16.
             own = part.places[mine], part.combinations[mine].view(np.int16), part.weights[mine]
             for array, slice_of_view in zip(arrays, own, strict=True):
                 array.append(slice_of_view)
         places, combinations, weights = (
             torch.from_numpy(np.concatenate(array)).to(device) for array in arrays
         )
-        # Of each entry, the number of its view times the buckets, and its bucket.
+        # Per entry: the number of its view times n_buckets, plus its bucket.
         found, repeats = (torch.from_numpy(np.concatenate(of)).to(device) for of in (groups, lengths))
         group = torch.repeat_interleave(found, repeats)
         number = torch.div(group, n_buckets, rounding_mode="floor")
@@ -154,14 +148,14 @@ class Vote(reference.Vote):
         combination = (combinations.int() & 0xFFFF) + firsts[number]
         place = ((group - number * n_buckets) * BUCKET + places).int()
         if bool(((combination >= firsts[number + 1]) | (place >= count)).any()):
-            raise InputError("the region sums are damaged: no such Gaussian or combination of regions")
+            raise InputError("the region sums are damaged: an entry of a missing Gaussian or label tuple")
         place, order = torch.sort(place, stable=True)
         starts = torch.searchsorted(place, torch.arange(count + 1, dtype=torch.int32, device=device))
         return SortedEntries(starts, combination[order].int(), weights.float()[order])
 
 
 def blocks(n_atoms: int) -> dict[str, int]:
-    """Atoms and entries that a program takes at a time, and its warps: a few numbers for each thread."""
+    """Return atoms and entries that a program takes at a time, and its warps: a few numbers per thread."""
     atoms = max(16, 1 << (n_atoms - 1).bit_length())
     return {
         "ATOMS": atoms,
@@ -171,11 +165,7 @@ def blocks(n_atoms: int) -> dict[str, int]:
 
 
 def add_counts(part: Entries, counts: np.ndarray) -> None:
-    """Add the entries of each bucket to ``counts`` [B] int64.
-
-    Raises:
-        InputError: they are not one behind the other.
-    """
+    """Add the entries of each bucket to ``counts`` [B] int64; an InputError if buckets have gaps."""
     own = np.diff(part.starts.astype(np.int64))
     if (
         (np.diff(part.buckets.astype(np.int64), append=len(counts)) <= 0).any()
@@ -183,12 +173,12 @@ def add_counts(part: Entries, counts: np.ndarray) -> None:
         or part.starts[-1] != len(part.places)
         or (own < 0).any()
     ):
-        raise InputError("the region sums are damaged: buckets have holes")
+        raise InputError("the region sums are damaged: buckets have gaps")
     counts[part.buckets] += own
 
 
 def norms_of(codes: SparseCodes, gram: Tensor) -> Tensor:
-    """[R] float32 norms of decoded codes, by the inner products [L, L] of the atoms."""
+    """Return [R] float32 norms of decoded codes; ``gram`` [L, L] are inner products of the atoms."""
     atoms = codes.indices.long()
     products = torch.zeros(len(codes), codes.n_atoms, device=gram.device)
     for slot in range(codes.k):
