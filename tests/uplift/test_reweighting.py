@@ -17,7 +17,7 @@ from uplift.random_votes import usual_deviation
 pytestmark = pytest.mark.parametrize("backend", ["native", "reference"])
 
 
-def field_codes(dense: Tensor, k: int = 3) -> SparseCodes:
+def codes_of(dense: Tensor, k: int = 3) -> SparseCodes:
     return SparseCodes.from_dense(dense, k)
 
 
@@ -35,7 +35,7 @@ def sums_of(triplets: list[tuple[int, int, float]], n_gaussians: int, n_regions:
 def test_a_region_that_disagrees_loses_its_say(backend):
     """Three masks say one thing, one bleeds over from another: after a second round hardly anything of it is left."""
     codebook = torch.eye(4)[None]
-    codes = [field_codes(torch.eye(4)[[0, 0, 0, 1]], 2)]
+    codes = [codes_of(torch.eye(4)[[0, 0, 0, 1]], 2)]
     sums = sums_of([(0, 0, 1.0), (0, 1, 1.0), (0, 2, 1.0), (0, 3, 2.0), (1, 3, 1.0)], 3, 4)
     once, twice, thrice = (vote(sums, codes, codebook, rounds, 2, backend=backend) for rounds in (1, 2, 3))
     assert once.weights[0, 0].tolist() == pytest.approx([3 / 5, 2 / 5])
@@ -56,14 +56,14 @@ def test_the_second_round_is_what_the_equations_say(backend):
     codebook = torch.randn(1, atoms, 6, generator=generator)
     dense = torch.rand(regions, atoms, generator=generator)
     dense[::5] = 0
-    codes = field_codes(dense)
+    codes = codes_of(dense)
     weight = torch.rand(n, regions, generator=generator)
     weight[torch.rand(n, regions, generator=generator) < 0.6] = 0
     at = weight.nonzero()
     triplets = [(int(i), int(r), float(weight[i, r])) for i, r in at]
     found = vote(sums_of(triplets, n, regions), [codes], codebook, 2, 4, backend=backend)
     W, C = codes.to_dense().double(), codebook[0].double()
-    first = field_codes((weight.double() @ W).float(), 4).to_dense().double()
+    first = codes_of((weight.double() @ W).float(), 4).to_dense().double()
     cosines = torch.nn.functional.normalize(first @ C, dim=1) @ torch.nn.functional.normalize(W @ C, dim=1).T
     cosines[~first.any(1)] = 1
     deviations = (1 - cosines)[weight > 0]
@@ -71,7 +71,7 @@ def test_the_second_round_is_what_the_equations_say(backend):
     assert found.sharpness is not None
     assert float(found.sharpness[0]) == pytest.approx(float(sharpness), rel=1e-4)
     factors = torch.exp(sharpness * (cosines - 1).clamp(max=0)).clamp(min=1e-6)
-    expected = field_codes(((weight.double() * factors) @ W).float(), 4)
+    expected = codes_of(((weight.double() * factors) @ W).float(), 4)
     assert torch.equal(found.indices[:, 0], expected.indices)
     torch.testing.assert_close(found.weights[:, 0], expected.weights, atol=1e-4, rtol=0)
 
@@ -80,7 +80,7 @@ def test_a_gaussian_keeps_a_code_however_odd_its_regions_are(backend):
     """No region agrees with the mixture that the first round hands on, and yet nobody ends without a code."""
     codebook = torch.eye(8)[None]
     sums = sums_of([(0, r, 1.0 + r) for r in range(8)] + [(1, 0, 1.0)] * 1, 2, 8)
-    found = vote(sums, [field_codes(torch.eye(8), 1)], codebook, 3, 1, 1, backend=backend)
+    found = vote(sums, [codes_of(torch.eye(8), 1)], codebook, 3, 1, 1, backend=backend)
     assert found.weights[:, 0].tolist() == [[1.0], [1.0]]
     assert found.indices[:, 0].tolist() == [[7], [0]]
 
@@ -101,7 +101,7 @@ def test_what_deviates_as_usual_counts_exp_of_minus_three(backend):
 
 def test_what_does_not_fit_is_refused(backend):
     codebook = torch.eye(4)[None]
-    codes = [field_codes(torch.eye(4), 1)]
+    codes = [codes_of(torch.eye(4), 1)]
     sums = sums_of([(0, 3, 1.0)], 1, 4)
     with pytest.raises(InputError, match="at least one round"):
         vote(sums, codes, codebook, 0, backend=backend)
@@ -113,7 +113,7 @@ def test_what_does_not_fit_is_refused(backend):
         vote(sums, codes, torch.eye(5)[None], backend=backend)
     of_three = sums.select(["v"], [{"v": slice(0, 3)}])
     with pytest.raises(InputError, match=r"'v', level 'm': the label maps have 4 regions, .* codes of 3"):
-        vote(of_three, [field_codes(torch.eye(4)[:3], 1)], codebook, backend=backend)
+        vote(of_three, [codes_of(torch.eye(4)[:3], 1)], codebook, backend=backend)
     with pytest.raises(InputError, match="no region sums of the view 'w'"):
         sums.select(["w"], [{"w": slice(0, 4)}])
     sums.rows = [{"w": slice(0, 4)}]
