@@ -31,9 +31,6 @@ def check_arguments(function: str, **arguments: tuple[Any, type | tuple[type, ..
     Args:
         function: its name, for the message.
         arguments: in their order; name -> value and the type, or types, expected.
-
-    Raises:
-        InputError: one is of another type; says which is expected and what gives it.
     """
     for name, (value, expected) in arguments.items():
         if isinstance(value, expected):

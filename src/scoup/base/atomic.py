@@ -54,11 +54,7 @@ def check_output(path: str | Path, overwrite: bool = False, is_folder: bool = Fa
 
 @contextmanager
 def folder_made(folder: Path, output: Path) -> Iterator[None]:
-    """Make the folder of an output, with its parents; after an error those that were missing are removed again.
-
-    Raises:
-        WriteError: the system refuses; names the output.
-    """
+    """Make the folder of an output, with its parents; after an error those that were missing are removed again."""
     missing = [place for place in (folder, *folder.parents) if not os.path.exists(place)]
     try:
         try:
@@ -75,7 +71,7 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
-    """A path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
+    """Yield a path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
     The parent folder is made if it is missing. On any error, interruption included, the hidden folder is removed with
     all that is in it, and ``path`` keeps what it held.
@@ -95,7 +91,7 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def atomic_file(path: str | Path, overwrite: bool = False, flush: bool = True) -> Iterator[BinaryIO]:
-    """A binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``.
+    """Yield a binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``.
 
     It has no ``fileno``.
 
@@ -109,11 +105,7 @@ def atomic_file(path: str | Path, overwrite: bool = False, flush: bool = True) -
 
 
 def flush_to_disk(path: Path) -> None:
-    """Have the system write a file, or a folder with its files, to the disk: else a rename may get there first.
-
-    Raises:
-        WriteError: the disk refuses a file. (That a file system cannot flush folders is not an error.)
-    """
+    """Have the system write a file, or a folder with its files, to the disk: else a rename may get there first."""
     if path.is_dir():
         for file in path.iterdir():
             flush_to_disk(file)
@@ -141,11 +133,7 @@ def _flush(path: Path) -> None:
 
 
 def replace(source: Path, target: Path) -> None:
-    """Rename a file or a folder, in place of what is there. A folder is moved aside first, and then removed.
-
-    Raises:
-        OSError: the system refuses.
-    """
+    """Rename a file or a folder, in place of what is there. A folder is moved aside first, and then removed."""
     if not target.is_dir():
         os.replace(source, target)
         return
@@ -181,7 +169,7 @@ def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
 
 @contextmanager
 def _appearing(path: str | Path, overwrite: bool, in_folder: bool, flush: bool = True) -> Iterator[Path]:
-    """The path of a temporary file that is held (``base.holding``), or is in a folder that is."""
+    """Yield the path of a temporary file that is held (``base.holding``), or is in a folder that is."""
     path = check_output(path, overwrite)
     hidden = hidden_path(path)
     temporary = hidden / path.name if in_folder else hidden
@@ -252,9 +240,6 @@ def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
     """Refusals to write a temporary file, or what is in a temporary folder, name the output that it would become.
 
     A file that cannot be read in the block is not mistaken for one that cannot be written.
-
-    Raises:
-        WriteError: a write was refused.
     """
     try:
         yield

@@ -36,10 +36,6 @@ def load_backend(
         device: where the tensors are.
         name: of the backend; by default the fastest that serves the device, see ``default_backend``.
         room: what has these backends, for the error.
-
-    Raises:
-        UnknownNameError: the table has no such name.
-        InputError: the backend does not serve the device, or cannot be used on this machine.
     """
     name = name or default_backend(device)
     if name not in table:
@@ -49,7 +45,7 @@ def load_backend(
 
 
 def default_backend(device: torch.device) -> str:
-    """The fastest backend for tensors on a device. Warns once where the fast one cannot be used."""
+    """Return the fastest backend for tensors on a device. Warns once where the fast one cannot be used."""
     if device.type == "cuda":
         reason = triton_problem(device)
         if reason is None:
@@ -63,17 +59,13 @@ def default_backend(device: torch.device) -> str:
 
 
 def serves(name: str, device: torch.device) -> bool:
-    """Whether a backend is for tensors on this device; whether this machine can run it is another matter."""
+    """Return whether a backend is for tensors on this device; whether this machine can run it is another matter."""
     interpreted = name == "triton" and os.environ.get("TRITON_INTERPRET") == "1"
     return interpreted or _DEVICES.get(name, device.type) == device.type
 
 
 def require_backend(name: str, device: torch.device) -> None:
-    """Refuse a backend that cannot be used for tensors on a device.
-
-    Raises:
-        InputError: it is for other devices, or this machine lacks what it needs.
-    """
+    """Refuse a backend that cannot be used for tensors on a device."""
     if not serves(name, device):
         place = "a GPU" if name == "triton" else "a CPU"
         raise InputError(f"the backend {name!r} serves tensors on {place}, these are on {device}")

@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 def counted(count: int, thing: str, things: str = "") -> str:
-    """A number and what it counts: "1 view", "2 views", "90,854 Gaussians".
+    """Return a number and what it counts: "1 view", "2 views", "90,854 Gaussians".
 
     Args:
         thing: in the singular.
@@ -19,7 +19,9 @@ def counted(count: int, thing: str, things: str = "") -> str:
 
 
 def none_of(count: int, thing: str) -> str:
-    """The subject of a sentence that denies something of all: "none of the 4 views", "no view" where there is one."""
+    """Return the subject of a sentence that denies something of all: "none of the 4 views", "no view" where there is
+    one.
+    """
     return f"no {thing}" if count == 1 else f"none of the {count:,} {thing}s"
 
 
@@ -33,16 +35,16 @@ def share_of(count: int, total: int, thing: str, things: str = "") -> str:
 
 
 def verb(count: int, singular: str, plural: str) -> str:
-    """The form of a verb, or of what begins with it, that a number of things takes."""
+    """Return the form of a verb, or of what begins with it, that a number of things takes."""
     return singular if count == 1 else plural
 
 
 def listed(names: Sequence[str], count: int = 3) -> str:
-    """The first few of some names: "a, b, c, ..."."""
+    """Return the first few of some names: "a, b, c, ..."."""
     return ", ".join(names[:count]) + (", ..." if len(names) > count else "")
 
 
 def spread(items: Sequence[T], most: int) -> list[T]:
-    """At most so many of some items, evenly spread."""
+    """Return at most ``most`` of the items, evenly spread."""
     count = min(most, len(items))
     return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]

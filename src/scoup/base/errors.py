@@ -38,7 +38,6 @@ class FileFormatError(InputError):
     """A file whose contents are not what they should be.
 
     Args:
-        path: the file.
         problem: what is wrong with it.
         remedy: what the user can do.
     """
@@ -54,10 +53,9 @@ class FileFormatError(InputError):
 
 
 def refused_read(path: str | Path, error: OSError) -> FileFormatError:
-    """The error of a file that was found, and that the system then refuses to read.
+    """Return the error of a file that was found, and that the system then refuses to read.
 
     Args:
-        path: the file.
         error: the system's.
     """
     if isinstance(error, FileNotFoundError):
@@ -69,8 +67,6 @@ class FieldVersionError(FileFormatError):
     """A language field, or another file of ours, in a version of its format that this software does not know yet.
 
     Args:
-        path: the file.
-        version: of the file.
         newest: version that this software reads.
     """
 
@@ -91,10 +87,6 @@ def check_format_version(path: str | Path, version: object, newest: int) -> None
         path: the file, for the error.
         version: what it says of itself.
         newest: of the versions that are read; all from 1 on are.
-
-    Raises:
-        FieldVersionError: the file is of a newer one.
-        FileFormatError: there never was such a version.
     """
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise FileFormatError(path, f"makes no sense (its format version is {version!r})", "make it again")
@@ -125,7 +117,6 @@ class WriteError(InputError):
     """An output that the system refuses to write, such as on a full disk.
 
     Args:
-        path: the output.
         reason: the system's.
         remedy: what the user can do.
     """
@@ -141,13 +132,13 @@ class WriteError(InputError):
 
     @classmethod
     def of(cls, path: str | Path, error: OSError) -> WriteError:
-        """The error of an output for one of the system."""
+        """Return the error of an output for one of the system."""
         full = error.errno in NO_SPACE
         remedy = "free some space, or choose another place" if full else ""
         return cls(path, error.strerror or str(error), remedy)
 
     def at(self, path: Path) -> WriteError:
-        """The same of another path: of the output that a temporary file would have become."""
+        """Return the same error for the output that a temporary file would have become."""
         return WriteError(path, self.reason, self.remedy)
 
 
@@ -176,7 +167,7 @@ SAID_ELSEWHERE = "said_elsewhere"
 
 
 def is_said_elsewhere(error: BaseException | None) -> bool:
-    """Whether another of the processes at work together tells the user of this end of them all."""
+    """Return whether another of the processes reports this end of all of them."""
     return getattr(error, SAID_ELSEWHERE, False)
 
 
@@ -184,7 +175,6 @@ class OutputInUseError(InputError):
     """An output that another process is writing.
 
     Args:
-        path: the output.
         holder: which process, as far as it is known.
     """
 
@@ -226,15 +216,12 @@ class UnknownNameError(InputError, KeyError):
 
 
 def looked_up(kind: str, name: str, table: Mapping[str, Entry]) -> Entry:
-    """The entry of that name.
+    """Return the entry of a name.
 
     Args:
         kind: what is searched, for the error.
         name: of the entry.
         table: all entries.
-
-    Raises:
-        UnknownNameError: there is none.
     """
     if name not in table:
         raise UnknownNameError(kind, name, table)
@@ -262,14 +249,14 @@ QUOTED = 80
 
 
 def quoted(text: str) -> str:
-    """The text in quotes, cut after ``QUOTED`` characters."""
+    """Return the text in quotes, cut after ``QUOTED`` characters."""
     if len(text) <= QUOTED:
         return repr(text)
     return f"{text[:QUOTED]!r}... ({len(text):,} characters)"
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 5) -> list[str]:
-    """The names of ``known`` most similar to ``name``, best first, ignoring case; never more than ``count``."""
+    """Return the names of ``known`` most similar to ``name``, best first, ignoring case; never more than ``count``."""
     names = list(dict.fromkeys(known))
     if not names:
         return []

@@ -11,7 +11,7 @@ _MOST_BYTES = 80  # of a name: leaves space for suffixes and for the marks of te
 
 
 def slug(text: str) -> str:
-    """A file name for a text: letters, digits, underscores and dashes."""
+    """Return a file name for a text: letters, digits, underscores and dashes."""
     kept = "".join(char if char.isalnum() or char == "_" else "-" for char in text.lower()).strip("-")
     while "--" in kept:
         kept = kept.replace("--", "-")
@@ -32,11 +32,7 @@ def unique_slugs(texts: Iterable[str]) -> list[str]:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a name that is meant for a file where a folder is written.
-
-    Raises:
-        InputError: it is.
-    """
+    """Refuse a name that is meant for a file where a folder is written."""
     if folder.is_file():
         raise InputError(f"{folder}: is a file; give the name of a folder to write the results into")
     if folder.suffix.lower() in (".png", ".jpg", ".jpeg", ".json", ".mp4") and not folder.is_dir():

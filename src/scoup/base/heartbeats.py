@@ -66,9 +66,6 @@ def wait_for_parts(lock: Output, locks: Sequence[Path]) -> None:
     Args:
         lock: of the output, with ``heartbeats``.
         locks: of its parts.
-
-    Raises:
-        ProcessLostError: one of them has ended, or gives no heartbeat.
     """
     watched = {path: _Watch(path) for path in locks}
     while watched:
@@ -88,9 +85,6 @@ def wait_until_taken(lock: Output, part: Path, whole: Path) -> None:
         lock: of the part, with ``heartbeats``.
         part: the file or folder.
         whole: the lock file of the output that it is a part of.
-
-    Raises:
-        ProcessLostError: the other process has ended without that, or gives no heartbeat.
     """
     watch = _Watch(whole)
     while part.exists():
@@ -118,11 +112,7 @@ class _Watch:
         self.has_ended = False
 
     def look(self) -> dict[str, object] | None:
-        """Return the record; None where there is none.
-
-        Raises:
-            ProcessLostError: it has not changed for ``SILENCE`` seconds.
-        """
+        """Return the record; None where there is none."""
         try:
             record = read_record(self._path)
         except ValueError:  # being written

@@ -30,9 +30,6 @@ def try_hold(descriptor: int, shared: bool = False) -> bool:
 
     Returns:
         False if another holds it.
-
-    Raises:
-        OSError: the file system knows no such locks.
     """
     if sys.platform == "win32":
         os.lseek(descriptor, _BYTE, os.SEEK_SET)
@@ -51,7 +48,7 @@ def try_hold(descriptor: int, shared: bool = False) -> bool:
 
 
 def is_same(descriptor: int, path: Path) -> bool:
-    """Whether a path still leads to the open file."""
+    """Return whether a path still leads to the open file."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
     except FileNotFoundError:
@@ -63,9 +60,6 @@ def held_temporary(path: Path, folder: bool = False) -> Iterator[None]:
     """Make an empty temporary file, or folder, hold it, and remove what is there at the end of the block.
 
     On Windows, and where the file system knows no locks, it is not held; there ``remove_abandoned`` removes nothing.
-
-    Raises:
-        OSError: it cannot be made.
     """
     descriptor = None
     try:

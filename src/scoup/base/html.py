@@ -36,7 +36,7 @@ def card(title: str, facts: Mapping[str, Any], picture: NDArray[np.uint8] | None
 
 
 def data_address(picture: NDArray[np.uint8]) -> str:
-    """A picture [H, W, 3] uint8 as the address of an image in a page, PNG inside."""
+    """Return a picture [H, W, 3] uint8 as the address of an image in a page, PNG inside."""
     from PIL import Image
 
     stream = io.BytesIO()

@@ -23,11 +23,7 @@ _MOST_BYTES = 65_536  # of the record
 
 @contextmanager
 def hold_lock(output: Path, lock: Path, temporary: re.Pattern[str]) -> Iterator[int]:
-    """Hold the lock file of an output, whose abandoned temporary files are removed first; yields its descriptor.
-
-    Raises:
-        OutputInUseError: another process holds it; InputError: it is not a lock file; WriteError: it cannot be written.
-    """
+    """Hold the lock file of an output, whose abandoned temporary files are removed first; yields its descriptor."""
     check_output(lock, overwrite=True)
     if lock.is_symlink():
         raise _foreign(lock)

@@ -96,13 +96,6 @@ def locked_output(path: Path, overwrite: bool = False, is_folder: bool = False) 
     ``PATH.lock`` says who writes; it is removed at the end, after an interruption too. The lock of a dead process is
     taken over: its commit is completed (``Output``), and its temporary files are removed. Then the path is checked once
     more, as that process may have finished it.
-
-    Raises:
-        OutputInUseError: another process is writing it.
-        OutputExistsError, InputError: as ``base.atomic.check_output``; WriteError: the lock cannot be written.
-
-    Warns:
-        ScoupWarning: a killed process had not put all of its finished files in their place.
     """
     own = re.escape(path.stem[:LONGEST_STEM]), re.escape(path.suffix), re.escape(path.name[:LONGEST_STEM])
     unnamed = re.escape(_temporary(path).name[: -len(".temporary")][:LONGEST_STEM])
@@ -207,5 +200,5 @@ def lock_path(output: Path) -> Path:
 
 
 def is_folder_lock(name: str) -> bool:
-    """Whether a file of this name in a folder is a lock of ``locked_folder``."""
+    """Return whether a file of this name in a folder is a lock of ``locked_folder``."""
     return re.fullmatch(re.escape(FOLDER_LOCK) + r"(\.\d+-of-\d+)?", name) is not None

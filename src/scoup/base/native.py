@@ -38,20 +38,12 @@ class LoadedCore(NamedTuple):
 
 
 def native_core() -> ModuleType | None:
-    """The module ``scoup._native``, or None where it was not built, does not load, or is switched off.
-
-    Raises:
-        InputError: SCOUP_NATIVE has a value that cannot be used.
-    """
+    """Return the module ``scoup._native``, or None where it was not built, does not load, or is switched off."""
     return load_core().core
 
 
 def require_core() -> ModuleType:
-    """The module ``scoup._native``.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the module ``scoup._native``."""
     core, reason, _ = load_core()
     if core is None:
         raise InputError(f"the compiled core cannot be used: {reason}")

@@ -14,11 +14,7 @@ from scoup.base.atomic import atomic_file
 def write_npz(
     path: str | Path, arrays: Mapping[str, np.ndarray], overwrite: bool = False, compressed: bool = False
 ) -> None:
-    """Write arrays by their names, atomically.
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
-    """
+    """Write arrays by their names, atomically."""
     # Not numpy.savez: it stamps the time of writing, and the same arrays should give the same bytes.
     with atomic_file(path, overwrite) as stream, zipfile.ZipFile(stream, "w") as archive:
         for name, array in arrays.items():

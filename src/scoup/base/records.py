@@ -14,9 +14,6 @@ def record_text(record: Mapping[str, Any], depth: int = 1) -> str:
     Args:
         record: what ``json.dumps`` takes, with strings as keys; no NaN.
         depth: of the indentation.
-
-    Raises:
-        ValueError: a number is not finite.
     """
     lines = []
     for key, value in record.items():
@@ -27,7 +24,7 @@ def record_text(record: Mapping[str, Any], depth: int = 1) -> str:
 
 
 def rounded_vector(values: Sequence[float]) -> list[float]:
-    """Numbers rounded alike, to six digits of the largest."""
+    """Return numbers rounded alike, to six digits of the largest."""
     largest = max((abs(value) for value in values), default=0.0)
     digits = 6 - math.ceil(math.log10(largest)) if largest > 0 and math.isfinite(largest) else 6
     return [round(value, max(0, digits)) for value in values]

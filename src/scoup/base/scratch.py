@@ -21,11 +21,7 @@ MOST_ROWS_IN_MEMORY = 8_000_000
 
 
 def temporary_file() -> IO[bytes]:
-    """A new file without a name, in the system's folder for such (TMPDIR); gone when it is closed.
-
-    Raises:
-        WriteError: there is no such folder.
-    """
+    """Return a new file without a name, in the system's folder for such (TMPDIR); gone when it is closed."""
     try:
         return tempfile.TemporaryFile(prefix="scoup-", buffering=0)
     except OSError as error:
@@ -34,11 +30,7 @@ def temporary_file() -> IO[bytes]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """A new folder in the system's folder for such (TMPDIR); gone at the end of the block.
-
-    Raises:
-        WriteError: it cannot be made, or a write into it was refused.
-    """
+    """Yield a new folder in the system's folder for such (TMPDIR); gone at the end of the block."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="scoup-"))
     except OSError as error:
@@ -54,11 +46,7 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """Zeros in a temporary file that is mapped into memory; the file is gone with the array.
-
-    Raises:
-        WriteError: there is no room for it.
-    """
+    """Zeros in a temporary file that is mapped into memory; the file is gone with the array."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if not size:
         return np.zeros(shape, dtype)
@@ -75,7 +63,7 @@ def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def refused_temporary(error: OSError) -> WriteError:
-    """The error of a temporary file that cannot be written."""
+    """Return the error of a temporary file that cannot be written."""
     # tempdir is None where no folder was found that can be used.
     where = f" in {tempfile.tempdir}" if tempfile.tempdir else ""
     remedy = "set the environment variable TMPDIR to a folder with more space"

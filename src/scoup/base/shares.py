@@ -14,23 +14,14 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Share:
-    """One of several equal parts of some work.
+    """One of several equal parts of some work."""
 
-    Attributes:
-        number: from 0.
-        count: how many parts there are.
-    """
-
-    number: int = 0
-    count: int = 1
+    number: int = 0  # from 0
+    count: int = 1  # how many parts there are
 
     @classmethod
     def parse(cls, text: str) -> Share:
-        """Return the share that "I/N" names, in which I counts from 1.
-
-        Raises:
-            InputError: it is not such a text.
-        """
+        """Return the share that "I/N" names, in which I counts from 1."""
         number, _, count = text.partition("/")
         if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
             raise InputError(f"invalid shard {text!r}; expected I/N with 1 <= I <= N, such as 1/4")
@@ -38,11 +29,7 @@ class Share:
 
     @classmethod
     def of_environment(cls) -> Share:
-        """Return the share of this process among those that torchrun has started; everything without torchrun.
-
-        Raises:
-            InputError: its variables contradict each other.
-        """
+        """Return the share of this process among those that torchrun has started; everything without torchrun."""
         rank, world = os.environ.get("RANK", "0"), os.environ.get("WORLD_SIZE", "1")
         if not (rank.isdigit() and world.isdigit() and int(rank) < int(world)):
             raise InputError(f"RANK={rank} and WORLD_SIZE={world} are not a rank and a number of processes")

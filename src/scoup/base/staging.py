@@ -22,7 +22,7 @@ _STOPS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> Iterator[Path]:
-    """A hidden folder to write into; at the end everything in it moves into ``folder``.
+    """Yield a hidden folder to write into; at the end everything in it moves into ``folder``.
 
     On any error in the block, interruption included, it is removed and ``folder`` stays as it was. Interruptions and
     terminations wait while files move (in the main thread). Only a kill, or a refusal of the system, at that moment
@@ -33,11 +33,6 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
     Args:
         folder: where the files belong; made if it is missing.
         files: paths within the folder that are checked before the block, and moved first, in this order.
-        overwrite: replace what is there.
-
-    Raises:
-        OutputExistsError, InputError: as ``base.atomic.check_output``, before and after the block.
-        WriteError: the system refuses to write a file; names it as it would be in ``folder``.
     """
     check_outputs(folder, files, overwrite)
     # In the nearest existing folder: on the same file system, moving is only renaming.

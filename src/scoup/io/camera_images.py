@@ -28,18 +28,11 @@ def attach_images(
     downscale: int | None,
     missing_images: MissingImages,
 ) -> Cameras:
-    """The cameras with their image files, resized to them. Arguments as in ``scenes.load_cameras``.
+    """Return the cameras with their image files, resized to them. Arguments as in ``scenes.load_cameras``.
 
     Args:
         source: where the cameras come from, for messages.
         roots: folders that may hold ``images``, ``images_2`` and so on.
-
-    Raises:
-        MissingFileError: ``images`` is not there, or has none of the images.
-        FileFormatError: an image has another shape than its camera.
-
-    Warns:
-        ScoupWarning: cameras were skipped, an image cannot be read, or none was found at all.
     """
     folder, factor = _choose_folder(roots, images, downscale)
     wanted = downscale or factor
@@ -78,7 +71,7 @@ def attach_images(
 def image_files(
     cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
 ) -> list[tuple[str, Path]]:
-    """Names of the cameras and their image files, where there are any; no file is opened. As ``attach_images``."""
+    """Return the names of cameras that have image files, with these files, which are not opened."""
     folder, factor = _choose_folder(roots, images, None)
     hint_first = images is None and (folder is None or factor == 1)
     found = ((camera.name, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
@@ -88,7 +81,7 @@ def image_files(
 def _choose_folder(
     roots: tuple[Path, ...], images: str | Path | None, downscale: int | None
 ) -> tuple[ImageFolder | None, int]:
-    """The images folder, and by how much its images are smaller than the originals."""
+    """Return the images folder, and by how much its images are smaller than the originals."""
     if images is not None:
         for candidate in (Path(images), *(root / images for root in roots)):
             if candidate.is_dir():
@@ -108,7 +101,7 @@ def _choose_folder(
 def _find(
     camera: Camera, folder: ImageFolder | None, factor: int, hint_first: bool
 ) -> tuple[Path | None, int]:
-    """The image of a camera and its scale; the reader of the cameras may have found one beside its file."""
+    """Return the image of a camera and its scale; the reader of the cameras may have found one beside its file."""
     hint = camera.image_path
     if hint is not None and hint_first:
         return hint, 1
@@ -117,7 +110,7 @@ def _find(
 
 
 def _size_of(path: Path | None, unreadable: list[str]) -> tuple[int, int] | None:
-    """Width and height of an image file; None where there is none, or it cannot be read, which is put down."""
+    """Return width and height of an image file; None where there is none, or it cannot be read, which is put down."""
     if path is None:
         return None
     try:

@@ -64,7 +64,7 @@ def find_cameras(path: str | Path) -> CameraSource:
 
 
 def _source_of_data(path: Path) -> CameraSource:
-    """The cameras of the data of a training, which may lie in the folder of the training itself."""
+    """Return the cameras of the data of a training, which may lie in the folder of the training itself."""
     return _source_of_file(path) if path.is_file() else _source_of_folder(path)
 
 
@@ -90,11 +90,7 @@ def _source_of_folder(path: Path) -> CameraSource:
 
 
 def _source_of_run(run: Path) -> CameraSource:
-    """The cameras of the data that a run of nerfstudio was trained on.
-
-    Raises:
-        MissingFileError: the data or the frame of the training are not there.
-    """
+    """Return the cameras of the data that a run of nerfstudio was trained on."""
     data, from_colmap = nerfstudio_data(run)
     frame = run / TRAINED_FRAME
     if not frame.is_file():
@@ -106,11 +102,7 @@ def _source_of_run(run: Path) -> CameraSource:
 
 
 def _source_of_results(results: Path) -> CameraSource:
-    """The cameras of the data that gsplat's trainer was given.
-
-    Raises:
-        MissingFileError, FileFormatError: they are not there, or no COLMAP scene.
-    """
+    """Return the cameras of the data that gsplat's trainer was given."""
     data, normalised = gsplat_data(results)
     source, config = _source_of_data(data), results / GSPLAT_CONFIG
     if source.format != "colmap":
@@ -120,8 +112,8 @@ def _source_of_results(results: Path) -> CameraSource:
 
 
 def scene_folder(path: str | Path) -> Path:
-    """The scene that a path means: the folder of a cameras file, the one above COLMAP's ``sparse`` or ``sparse/0``, or
-    the folder itself.
+    """Return the scene that a path means: the folder of a cameras file, the one above COLMAP's ``sparse`` or
+    ``sparse/0``, or the folder itself.
     """
     path = Path(path)
     folder = path.parent if path.is_file() else path
@@ -148,7 +140,7 @@ def _models(folder: Path) -> list[Path]:
 
 
 def where_cameras_are(path: Path) -> str:
-    """The remedy for a folder without cameras: the scene it is in, or the scenes in it, if there are any."""
+    """Return the remedy for a folder without cameras: the scene it is in, or the scenes in it, if there are any."""
     above = list(path.absolute().parents)[:3]
     if not path.is_absolute():
         above = [Path(os.path.relpath(place)) for place in above]
@@ -182,7 +174,7 @@ def _source_of_file(path: Path) -> CameraSource:
 
 
 def _inria_roots(folder: Path) -> tuple[Path, ...]:
-    """The folder itself, and the training data that cfg_args names if they are on this machine."""
+    """Return the folder itself, and the training data that cfg_args names if they are on this machine."""
     if not (folder / "cfg_args").is_file():
         return (folder,)
     try:

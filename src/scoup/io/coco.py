@@ -16,18 +16,10 @@ from scoup.base.errors import InputError
 
 @dataclass(frozen=True)
 class CocoAnnotations:
-    """Annotated images, one added after the other.
+    """Annotated images, one added after the other."""
 
-    Attributes:
-        categories: names, numbered from 1 as COCO does.
-        images, annotations: entries of the file.
-
-    Raises:
-        InputError: a category is named twice.
-    """
-
-    categories: tuple[str, ...]
-    images: list[dict[str, Any]] = field(default_factory=list)
+    categories: tuple[str, ...]  # names, numbered from 1 as COCO does
+    images: list[dict[str, Any]] = field(default_factory=list)  # entries of the file, as the next
     annotations: list[dict[str, Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -48,9 +40,6 @@ class CocoAnnotations:
             size: (width, height) in pixels.
             masks: one a category, [H, W] boolean; None is empty.
             scores: of each category, 0 to 1.
-
-        Raises:
-            InputError: sizes do not fit.
         """
         width, height = size
         number = len(self.images) + 1
@@ -75,11 +64,7 @@ class CocoAnnotations:
             self.annotations.append(entry if score is None else {**entry, "score": round(score, 4)})
 
     def write(self, path: str | Path, overwrite: bool = False) -> None:
-        """Write the file.
-
-        Raises:
-            OutputExistsError, InputError: as ``atomic.check_output``.
-        """
+        """Write the file."""
         content = {
             "images": self.images,
             "annotations": self.annotations,
@@ -89,7 +74,7 @@ class CocoAnnotations:
 
 
 def run_lengths(mask: np.ndarray) -> str:
-    """A mask [H, W] as COCO's compressed run lengths: down the columns, of pixels outside and inside in turn.
+    """Return a mask [H, W] as COCO's compressed run lengths: down the columns, of pixels outside and inside in turn.
 
     A length is written as its difference from the one two before it, five bits a character, lowest first; the sixth bit
     says that more follow (``rleToString`` of cocoapi's maskApi.c).

@@ -21,11 +21,7 @@ from scoup.scene.oddities import oddities
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
-    """Number, extent, medians and fingerprint of Gaussians.
-
-    Warns:
-        ScoupWarning: some are absurd (``scoup.scene.oddities``).
-    """
+    """Number, extent, medians and fingerprint of Gaussians."""
     for oddity in oddities(gaussians):
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
@@ -54,12 +50,7 @@ def describe_cameras(cameras: Cameras) -> dict[str, Any]:
 
 
 def describe_unreadable(path: Path) -> dict[str, Any]:
-    """The photographs of a scene's cameras that cannot be decoded, and why; nothing where all can be.
-
-    Raises:
-        MissingFileError: there are no cameras.
-        FileFormatError: the cameras are damaged.
-    """
+    """Return the photographs of a scene's cameras that cannot be decoded, and why; nothing where all can be."""
     faults = {name: image_fault(image) for name, image in camera_photographs(path)}
     found = [f"{name} {fault}" for name, fault in faults.items() if fault]
     return {"unreadable_photographs": len(found), "unreadable": found} if found else {}
@@ -69,9 +60,6 @@ def describe_regions(store: RegionStore) -> dict[str, Any]:
     """Views, sizes, regions and manifest of region features, without the cameras they belong to.
 
     ``regions`` is their number at each level, or of all levels where headers do not tell them apart.
-
-    Raises:
-        MissingFileError, FileFormatError: a view is incomplete or damaged.
     """
     stems = store.stems()
     views = [store.open_view(stem) for stem in stems]
@@ -107,11 +95,7 @@ class DescribedFolder:
 
 
 def describe_folder(path: Path) -> DescribedFolder:
-    """A scene, or what there is of one; or region features alone. Missing parts are left out.
-
-    Raises:
-        FileFormatError: a part is damaged, or there is nothing of the kind.
-    """
+    """Return a scene, or what there is of one; or region features alone. Missing parts are left out."""
     record: dict[str, Any] = {}
     splat, gaussians, cameras = None, None, None
     with suppress(MissingFileError):

@@ -40,7 +40,7 @@ class ImageFolder:
         return len(self._exact)
 
     def find(self, name: str) -> Path | None:
-        """The image of that name: exactly, else without its extension, else its last part alone if unique."""
+        """Return the image of that name: exactly, else without its extension, else its last part alone if unique."""
         if name in self._exact:
             return self._exact[name]
         pure = PurePosixPath(name)
@@ -52,7 +52,7 @@ class ImageFolder:
 
 
 def is_outside(folder: Path, name: str) -> bool:
-    """Whether a path in a file of a scene, relative to ``folder`` or absolute, leaves that folder.
+    """Return whether a path in a file of a scene, relative to ``folder`` or absolute, leaves that folder.
 
     Links are not followed: a scene may link to its photographs, which is its owner's choice.
     """
@@ -81,7 +81,7 @@ def warn_of_outside(source: Path, folder: Path, names: Iterable[str]) -> None:
 
 
 def find_beside(folder: Path, relative: str) -> Path | None:
-    """The file ``relative`` to ``folder``, as it is or with an image extension added, if there is one inside."""
+    """Return the file ``relative`` to ``folder``, as it is or with an image extension added, if there is one inside."""
     if is_outside(folder, relative):
         return None
     candidate = folder / relative

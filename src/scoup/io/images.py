@@ -27,12 +27,7 @@ _END_OF_JPEG = b"\xff\xd9"
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """Width and height of an image file in pixels, from its header alone; EXIF orientation is not applied.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not an image, or absurdly large.
-    """
+    """Return width and height of an image file in pixels, from its header alone; EXIF orientation is not applied."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow warns about every large photograph
         return size_in_header(path)
@@ -74,7 +69,7 @@ def image_fault(path: Path) -> str:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a file ends as a JPEG or PNG does; one that does not may be whole, too."""
+    """Return whether a file ends as a JPEG or PNG does; one that does not may be whole, too."""
     with open(path, "rb") as stream:
         stream.seek(max(0, path.stat().st_size - len(_END_OF_PNG)))
         end = stream.read()
@@ -82,7 +77,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def load_image(camera: Camera) -> Tensor:
-    """The photograph of a camera at the camera's size, undistorted where the camera says so.
+    """Return the photograph of a camera at the camera's size, undistorted where the camera says so.
 
     EXIF orientation is not applied: COLMAP ignores it too, so poses belong to the pixels as they are stored.
     Transparency is dropped.
@@ -111,12 +106,7 @@ def load_image(camera: Camera) -> Tensor:
 
 
 def read_mask(path: str | Path, above: int) -> np.ndarray:
-    """[H, W] boolean: where an image, turned to grey, is brighter than ``above`` (0..255).
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it cannot be read, or is absurdly large.
-    """
+    """Return [H, W] boolean: where an image, turned to grey, is brighter than ``above`` (0..255)."""
     path = existing_file(path, "a mask")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -181,13 +171,9 @@ def save_label_png(
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Any]:
-    """An image of Pillow; whatever fails in the block, decoding included, is a FileFormatError.
+    """Yield an image of Pillow; whatever fails in the block, decoding included, is a FileFormatError.
 
     Pillow's warnings are not silenced, for the reason that ``size_in_header`` gives.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not an image, too large to decode, or damaged.
     """
     from PIL import Image
 

@@ -25,29 +25,15 @@ _ENTRIES = 14  # of what is captured with features; without, there are 12
 
 @dataclass(frozen=True, eq=False)
 class LangSplatV2Level:
-    """What a checkpoint holds.
-
-    Attributes:
-        gaussians: N of them.
-        logits: [N, V, L] float32, of the codes by each of V codebooks.
-        codebooks: [V, L, D] float32.
-    """
+    """The contents of a checkpoint."""
 
     gaussians: Gaussians
-    logits: np.ndarray  # [N, V, L]
-    codebooks: np.ndarray  # [V, L, D]
+    logits: np.ndarray  # [N, V, L] float32, of the codes by each of V codebooks
+    codebooks: np.ndarray  # [V, L, D] float32
 
 
 def read_langsplatv2(path: str | Path) -> LangSplatV2Level:
-    """Read a checkpoint with torch's restricted loader: nothing in it is run.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged, holds objects other than tensors, or was saved without features.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite were dropped.
-    """
+    """Read a checkpoint with torch's restricted loader: nothing in it is run."""
     path = Path(path)
     content = load_torch(path, _WHAT, _WITHOUT_OBJECTS, numpy_numbers=True)
     captured = content[0] if isinstance(content, (tuple, list)) and len(content) == 2 else None

@@ -18,12 +18,7 @@ _REMEDY = "the file is cut short or damaged; write it again"
 
 
 def open_npy(path: str | Path, what: str, remedy: str = "check the path") -> np.ndarray:
-    """Memory-map a .npy file of plain numbers, read only. Nothing but the header is read.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not a .npy file, holds objects, or is shorter than its header says.
-    """
+    """Memory-map a .npy file of plain numbers, read only. Nothing but the header is read."""
     path = existing_file(path, what, remedy)
     try:
         size = os.path.getsize(path)

@@ -29,11 +29,7 @@ _UNDISTORT_REMEDY = (
 
 
 def existing_file(path: str | Path, what: str, remedy: str = "check the path") -> Path:
-    """``path`` if it is a file.
-
-    Raises:
-        MissingFileError: it is not there, or is a folder.
-    """
+    """Return ``path`` if it is a file; else raise a MissingFileError."""
     path = Path(path)
     if os.path.isdir(path):
         raise MissingFileError(path, f"is a folder, not {what}", remedy)
@@ -43,11 +39,7 @@ def existing_file(path: str | Path, what: str, remedy: str = "check the path") -
 
 
 def existing_folder(path: str | Path, what: str, remedy: str = "check the path") -> Path:
-    """``path`` if it is a folder.
-
-    Raises:
-        MissingFileError: it is not there, or is a file.
-    """
+    """Return ``path`` if it is a folder; else raise a MissingFileError."""
     path = Path(path)
     if os.path.isfile(path):
         raise MissingFileError(path, f"is a file, not {what}", remedy)
@@ -57,7 +49,7 @@ def existing_folder(path: str | Path, what: str, remedy: str = "check the path")
 
 
 def read_bytes(path: Path) -> bytes:
-    """The contents of a file; a refusal of the system becomes a FileFormatError."""
+    """Return the contents of a file; a refusal of the system becomes a FileFormatError."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -65,11 +57,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """The contents of a UTF-8 text file.
-
-    Raises:
-        FileFormatError: it is not UTF-8 or cannot be read.
-    """
+    """Return the contents of a UTF-8 text file."""
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -105,15 +93,12 @@ def make_camera(
     distorted: Distorted = "refuse",
     image_path: Path | None = None,
 ) -> Camera:
-    """A camera read from ``path``, checked: a rotation, a size, and distortion only where it is allowed.
+    """Return a camera read from ``path``, checked: a rotation, a size, and distortion only where it is allowed.
 
     Args:
         world_to_camera: [3, 4] or [4, 4], OpenCV axes.
         intrinsics: fx, fy, cx, cy in pixels of ``size`` (width, height).
         distortion: (k1, k2, p1, p2); all zeros count as none.
-
-    Raises:
-        FileFormatError: it is not a camera, or distorted while ``distorted`` is "refuse".
     """
     if not all(1 <= side <= MAX_IMAGE_SIDE for side in size) or size[0] * size[1] > MAX_IMAGE_PIXELS:
         problem = f"camera {name!r} has {size[0]} x {size[1]} pixels, not an image size"
@@ -152,11 +137,7 @@ def make_camera(
 
 
 def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
-    """The cameras in order of their names.
-
-    Raises:
-        FileFormatError: there are none, or two have one name.
-    """
+    """Return the cameras in order of their names."""
     if not cameras:
         raise FileFormatError(path, "holds no cameras", "register at least one image")
     try:
@@ -167,7 +148,7 @@ def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
 
 @contextmanager
 def safetensors_damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
-    """Every way in which the reading of a damaged safetensors file can fail becomes a FileFormatError."""
+    """Turn every failure of reading a damaged safetensors file into a FileFormatError."""
     from safetensors import SafetensorError
 
     try:

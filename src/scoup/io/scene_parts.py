@@ -11,11 +11,7 @@ from scoup.io.scenes import find_gaussians
 
 
 def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
-    """The trained splat: the one named, else the one in the scene's folder; see ``find_gaussians``.
-
-    Raises:
-        MissingFileError, FileFormatError: there is none, or several, or the folder is no scene.
-    """
+    """Return the trained splat: the one named, else the one in the scene's folder; see ``find_gaussians``."""
     if gaussians is not None:
         return find_gaussians(gaussians)
     try:
@@ -30,11 +26,7 @@ def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
 
 
 def find_features(scene: Path, features: Path | None = None) -> Path:
-    """The folder of region features: the one named, else the usual one in the scene's folder.
-
-    Raises:
-        MissingFileError: the usual one is not there.
-    """
+    """Return the folder of region features: the one named, else the usual one in the scene's folder."""
     if features is not None:
         return features
     folder = usual_features(scene)
@@ -45,5 +37,5 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
 
 
 def usual_features(scene: Path) -> Path:
-    """The folder in which the region features of a scene are, or will be, unless another one is named."""
+    """Return the folder in which the region features of a scene are, or will be, unless another one is named."""
     return scene_folder(scene) / FOLDER_NAME

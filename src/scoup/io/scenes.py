@@ -88,8 +88,9 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = Fal
 
 
 def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
-    """The rasteriser preset of a splat: "gsplat" for checkpoints of its trainer and for SceneSplat's arrays, which were
-    trained with it, otherwise "inria"."""
+    """Return the rasteriser preset of a splat: "gsplat" for checkpoints of its trainer and for SceneSplat's arrays,
+    which were trained with it, otherwise "inria".
+    """
     folder = Path(path)
     if is_nerfstudio_run(folder) or is_gsplat_results(folder):
         return "gsplat"
@@ -98,7 +99,7 @@ def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
 
 
 def find_gaussians(path: str | Path) -> Path:
-    """The file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``.
+    """Return the file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``.
 
     Raises:
         MissingFileError: there is none, or a folder holds several.
@@ -201,7 +202,7 @@ def load_cameras(
 
 
 def _means_of(results: Path) -> np.ndarray | None:
-    """[N, 3] finite means of the splat in a folder of results; None where there is none."""
+    """Return [N, 3] finite means of the splat in a folder of results; None where there is none."""
     try:
         return load_gaussians(results).means.double().numpy()
     except InputError:  # the cameras may be wanted alone
@@ -209,7 +210,7 @@ def _means_of(results: Path) -> np.ndarray | None:
 
 
 def camera_photographs(path: str | Path, images: str | Path | None = None) -> list[tuple[str, Path]]:
-    """Names of a scene's cameras and their photographs, where there are any; the photographs are not opened.
+    """Return names of a scene's cameras and their photographs, where there are any; the photographs are not opened.
 
     Args:
         path, images: as in ``load_cameras``.

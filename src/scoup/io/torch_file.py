@@ -27,17 +27,12 @@ _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
 def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers: bool = False) -> Any:
-    """The content of a file of torch.save; nothing in it is run.
+    """Return the content of a file of torch.save; nothing in it is run.
 
     Args:
-        path: the file.
         what: its kind, for messages.
         without_objects: the remedy where it holds Python objects.
         numpy_numbers: allow single numpy numbers beside the tensors, as in Inria's checkpoints.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged, or holds Python objects.
     """
     path = existing_file(path, what)
     if _is_bare_pickle(path):
@@ -63,7 +58,7 @@ def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers:
 
 
 def _is_bare_pickle(path: Path) -> bool:
-    """Whether a file is a pickle and no archive."""
+    """Return whether a file is a pickle and no archive."""
     try:
         archive = zipfile.is_zipfile(path)
     except zipfile.BadZipFile:  # it ends as an archive does, in a way that zipfile does not take
@@ -72,11 +67,7 @@ def _is_bare_pickle(path: Path) -> bool:
 
 
 def _check_names(pickles: list[bytes]) -> None:
-    """Refuse what torch's restricted loader would call with any number, and which takes that much memory.
-
-    Raises:
-        ValueError: a pickle names it; torch.save never does for tensors of numbers that splats have.
-    """
+    """Refuse what torch's restricted loader would call with any number, and which takes that much memory."""
     for content in pickles:
         for code, name, _ in pickletools.genops(content):
             if code.name == "GLOBAL" and _TAKES_MEMORY.fullmatch(str(name)):
@@ -84,16 +75,12 @@ def _check_names(pickles: list[bytes]) -> None:
 
 
 def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what: str) -> np.ndarray:
-    """[...] float32 of a tensor in a file.
+    """Return [...] float32 of a tensor in a file.
 
     Args:
-        path: the file.
         value: what it holds under ``name``.
         shape: expected; -1 takes any side.
         name, what: of the tensor and of the kind of file, for messages.
-
-    Raises:
-        FileFormatError: it is no tensor of floats of this shape, or claims more numbers than its file has.
     """
     sound = (
         isinstance(value, Tensor)

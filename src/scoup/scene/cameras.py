@@ -27,16 +27,6 @@ _PARALLEL = 1e-9  # sine of the angle between view direction and up below which 
 class Camera:
     """One posed pinhole camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5.
 
-    Attributes:
-        name: image file name (with its extension where the source had one); unique within a collection.
-        viewmat: [4, 4] float64 world-to-camera.
-        K: [3, 3] float64 intrinsics in pixels of ``width`` x ``height``.
-        width, height: image size in pixels.
-        image_path: the photograph, if there is one on disk. Its size may differ from width x height.
-        distortion: OpenCV coefficients (k1, k2, p1, p2) of the *photograph*, empty for none. The camera itself
-            is always an ideal pinhole; readers of images and region maps undistort with these
-            (``io.cameras.undistort``). Only set where the user requested undistortion.
-
     Raises:
         InputError: a shape, size or number is not that of a camera.
 
@@ -47,12 +37,20 @@ class Camera:
     """
 
     name: str
-    viewmat: Tensor  # [4, 4]
-    K: Tensor  # [3, 3]
+    """Image file name (with its extension where the source had one); unique within a collection."""
+    viewmat: Tensor
+    """[4, 4] float64 world-to-camera."""
+    K: Tensor
+    """[3, 3] float64 intrinsics in pixels of ``width`` x ``height``."""
     width: int
     height: int
+    """Image size in pixels."""
     image_path: Path | None = None
+    """The photograph, if there is one on disk. Its size may differ from width x height."""
     distortion: tuple[float, ...] = ()
+    """OpenCV coefficients (k1, k2, p1, p2) of the *photograph*, empty for none. The camera itself is always an ideal
+    pinhole; readers of images and region maps undistort with these (``io.cameras.undistort``). Only set where the user
+    requested undistortion."""
 
     def __post_init__(self) -> None:
         for field, shape in (("viewmat", (4, 4)), ("K", (3, 3))):
@@ -75,7 +73,7 @@ class Camera:
             raise InputError(f"camera {self.name!r}: rotation has determinant {determinant:.3g}, expected 1")
 
     def _whole(self, field: str) -> int:
-        """A number of pixels as an int, whatever type of number it is."""
+        """Return a number of pixels as an int, whatever type of number it is."""
         value = getattr(self, field)
         try:
             if int(value) == value:
@@ -94,7 +92,7 @@ class Camera:
         height: int,
         image_path: Path | None = None,
     ) -> Camera:
-        """A camera from its pose in the world, in place of the world-to-camera matrix.
+        """Return a camera from its pose in the world, in place of the world-to-camera matrix.
 
         Args:
             name: image file name.
@@ -126,7 +124,7 @@ class Camera:
         focal: float,
         up: ArrayLike = (0.0, 0.0, 1.0),
     ) -> Camera:
-        """A camera at one point whose image centre shows another.
+        """Return a camera at ``eye`` that shows ``target`` in its image centre.
 
         Args:
             eye: [3] camera centre in world units.
@@ -195,12 +193,12 @@ class Camera:
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera at another image size. The intrinsics follow the image, each axis by its own factor."""
+        """Return the camera at another image size. The intrinsics follow the image, each axis by its own factor."""
         scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)
         return replace(self, K=self.K * scale[:, None], width=width, height=height)
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike, scale: float = 1.0) -> Camera:
-        """The same camera in another world, in which the point x is at scale * (rotation x + translation).
+        """Return the same camera in another world, in which the point x is at scale * (rotation x + translation).
 
         Args:
             rotation: [3, 3].
@@ -257,12 +255,7 @@ class Cameras:
     @overload
     def __getitem__(self, key: slice) -> Cameras: ...
     def __getitem__(self, key: int | str | slice) -> Camera | Cameras:
-        """A camera by index, or by name (with or without extension). A slice gives a collection.
-
-        Raises:
-            UnknownNameError: no camera has that name; the message lists the nearest names.
-            IndexError: the index is out of range.
-        """
+        """Return a camera by index, or by name (with or without extension). A slice gives a collection."""
         if isinstance(key, slice):
             return Cameras(self._cameras[key])
         if not isinstance(key, str):
@@ -281,13 +274,13 @@ class Cameras:
         return tuple(camera.name for camera in self._cameras)
 
     def select(self, chosen: Callable[[Camera], bool] | Iterable[str | int]) -> Cameras:
-        """The cameras for which ``chosen`` returns true, or those listed in it by name or index, in its order."""
+        """Return the cameras for which ``chosen`` is true, or those that it lists by name or index, in its order."""
         if callable(chosen):
             return Cameras(camera for camera in self._cameras if chosen(camera))
         return Cameras(self[key] for key in chosen)
 
     def scaled(self, factor: float) -> Cameras:
-        """All cameras with their image sizes multiplied by ``factor`` (rounded, at least one pixel)."""
+        """Return all cameras with their image sizes multiplied by ``factor`` (rounded, at least one pixel)."""
         return Cameras(
             camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
             for camera in self._cameras

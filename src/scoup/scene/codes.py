@@ -18,18 +18,14 @@ ROWS_AT_A_TIME = 16384
 
 
 def index_dtype(n_atoms: int) -> torch.dtype:
-    """The dtype of code indices: uint8 up to 256 atoms, uint16 beyond.
-
-    Raises:
-        InputError: the number of atoms is not 1 to 65536.
-    """
+    """Return the dtype of code indices: uint8 up to 256 atoms, uint16 beyond."""
     if not 1 <= n_atoms <= 65536:
         raise InputError(f"a codebook may have 1 to 65536 atoms, not {n_atoms}")
     return torch.uint8 if n_atoms <= 256 else torch.uint16
 
 
 def signed(indices: Tensor) -> Tensor:
-    """The same memory, as int16 where it is uint16: torch neither sets such rows nor, before 2.10, chooses them."""
+    """Return uint16 as a view of int16: torch neither sets rows of uint16 nor, before 2.10, selects them."""
     return indices.view(torch.int16) if indices.dtype == torch.uint16 else indices
 
 
@@ -42,13 +38,6 @@ def rows_of(indices: Tensor, chosen: Tensor | slice) -> Tensor:
 class SparseCodes:
     """R rows of at most K weighted atoms.
 
-    Attributes:
-        indices: [R, K] uint8 (uint16 beyond 256 atoms), the atoms of each row.
-        weights: [R, K] float32, not negative, largest first, summing to 1. An empty row has only zeros. Indices with
-            weight zero have no meaning.
-            Both may be given as numpy arrays.
-        n_atoms: L, the size of the codebook.
-
     Raises:
         InputError: a shape or dtype is wrong.
 
@@ -59,9 +48,13 @@ class SparseCodes:
         [[0.75, 0.0, 0.25]]
     """
 
-    indices: Tensor  # [R, K]
-    weights: Tensor  # [R, K]
+    indices: Tensor
+    """[R, K] uint8 (uint16 beyond 256 atoms), the atoms of each row."""
+    weights: Tensor
+    """[R, K] float32, not negative, largest first, summing to 1. An empty row has only zeros. Indices with weight zero
+    have no meaning. Both may be given as numpy arrays."""
     n_atoms: int
+    """L, the size of the codebook."""
 
     __repr__ = brief
 
@@ -85,7 +78,7 @@ class SparseCodes:
         return self.indices.shape[1]
 
     def to_dense(self) -> Tensor:
-        """[R, L] float32."""
+        """Return [R, L] float32."""
         dense = torch.zeros(len(self), self.n_atoms, device=self.weights.device)
         return dense.scatter_add_(1, self.indices.long(), self.weights)
 
@@ -155,7 +148,7 @@ def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Te
 
 
 def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
-    """The products W A of sparse codes with a table of scores, in the compiled core where there is one.
+    """Return the products W A of sparse codes with a table of scores, in the compiled core where there is one.
 
     Args:
         indices: [N, S, K] atoms, each below L.
@@ -164,9 +157,6 @@ def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
 
     Returns:
         [N, S, Q] float32.
-
-    Raises:
-        InputError: an index is not below L.
     """
     core = native_core() if indices.device.type == "cpu" else None
     if core is None or indices.dtype not in (torch.uint8, torch.uint16):
@@ -189,7 +179,7 @@ def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tenso
 
 
 def code_norms(indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
-    """The norms of decoded sparse codes, sqrt(W G W^T) with G = C C^T.
+    """Return the norms of decoded sparse codes, sqrt(W G W^T) with G = C C^T.
 
     Args:
         indices: [N, S, K] atoms, each below L.
@@ -226,13 +216,14 @@ def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarra
 
 
 def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
-    """[..., D] decoded codes of unit norm from coefficients [..., L] and a codebook [L, D]; zero where all coefficients
-    are zero."""
+    """Return [..., D] decoded codes of unit norm from coefficients [..., L] and a codebook [L, D]; zero where all
+    coefficients are zero.
+    """
     return torch.nn.functional.normalize(weights @ codebook, dim=-1)
 
 
 def float32_products(rows: Tensor, others: Tensor) -> Tensor:
-    """[..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], with all bits of float32.
+    """Return [..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], with all bits of float32.
 
     That holds even if the user allows torch fewer bits on a GPU: similarities rounded to 10 bits of mantissa would
     select other atoms.
@@ -268,7 +259,8 @@ def full_float32() -> Iterator[None]:
 
 
 def stable_products(rows: Tensor, others: Tensor) -> Tensor:
-    """[R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D], the same for any number of threads.
+    """Return [R, N] float32: ``rows`` [R, D] times the transposed ``others`` [N, D], the same for any number of
+    threads.
 
     That needs the compiled core. Without it torch multiplies, whose results depend on the threads on some machines.
     """
@@ -280,11 +272,7 @@ def stable_products(rows: Tensor, others: Tensor) -> Tensor:
 
 
 def check_atoms(indices: Tensor, n_atoms: int) -> None:
-    """Refuse indices beyond the codebook, which would be read as atoms of another level once levels are flattened.
-
-    Raises:
-        InputError: an index is not 0 to ``n_atoms`` - 1.
-    """
+    """Refuse indices beyond the codebook, which would be read as atoms of another level once levels are flattened."""
     wide = indices.long()
     if wide.numel() and not 0 <= int(wide.min()) <= int(wide.max()) < n_atoms:
         raise InputError(f"code indices must be 0 to {n_atoms - 1}")

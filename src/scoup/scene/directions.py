@@ -13,14 +13,11 @@ NEARLY_UNIT = 1e-5
 
 
 def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
-    """[R, D] float32, checked.
+    """Return [R, D] float32, checked.
 
     Args:
         vectors: [R, D] floating point, a tensor or an array.
         what: their name in messages.
-
-    Raises:
-        InputError: they are not [R, D], no floating-point numbers, or not finite.
     """
     rows = torch.as_tensor(vectors).detach()
     if rows.dim() != 2 or rows.shape[1] == 0:
@@ -40,7 +37,7 @@ def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
 
 
 def normalise_embeddings(embeddings: Tensor | ArrayLike) -> Tensor:
-    """[R, D] float32: every row scaled to unit norm; rows of norm zero stay zero.
+    """Return [R, D] float32: every row scaled to unit norm; rows of norm zero stay zero.
 
     Args, raises: as ``float_rows``.
     """
@@ -51,14 +48,11 @@ def normalise_embeddings(embeddings: Tensor | ArrayLike) -> Tensor:
 
 
 def unit_rows(vectors: Tensor | ArrayLike, what: str = "embeddings", lengthen: bool = True) -> Tensor:
-    """[R, D] float32 rows of unit norm; rows of norm zero stay zero, those of nearly unit norm as they are.
+    """Return [R, D] float32 rows of unit norm; rows of norm zero stay zero, those of nearly unit norm as they are.
 
     Args:
         vectors, what: as for ``float_rows``.
         lengthen: otherwise rows of a norm below 1 stay as they are, too.
-
-    Raises:
-        InputError: as ``float_rows``.
     """
     rows = float_rows(vectors, what)
     excess = torch.linalg.vector_norm(rows, dim=1) - 1
@@ -77,9 +71,6 @@ def query_vectors(
         vectors: [D] or [Q, D] floating point, Q >= 1, a tensor or an array; of any norm but zero.
         dim: D.
         what, lengthen: as for ``unit_rows``.
-
-    Raises:
-        InputError: they have another shape, are not finite, or one is zero.
     """
     try:
         given = torch.as_tensor(vectors)

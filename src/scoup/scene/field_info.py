@@ -1,4 +1,4 @@
-"""What a language field is, without its tensors; and whether tensors make one."""
+"""The description of a language field, and checks of its tensors."""
 
 from __future__ import annotations
 
@@ -16,31 +16,19 @@ from scoup.scene.things import ThingTable
 
 @dataclass(frozen=True)
 class FieldInfo:
-    """What a field is, without its tensors.
+    """The description of a field, without its tensors."""
 
-    Attributes:
-        levels: level names, fine to coarse.
-        embedding_model: id of the model whose embeddings were coded; queries must come from the same model.
-        fingerprint: of the geometry the field belongs to (``Gaussians.fingerprint``).
-        n_gaussians: N of that geometry.
-        raster_preset: rasteriser constants the field was built with and is rendered with.
-        provenance: software version, settings, source hashes, coding reports; plain JSON values.
-    """
-
-    levels: tuple[str, ...]
-    embedding_model: str
-    fingerprint: str
-    n_gaussians: int
-    raster_preset: str = "inria"
+    levels: tuple[str, ...]  # level names, fine to coarse
+    embedding_model: str  # id of the model whose embeddings were coded; queries must come from the same model
+    fingerprint: str  # of the geometry the field belongs to (``Gaussians.fingerprint``)
+    n_gaussians: int  # N of that geometry
+    raster_preset: str = "inria"  # rasteriser constants the field was built with and is rendered with
+    # software version, settings, source hashes, coding reports; plain JSON values
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
 def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo) -> None:
-    """Check the codes of a field; see ``LanguageField``.
-
-    Raises:
-        InputError: shapes, dtypes or values do not fit together.
-    """
+    """Check the codes of a field; see ``LanguageField``."""
     shape = tuple(code_indices.shape)
     if len(shape) != 3 or shape != tuple(code_weights.shape) or shape[0] != info.n_gaussians:
         raise InputError(
@@ -70,11 +58,7 @@ def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, in
 
 
 def check_things(things: ThingTable, codes: Sequence[int], dim: int) -> None:
-    """Check that things belong to codes [N, S, K] and embeddings of some size.
-
-    Raises:
-        InputError: they do not.
-    """
+    """Check that things belong to codes [N, S, K] and embeddings of some size."""
     if tuple(things.owners.shape) != tuple(codes[:2]) or things.embeddings.shape[1] != dim:
         raise InputError(
             f"things of {list(things.owners.shape)} Gaussians and levels and {things.embeddings.shape[1]} dimensions "

@@ -21,13 +21,6 @@ SH_C0 = 0.28209479177387814  # the constant spherical harmonic: RGB = SH_C0 * sh
 class Gaussians:
     """N 3D Gaussians with activated values (docs/conventions.md); all float32, on one device.
 
-    Attributes:
-        means: [N, 3] centres in world units.
-        quats: [N, 4] rotations (w, x, y, z), unit norm.
-        scales: [N, 3] standard deviations along the rotated axes, in world units (linear, not log).
-        opacities: [N] peak alpha, 0..1 (not logit). Values above 1 count as 1 when rasterised.
-        sh: [N, B, 3] spherical-harmonic colour coefficients, B = (degree + 1)^2; RGB = max(0, SH + 0.5).
-
     Rows that are not finite are allowed; the rasterisers never draw them. Numpy arrays are taken too, of any
     floating-point type.
 
@@ -41,11 +34,16 @@ class Gaussians:
         True
     """
 
-    means: Tensor  # [N, 3]
-    quats: Tensor  # [N, 4]
-    scales: Tensor  # [N, 3]
-    opacities: Tensor  # [N]
-    sh: Tensor  # [N, B, 3]
+    means: Tensor
+    """[N, 3] centres in world units."""
+    quats: Tensor
+    """[N, 4] rotations (w, x, y, z), unit norm."""
+    scales: Tensor
+    """[N, 3] standard deviations along the rotated axes, in world units (linear, not log)."""
+    opacities: Tensor
+    """[N] peak alpha, 0..1 (not logit). Values above 1 count as 1 when rasterised."""
+    sh: Tensor
+    """[N, B, 3] spherical-harmonic colour coefficients, B = (degree + 1)^2; RGB = max(0, SH + 0.5)."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -92,7 +90,7 @@ class Gaussians:
         return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
 
     def select(self, chosen: Tensor | ArrayLike | slice) -> Gaussians:
-        """The Gaussians of a boolean mask [N], or of indices [M] in their order.
+        """Return the Gaussians of a boolean mask [N], or of indices [M] in their order.
 
         Raises:
             InputError: as ``chosen_rows``.
@@ -116,7 +114,7 @@ class Gaussians:
         return card(f"{len(self):,} Gaussians", facts, points_preview(self.means[shown], colors))
 
     def finite(self) -> Tensor:
-        """Boolean [N]: rows whose means, quats, scales and opacities are all finite (opacity may be +inf)."""
+        """Return boolean [N]: rows whose means, quats, scales and opacities are all finite (opacity may be +inf)."""
         rows = torch.isfinite(self.means).all(1) & torch.isfinite(self.quats).all(1)
         rows &= torch.isfinite(self.scales).all(1)
         return rows & ~torch.isnan(self.opacities) & (self.opacities != -torch.inf)
@@ -131,14 +129,11 @@ class Gaussians:
 
 
 def chosen_rows(chosen: Tensor | ArrayLike | slice, count: int) -> Tensor:
-    """A boolean mask [count], or int64 indices [M], that choose among ``count`` rows.
+    """Return a boolean mask [count], or int64 indices [M], that choose among ``count`` rows.
 
     Args:
         chosen: the same as a tensor, an array or a list; indices of any integer type; or a slice.
         count: of rows.
-
-    Raises:
-        InputError: it is neither, a mask has another length, or there is no such row.
     """
     try:
         rows = torch.arange(count)[chosen] if isinstance(chosen, slice) else torch.as_tensor(chosen)

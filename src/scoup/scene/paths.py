@@ -24,9 +24,6 @@ def camera_path(cameras: Cameras, count: int) -> Cameras:
     Args:
         cameras: of the scene; of more than ``MOST_STOPS`` so many, evenly spread.
         count: of cameras on the path.
-
-    Raises:
-        InputError: there is no camera, or ``count`` is below 1.
     """
     from scipy.interpolate import PchipInterpolator
     from scipy.spatial.transform import Rotation, Slerp
@@ -57,9 +54,6 @@ def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike
         centre: [3] the point, in world units.
         up: [3] the direction that the circle goes around.
         count: of cameras, evenly on the circle.
-
-    Raises:
-        InputError: the camera is at the point or straight above or below it, or ``count`` is below 1.
     """
     from scipy.spatial.transform import Rotation
 
@@ -84,7 +78,8 @@ def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike
 
 
 def upwards(cameras: Cameras) -> Tensor | None:
-    """[3] float64 unit vector, the direction that is up in the world as cameras were held; None if they do not tell.
+    """Return [3] float64 unit vector, the direction that is up in the world as cameras were held; None if they do not
+    tell.
 
     People hold cameras level, and tilt them up and down: up is the direction that is most at right angles to the
     cameras' horizontal axes. Where these hardly differ, as in views from one side, it is the mean of the cameras'

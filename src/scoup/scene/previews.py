@@ -37,8 +37,9 @@ def points_preview(points: Tensor, colors: Tensor) -> NDArray[np.uint8]:
 
 
 def cameras_preview(viewmats: Tensor) -> NDArray[np.uint8]:
-    """Where cameras [C, 4, 4] world-to-camera are and look, seen from above: [H, W, 3]. Upwards is what is upwards in
-    most images."""
+    """Return where cameras [C, 4, 4] world-to-camera are and look, seen from above: [H, W, 3]. Upwards is what is
+    upwards in most images.
+    """
     from PIL import Image, ImageDraw
 
     width, height = PREVIEW

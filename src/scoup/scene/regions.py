@@ -25,10 +25,6 @@ class RegionMap:
     Tensors and numpy arrays are taken alike; labels of any integer type, embeddings of any floating-point type and any
     norm.
 
-    Attributes:
-        labels: [H, W] int32, the row of each pixel's region in ``embeddings``; -1 where there is no region.
-        embeddings: [R, D] float32, one row a region, scaled to unit norm (a zero row means "unknown").
-
     Raises:
         InputError: a label has no embedding, a value is not finite, or a shape or dtype is wrong.
 
@@ -39,8 +35,10 @@ class RegionMap:
         torch.Size([4, 4])
     """
 
-    labels: Tensor  # [H, W]
-    embeddings: Tensor  # [R, D]
+    labels: Tensor
+    """[H, W] int32, the row of each pixel's region in ``embeddings``; -1 where there is no region."""
+    embeddings: Tensor
+    """[R, D] float32, one row a region, scaled to unit norm (a zero row means "unknown")."""
 
     __repr__ = brief
 
@@ -61,7 +59,7 @@ class RegionMap:
         object.__setattr__(self, "embeddings", embeddings)
 
     def resized(self, width: int, height: int) -> RegionMap:
-        """The same regions at another image size (``resize_labels``)."""
+        """Return the same regions at another image size (``resize_labels``)."""
         return RegionMap(resize_labels(self.labels, width, height), self.embeddings)
 
 
@@ -152,7 +150,7 @@ class Regions:
         return view_name in self._names
 
     def load(self, view_name: str, level: str) -> RegionMap:
-        """The region map of one view and level.
+        """Return the region map of one view and level.
 
         Raises:
             UnknownNameError: there is no such view or level.
@@ -161,7 +159,8 @@ class Regions:
         return self._load(view_name, level)
 
     def load_labels(self, view_name: str, width: int, height: int) -> Tensor:
-        """The labels of all levels of a view at one image size, [S, height, width] int32. Do not change them in place.
+        """Return the labels of all levels of a view at one image size, [S, height, width] int32. Do not change them in
+        place.
 
         Embeddings are not read if labels can be loaded without them.
 
@@ -181,7 +180,7 @@ class Regions:
         return resize_labels(labels, width, height)
 
     def load_view(self, view_name: str, width: int, height: int) -> tuple[Tensor, list[Tensor]]:
-        """All levels of a view at one image size: labels [S, height, width] int32, embeddings S x [R_s, D]."""
+        """Return all levels of a view at one image size: labels [S, height, width] int32, embeddings S x [R_s, D]."""
         if self._load_labels is None:
             maps = [self.load(view_name, level) for level in self.levels]
             labels = torch.stack([resize_labels(item.labels, width, height) for item in maps])
@@ -190,7 +189,7 @@ class Regions:
         return labels, [self.load_embeddings(view_name, level) for level in self.levels]
 
     def load_embeddings(self, view_name: str, level: str) -> Tensor:
-        """The embeddings [R, D] float32 of one view and level, of unit norm.
+        """Return the embeddings [R, D] float32 of one view and level, of unit norm.
 
         Raises:
             InputError: they are not [R, D], or not finite.
@@ -201,7 +200,8 @@ class Regions:
         return self._load(view_name, level).embeddings
 
     def embeddings(self, level: str) -> tuple[Tensor, dict[str, slice]]:
-        """All embeddings of a level stacked in the order of the views, [R, D] float32, and the rows of each view.
+        """Return all embeddings of a level stacked in the order of the views, [R, D] float32, and the rows of each
+        view.
 
         Raises:
             InputError: there are no views, or embeddings differ in size.
@@ -222,7 +222,7 @@ class Regions:
         return torch.cat(blocks), rows
 
     def select(self, view_names: Iterable[str]) -> Regions:
-        """The regions of these views, in their order.
+        """Return the regions of these views, in their order.
 
         Raises:
             UnknownNameError: a view has no regions.

@@ -24,31 +24,21 @@ SURE_REGIONS = 3
 
 @dataclass(frozen=True, eq=False)
 class ThingTable:
-    """The T instances of all levels.
+    """The T instances of all levels."""
 
-    Attributes:
-        owners: [N, S] int32, the thing that each Gaussian belongs to at each level; ``NO_THING`` for none.
-        levels: [T] uint8, position of the level of each thing, rising.
-        parents: [T] int32, the thing of the next coarser level that holds most of it; ``NO_THING`` for none.
-        embeddings: [T, D] float16, mean embedding of its regions, unit norm.
-        agreement: [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all alike.
-        n_regions: [T] int32, how many regions it was merged from.
-        mass: [T] float32, what the Gaussians that decided what is merged contribute to its regions.
-        stability: [T] float32, how alike it is segmented in all views that see it: the mean IoU of its regions with
-            what it has in each other view, 0 in views where it has no region.
-
-    Raises:
-        InputError: shapes, dtypes or values do not fit together.
-    """
-
-    owners: Tensor  # [N, S]
-    levels: Tensor  # [T]
-    parents: Tensor  # [T]
-    embeddings: Tensor  # [T, D]
-    agreement: Tensor  # [T]
-    n_regions: Tensor  # [T]
-    mass: Tensor  # [T]
-    stability: Tensor  # [T]
+    # [N, S] int32, the thing that each Gaussian belongs to at each level; ``NO_THING`` for none
+    owners: Tensor
+    levels: Tensor  # [T] uint8, position of the level of each thing, rising
+    # [T] int32, the thing of the next coarser level that holds most of it; ``NO_THING`` for none
+    parents: Tensor
+    embeddings: Tensor  # [T, D] float16, mean embedding of its regions, unit norm
+    # [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all alike
+    agreement: Tensor
+    n_regions: Tensor  # [T] int32, how many regions it was merged from
+    mass: Tensor  # [T] float32, what the Gaussians that decided what is merged contribute to its regions
+    # [T] float32, how alike it is segmented in all views that see it: the mean IoU of its regions with what it has in
+    # each other view, 0 in views where it has no region
+    stability: Tensor
 
     __repr__ = brief
 
@@ -103,19 +93,19 @@ class ThingTable:
         return max(LEAST_SPREAD, math.sqrt(max(0.0, 1.0 - agreement * agreement) / dim))
 
     def members(self, things: Tensor) -> Tensor:
-        """[N] boolean: the Gaussians of some things [M] of one level."""
+        """Return [N] boolean: the Gaussians of some things [M] of one level."""
         chosen = torch.zeros(len(self) + 1, dtype=torch.bool, device=self.owners.device)
         chosen[things.long().to(chosen.device) + 1] = True  # the first stands for none
         level = int(self.levels[things[0]]) if len(things) else 0
         return chosen.index_select(0, self.owners[:, level] + 1)
 
     def sums(self, weights: Tensor) -> Tensor:
-        """[T] float64: the sum of weights [N] over the Gaussians of each thing."""
+        """Return [T] float64: the sum of weights [N] over the Gaussians of each thing."""
         gaussians = torch.from_numpy(np.flatnonzero(weights.cpu().numpy()))  # few, as a rule
         return self.sums_of(gaussians, weights.cpu()[gaussians])
 
     def sums_of(self, gaussians: Tensor, weights: Tensor) -> Tensor:
-        """[T] float64: the sum of the weights [M] of some Gaussians [M] int64 over each thing."""
+        """Return [T] float64: the sum of the weights [M] of some Gaussians [M] int64 over each thing."""
         owners, weights = self.owners[gaussians.to(self.owners.device)].cpu() + 1, weights.cpu().double()
         found = torch.zeros(len(self), dtype=torch.float64)
         for of_level in owners.T:
@@ -125,7 +115,7 @@ class ThingTable:
         return found
 
     def rows(self, chosen: Tensor) -> ThingTable:
-        """The things of some of the Gaussians; all things stay, those left without a Gaussian too."""
+        """Return the things of some of the Gaussians; all things stay, those left without a Gaussian too."""
         return replace(self, owners=self.owners[chosen])
 
     def to(self, device: torch.device | str) -> ThingTable:

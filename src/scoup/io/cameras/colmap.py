@@ -15,7 +15,7 @@ from scoup.scene.cameras import Cameras
 
 
 def is_model(folder: str | Path) -> bool:
-    """Whether a folder holds a cameras and an images file of COLMAP."""
+    """Return whether a folder holds a cameras and an images file of COLMAP."""
     return any(
         (Path(folder) / f"cameras{end}").is_file() and (Path(folder) / f"images{end}").is_file()
         for end in (".bin", ".txt")
@@ -62,7 +62,7 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
 
 
 def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """The sparse points of a COLMAP model.
+    """Return the sparse points of a COLMAP model.
 
     Returns:
         [P, 3] float64 positions and [P, 3] uint8 colours.
@@ -80,7 +80,7 @@ def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
-    """The sparse points of a COLMAP model and where they were seen.
+    """Return the sparse points of a COLMAP model and where they were seen.
 
     Returns:
         [P, 3] float64 positions, and for each point the names of the images in its track (none in models that keep no
@@ -152,7 +152,7 @@ def _pinhole(
 
 
 def _pose(path: Path, shot: Shot) -> np.ndarray:
-    """[3, 4] world-to-camera."""
+    """Return [3, 4] world-to-camera."""
     quaternion = np.array(check_finite(path, shot.quaternion, f"rotation of image {shot.name!r}"))
     translation = check_finite(path, shot.translation, f"position of image {shot.name!r}")
     with np.errstate(all="ignore"):

@@ -42,7 +42,7 @@ class _Cursor:
         self.position += size
 
     def count(self, smallest: int, what: str) -> int:
-        """A number of records, each of at least ``smallest`` bytes."""
+        """Return a number of records, each of at least ``smallest`` bytes."""
         (count,) = self.take(struct.Struct("<Q"))
         if count * smallest > len(self.data) - self.position:
             raise FileFormatError(self.path, f"claims {count} {what}, more than fit into the file", _REMEDY)
@@ -70,11 +70,7 @@ class _Cursor:
 
 
 def read_lenses(path: Path) -> dict[int, Lens]:
-    """cameras.bin: lenses by number.
-
-    Raises:
-        MissingFileError, FileFormatError: the file is missing or damaged.
-    """
+    """cameras.bin: lenses by number."""
     cursor = _Cursor(path)
     lenses = {}
     for _ in range(cursor.count(_LENS.size, "cameras")):
@@ -88,11 +84,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
 
 
 def read_shots(path: Path) -> list[Shot]:
-    """images.bin, keypoints skipped.
-
-    Raises:
-        MissingFileError, FileFormatError: the file is missing or damaged.
-    """
+    """images.bin, keypoints skipped."""
     cursor = _Cursor(path)
     shots = []
     for _ in range(cursor.count(_SHOT.size + 9, "images")):

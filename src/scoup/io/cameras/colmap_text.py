@@ -17,11 +17,7 @@ _REMEDY = "the file is cut short or damaged; copy or export it again"
 
 
 def read_lenses(path: Path) -> dict[int, Lens]:
-    """cameras.txt: lenses by number.
-
-    Raises:
-        MissingFileError, FileFormatError: the file is missing or damaged.
-    """
+    """cameras.txt: lenses by number."""
     lenses = {}
     for place, line in _lines(path):
         if not line:
@@ -39,11 +35,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
 
 
 def read_shots(path: Path) -> list[Shot]:
-    """images.txt: every second line (the keypoints, which may be empty) is skipped.
-
-    Raises:
-        MissingFileError, FileFormatError: the file is missing or damaged.
-    """
+    """images.txt: every second line (the keypoints, which may be empty) is skipped."""
     shots = []
     lines = _lines(path)
     for place, line in lines:

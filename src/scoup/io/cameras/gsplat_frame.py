@@ -19,7 +19,7 @@ _REMEDY = "give cameras in the frame of the splat"
 
 
 def in_gsplat_frame(cameras: Cameras, model: Path, means: np.ndarray | None = None) -> Cameras:
-    """All cameras of a COLMAP model in the frame of the splat that gsplat's trainer made of it.
+    """Return all cameras of a COLMAP model in the frame of the splat that gsplat's trainer made of it.
 
     Args:
         cameras: of the model, all of them.
@@ -27,9 +27,6 @@ def in_gsplat_frame(cameras: Cameras, model: Path, means: np.ndarray | None = No
         means: [N, 3] of the splat, if it is at hand. Which side of the axes is which depends on the trainer's version
             and machine: of the four turns that the axes leave open, that which brings the points nearest to the means
             is taken, if it is clearly better than none.
-
-    Raises:
-        MissingFileError, FileFormatError: the model has no points, or too few for a frame.
     """
     points = read_points(model)[0].astype(np.float32).astype(np.float64)  # the trainer keeps float32
     if len(points) < 3 or not np.isfinite(points).all():
@@ -45,7 +42,7 @@ def in_gsplat_frame(cameras: Cameras, model: Path, means: np.ndarray | None = No
 
 
 def gsplat_normalisation(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
-    """[4, 4] similarity from COLMAP's world to that of gsplat's trainer.
+    """Return [4, 4] similarity from COLMAP's world to that of gsplat's trainer.
 
     First the cameras' mean up becomes -y, the median of what they look at the origin, and their median distance 1;
     then the principal axes of the points [P, 3] become x, y, z, and last the side with more of the points is put down.
@@ -63,7 +60,9 @@ def gsplat_normalisation(cameras: Sequence[Camera], points: np.ndarray) -> np.nd
 
 
 def _nearest_turn(transform: np.ndarray, points: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """[4, 4] none, or half a turn about an axis: what brings the moved points nearest to the means, by the median."""
+    """Return the identity or half a turn about an axis [4, 4]: whichever brings the moved points nearest to the
+    means, by the median.
+    """
     from scipy.spatial import KDTree
 
     tree = KDTree(means[:: max(1, len(means) // _COMPARED)])

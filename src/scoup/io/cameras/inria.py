@@ -82,7 +82,7 @@ def write_inria_cameras(cameras: Cameras, path: str | Path, overwrite: bool = Fa
 
 
 def read_cfg_args(path: str | Path) -> dict[str, Any]:
-    """The settings in a cfg_args file, a printed ``Namespace(...)`` of plain values.
+    """Return the settings in a cfg_args file, a printed ``Namespace(...)`` of plain values.
 
     Raises:
         MissingFileError: there is no such file.
@@ -103,11 +103,7 @@ def read_cfg_args(path: str | Path) -> dict[str, Any]:
 
 
 def latest_point_cloud(folder: str | Path) -> Path:
-    """The PLY of the last iteration in an Inria output folder (or in its point_cloud folder).
-
-    Raises:
-        MissingFileError: there is none.
-    """
+    """Return the PLY of the last iteration in an Inria output folder (or in its point_cloud folder)."""
     folder = existing_folder(folder, "an output folder of Inria's code")
     inner = folder if folder.name == "point_cloud" else folder / "point_cloud"
     found: list[tuple[int, Path]] = []
@@ -125,5 +121,5 @@ def latest_point_cloud(folder: str | Path) -> Path:
 
 
 def portable_name(name: str) -> str:
-    """An image name with forward slashes and without leading ./ whichever system wrote it."""
+    """Return an image name with forward slashes and without leading ./ whichever system wrote it."""
     return str(PurePosixPath(name.replace("\\", "/")))

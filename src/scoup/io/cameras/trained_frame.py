@@ -29,10 +29,6 @@ def in_trained_frame(cameras: Cameras, path: str | Path, transforms: Path | None
         path: dataparser_transforms.json, beside config.yml in the training's output.
         transforms: the transforms.json that the cameras come from. What was done to the cameras in it before
             (``applied_transform``, ``applied_scale``) is part of the file at ``path``, and is not done again.
-
-    Raises:
-        MissingFileError: a file is not there.
-        FileFormatError: it holds no rotation, translation and scale.
     """
     path = Path(path)
     content = read_json(path, _WHAT, "copy the file again")

@@ -21,25 +21,20 @@ _KEY = re.compile(r"^( *)data: *(.*)$")
 
 
 def is_nerfstudio_run(folder: str | Path) -> bool:
-    """Whether a folder is an output of nerfstudio's training."""
+    """Return whether a folder is an output of nerfstudio's training."""
     folder = Path(folder)
     beside = (folder / "nerfstudio_models").is_dir() or (folder / TRAINED_FRAME).is_file()
     return (folder / "config.yml").is_file() and beside
 
 
 def is_gsplat_results(folder: str | Path) -> bool:
-    """Whether a folder is an output of gsplat's trainer."""
+    """Return whether a folder is an output of gsplat's trainer."""
     folder = Path(folder)
     return (folder / GSPLAT_CONFIG).is_file() and any((folder / name).is_dir() for name in ("ckpts", "ply"))
 
 
 def nerfstudio_data(run: Path) -> tuple[Path, bool]:
-    """The data of a run of nerfstudio, and whether its cameras were read from COLMAP's model.
-
-    Raises:
-        MissingFileError: the configuration names no data, or they are not on this machine.
-        FileFormatError: it is no text.
-    """
+    """Return the data of a run of nerfstudio, and whether its cameras were read from COLMAP's model."""
     config = run / "config.yml"
     text = read_text(config)
     remedy = (
@@ -53,12 +48,7 @@ def nerfstudio_data(run: Path) -> tuple[Path, bool]:
 
 
 def gsplat_data(results: Path) -> tuple[Path, bool]:
-    """The data of gsplat's results, and whether the trainer normalised their world.
-
-    Raises:
-        MissingFileError: the configuration names no data, or they are not on this machine.
-        FileFormatError: it is no text.
-    """
+    """Return the data of gsplat's results, and whether the trainer normalised their world."""
     config = results / GSPLAT_CONFIG
     text = read_text(config)
     remedy = f"copy the COLMAP scene it was trained on beside {results}, with the folder name given there"
@@ -70,7 +60,9 @@ def gsplat_data(results: Path) -> tuple[Path, bool]:
 
 
 def _named_path(text: str) -> str | None:
-    """The first path that a key ``data`` of nerfstudio's config names: a string, or a list of the parts of a path."""
+    """Return the first path that a key ``data`` of nerfstudio's config names: a string, or a list of the parts of a
+    path.
+    """
     lines = text.splitlines()
     for number, line in enumerate(lines):
         found = _KEY.match(line)
@@ -87,7 +79,7 @@ def _named_path(text: str) -> str | None:
 
 
 def _items(lines: list[str], indent: int) -> list[str]:
-    """The items of the list that begins at the first line, no less indented than its key."""
+    """Return the items of the list that begins at the first line, no less indented than its key."""
     items = []
     for line in lines:
         stripped = line.lstrip(" ")
@@ -98,7 +90,7 @@ def _items(lines: list[str], indent: int) -> list[str]:
 
 
 def _plain(text: str, key: str) -> str | None:
-    """The plain value of a key at the beginning of a line; None for none."""
+    """Return the plain value of a key at the beginning of a line; None for none."""
     found = re.search(rf"^{key}: *(.*?) *$", text, re.MULTILINE)
     if (
         found is None
@@ -111,7 +103,7 @@ def _plain(text: str, key: str) -> str | None:
 
 
 def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
-    """Where the data that a configuration names are: as named, or below a folder above the run."""
+    """Return where the data that a configuration names are: as named, or below a folder above the run."""
     path = Path(named.replace("\\", "/"))
     if _holds_cameras(path):
         return path
@@ -127,7 +119,7 @@ def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:
 
 
 def _holds_cameras(place: Path) -> bool:
-    """Whether a path is transforms.json, or a folder that may be the data of a training."""
+    """Return whether a path is transforms.json, or a folder that may be the data of a training."""
     if os.path.isfile(place):  # Path.is_file raises for names that the system does not take
         return place.suffix == ".json"
     return any(os.path.exists(place / name) for name in ("transforms.json", "sparse", "colmap/sparse"))

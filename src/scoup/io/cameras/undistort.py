@@ -11,7 +11,7 @@ from scoup.scene.cameras import Camera
 
 
 def photograph_pixels(camera: Camera, width: int, height: int) -> Tensor:
-    """Where each pixel of the ideal pinhole camera lies in the photograph.
+    """Return where each pixel of the ideal pinhole camera lies in the photograph.
 
     Args:
         camera: its K, size and distortion (k1, k2, p1, p2), OpenCV's model.
@@ -42,7 +42,7 @@ def photograph_pixels(camera: Camera, width: int, height: int) -> Tensor:
 
 
 def sample_nearest(values: Tensor, positions: Tensor, outside: int) -> Tensor:
-    """The pixel of ``values`` [h, w] under each position [H, W, 2]; ``outside`` elsewhere. [H, W]."""
+    """Return the pixel of ``values`` [h, w] under each position [H, W, 2]; ``outside`` elsewhere. [H, W]."""
     height, width = values.shape
     inside = _inside(positions, width, height)
     cells = torch.where(inside[..., None], positions, 0.0).floor().long()

@@ -31,26 +31,16 @@ _DEFLATE_LIMIT = 1040  # deflate never packs more bytes than this into one
 
 @dataclass(frozen=True)
 class CompactView:
-    """What the header of a ``.regions`` file says, checked against the file; a ``views.StoredView``.
-
-    Attributes:
-        path: the file.
-        name: of the image, as the cameras call it.
-        width, height: of the label maps.
-        counts: level -> number of embeddings, in order.
-        dim: D of the embeddings.
-        manifest: fingerprint of the manifest it was made under.
-        photograph: SHA-256 of the photograph's file, "" if it is not known.
-    """
+    """The header of a ``.regions`` file, checked against the file; a ``views.StoredView``."""
 
     path: Path
-    name: str
-    width: int
+    name: str  # of the image, as the cameras call it
+    width: int  # of the label maps, as the height
     height: int
-    counts: dict[str, int]
-    dim: int
-    manifest: str
-    photograph: str
+    counts: dict[str, int]  # level -> number of embeddings, in order
+    dim: int  # D of the embeddings
+    manifest: str  # fingerprint of the manifest it was made under
+    photograph: str  # SHA-256 of the photograph's file, "" if it is not known
 
     @property
     def levels(self) -> tuple[str, ...]:
@@ -65,11 +55,7 @@ class CompactView:
         return self.path
 
     def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
-        """[levels, H, W] labels as stored; the file is opened once.
-
-        Raises:
-            FileFormatError: they are damaged.
-        """
+        """Return [levels, H, W] labels as stored; the file is opened once."""
         with _opened(self.path) as stream:
             packed = [stream.get_tensor(f"labels.{level}").tobytes() for level in levels]
         labels = np.empty((len(levels), self.height, self.width), np.int32)
@@ -78,19 +64,19 @@ class CompactView:
         return labels
 
     def embeddings(self, level: str) -> NDArray[np.floating]:
-        """[R, D] embeddings of a level, as stored."""
+        """Return [R, D] embeddings of a level, as stored."""
         with _opened(self.path) as stream:
             return stream.get_tensor(f"embeddings.{level}")
 
     def read(self) -> ViewRegions:
-        """Everything the file holds."""
+        """Return everything the file holds."""
         labels = dict(zip(self.levels, self.labels(self.levels), strict=True))
         embeddings = {level: self.embeddings(level) for level in self.levels}
         return ViewRegions(self.name, labels, embeddings, self.photograph)
 
 
 def open_view(folder: Path, stem: str) -> CompactView:
-    """The header of a view's file; see ``views.RegionLayout``."""
+    """Return the header of a view's file; see ``views.RegionLayout``."""
     path = folder / f"{stem}{ENDINGS[0]}"
     with _opened(path) as stream:
         header = JsonNode(path, json.loads((stream.metadata() or {}).get(_KEY, "{}")), REMEDY)
@@ -143,7 +129,7 @@ def origin(folder: Path, stem: str) -> tuple[str, str]:
 
 
 def _shape_of_level(path: Path, stream: Any, level: str, size: tuple[int, int]) -> tuple[int, int]:
-    """Number and dimension of a level's embeddings; refuses data too short for labels of that size."""
+    """Return number and dimension of a level's embeddings; refuses data too short for labels of that size."""
     table = stream.get_slice(f"embeddings.{level}")
     count, dim = table.get_shape()
     packed = stream.get_slice(f"labels.{level}")
@@ -191,7 +177,7 @@ def _packed(labels: NDArray[np.int32], rows: int) -> bytes:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """A safetensors file of arrays; every way in which it can be damaged becomes a FileFormatError."""
+    """Yield a safetensors file of arrays; every way in which it can be damaged becomes a FileFormatError."""
     from safetensors import safe_open
 
     what = "a file of region features"

@@ -20,21 +20,18 @@ from scoup.io.regions.views import FOLDER_NAME, view_files
 
 @dataclass(frozen=True)
 class ConvertReport:
-    """What a conversion did.
-
-    Attributes:
-        source, target: the folders.
-        layout: of the target.
-        views: converted.
-        bytes_before, bytes_after: of the views' files.
-    """
+    """A report of a conversion."""
 
     source: Path
     target: Path
+    """The folders."""
     layout: Layout
+    """The layout of the target."""
     views: int
+    """Views that were converted."""
     bytes_before: int
     bytes_after: int
+    """Sizes of the views' files in the source and in the target."""
 
 
 def convert_regions(

@@ -31,20 +31,14 @@ class LangSplatView:
     """The two files of a view; a ``views.StoredView``.
 
     Neither file is kept open. Which rows belong to which level is read from the labels on first use, once.
-
-    Attributes:
-        folder, name: of the files; the name is their stem.
-        width, height: of the label maps.
-        rows: embeddings of all levels.
-        dim: D of the embeddings.
     """
 
     folder: Path
-    name: str
-    width: int
+    name: str  # stem of the files
+    width: int  # of the label maps, as the height
     height: int
-    rows: int
-    dim: int
+    rows: int  # embeddings of all levels
+    dim: int  # D of the embeddings
     _blocks: dict[str, slice] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -64,11 +58,7 @@ class LangSplatView:
         return self.folder / f"{self.name}{ENDINGS[1]}"
 
     def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
-        """[levels, H, W] labels; embeddings are not read once the blocks are known.
-
-        Raises:
-            FileFormatError: they are damaged, or have changed since the view was opened.
-        """
+        """Return [levels, H, W] labels; embeddings are not read once the blocks are known."""
         blocks = self.blocks()
         planes = _open_planes(self.labels_path)
         labels = np.empty((len(levels), *planes.shape[1:]), np.int32)
@@ -78,11 +68,7 @@ class LangSplatView:
         return labels
 
     def embeddings(self, level: str) -> NDArray[np.floating]:
-        """[R, D] embeddings of a level, mapped.
-
-        Raises:
-            FileFormatError: as ``labels``.
-        """
+        """Return [R, D] embeddings of a level, mapped."""
         block = self.blocks()[level]
         rows = _open_rows(self.embeddings_path)
         if block.stop > len(rows):
@@ -90,7 +76,7 @@ class LangSplatView:
         return rows[block]
 
     def read(self) -> ViewRegions:
-        """Everything the files hold; the level "default" is left out where it has no regions."""
+        """Return everything the files hold; the level "default" is left out where it has no regions."""
         blocks = self.blocks()
         levels = [level for level in FILE_LEVELS if level != "default" or blocks[level].stop > 0]
         labels = dict(zip(levels, self.labels(levels), strict=True))
@@ -106,7 +92,7 @@ class LangSplatView:
 
 
 def open_view(folder: Path, stem: str) -> LangSplatView:
-    """The headers of a view's files; see ``views.RegionLayout``."""
+    """Return the headers of a view's files; see ``views.RegionLayout``."""
     planes, rows = _open_planes(folder / f"{stem}_s.npy"), _open_rows(folder / f"{stem}_f.npy")
     height, width = planes.shape[1:]
     return LangSplatView(folder, stem, width, height, *rows.shape)
@@ -161,11 +147,7 @@ def _joined(regions: ViewRegions) -> tuple[NDArray[np.float32], NDArray[np.float
 
 
 def _open_planes(path: Path) -> np.ndarray:
-    """The labels [4, H, W] of a view, mapped.
-
-    Raises:
-        MissingFileError, FileFormatError: the file is not there, or is no such file.
-    """
+    """Return the labels [4, H, W] of a view, mapped."""
     planes = open_npy(path, "region labels")
     sides = planes.shape[1:]
     valid = planes.ndim == 3 and len(planes) == len(FILE_LEVELS)
@@ -176,7 +158,7 @@ def _open_planes(path: Path) -> np.ndarray:
 
 
 def _open_rows(path: Path) -> np.ndarray:
-    """The embeddings [M, D] of a view, mapped; as ``_open_planes``."""
+    """Return the embeddings [M, D] of a view, mapped; as ``_open_planes``."""
     rows = open_npy(path, "region embeddings")
     if rows.ndim != 2 or rows.dtype.kind != "f" or (len(rows) and not rows.shape[1]):
         problem = (

@@ -23,12 +23,7 @@ Decoder = Callable[[np.ndarray], np.ndarray]
 
 
 def read_autoencoder(path: str | Path) -> Decoder:
-    """The decoder in a checkpoint, read with torch's restricted loader.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged or of another kind.
-    """
+    """Return the decoder in a checkpoint, read with torch's restricted loader."""
     path = Path(path)
     content = load_torch(path, _WHAT, "give the best_ckpt.pth that LangSplat's train.py wrote")
     names = content if isinstance(content, dict) else {}

@@ -24,12 +24,8 @@ def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
     level before them.
 
     Args:
-        path: the file, for messages.
         planes: [4, H, W] labels, global row numbers or -1.
         rows: M, the number of embeddings.
-
-    Raises:
-        FileFormatError: labels are not whole numbers from -1 to M - 1, or the levels overlap.
     """
     starts: list[int] = []
     end = 0
@@ -56,7 +52,7 @@ def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
 
 
 def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[int, int] | None:
-    """The first and the last row that a plane names, None if it names none."""
+    """Return the first and the last row that a plane names, None if it names none."""
     low, high, lowest = rows, -1, rows
     fractions = False
     for some in _strips(plane):
@@ -86,7 +82,7 @@ def _strips(plane: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def copy_labels(plane: np.ndarray, block: slice, out: NDArray[np.int32]) -> bool:
-    """A plane's labels, counted from the first row of their level's block, in ``out`` [H, W]; -1 stays.
+    """Return a plane's labels, counted from the first row of their level's block, in ``out`` [H, W]; -1 stays.
 
     Returns:
         Whether all labels lie within the block; if not, what is in ``out`` is of no use.
@@ -102,14 +98,14 @@ def copy_labels(plane: np.ndarray, block: slice, out: NDArray[np.int32]) -> bool
 
 
 def _whole_numbers(plane: np.ndarray) -> NDArray[np.signedinteger]:
-    """A plane cut to integers; what does not fit becomes another number."""
+    """Return a plane cut to integers; what does not fit becomes another number."""
     narrow = plane.dtype.itemsize <= 4  # beyond 32 bits such floats are refused by their size in any case
     with np.errstate(invalid="ignore"):
         return plane.astype(np.int32 if narrow else np.int64)
 
 
 def _lowest(plane: np.ndarray) -> int:
-    """The lowest label of 0 or more in a plane of integers; something larger than any label where there is none."""
+    """Return the lowest label of 0 or more in a plane of integers; more than any label if there is none."""
     if plane.dtype.kind == "i":  # negative ones are the largest numbers without sign
         return int(plane.view(plane.dtype.str.replace("i", "u")).min())
     return int(plane.min())

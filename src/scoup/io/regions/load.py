@@ -143,7 +143,7 @@ def _check_view(view: StoredView, camera: Camera, first: StoredView) -> None:
 
 
 def _same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether two sizes are of one image: alike in shape, but for a pixel lost by rounding or truncation."""
+    """Return whether two sizes are of one image: alike in shape, but for a pixel lost by rounding or truncation."""
     small, large = sorted((one, other))
     ratio = (small[0] / small[1]) / (large[0] / large[1])
     most = 1.0 / min(small)  # what a pixel of the smaller one is of its shorter side
@@ -159,11 +159,7 @@ def _at_camera(labels: Tensor, camera: Camera) -> Tensor:
 
 
 def _normalized(path: Path, rows: np.ndarray) -> Tensor:
-    """[R, D] float32 stored embeddings scaled to unit norm.
-
-    Raises:
-        FileFormatError: a row is not finite.
-    """
+    """Return [R, D] float32 stored embeddings scaled to unit norm."""
     with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
         wide = np.asarray(rows, dtype=np.float64)
     if not np.isfinite(wide).all():

@@ -22,27 +22,19 @@ LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
 
 @dataclass(frozen=True)
 class RegionManifest:
-    """What all views of a folder have in common.
+    """The settings that all views of a folder share."""
 
-    Attributes:
-        layout: "compact" (one ``.regions`` file a view) or "langsplat" (two ``.npy`` files a view).
-        embedding_model: id of the model that made the embeddings; "" if it is not known.
-        settings: everything else that decides the numbers; plain JSON values.
-    """
-
-    layout: Layout
-    embedding_model: str
+    layout: Layout  # "compact" (one ``.regions`` file a view) or "langsplat" (two ``.npy`` files a view)
+    embedding_model: str  # id of the model that made the embeddings; "" if it is not known
+    # everything else that decides the numbers; plain JSON values
     settings: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, layout: Layout, embedding_model: str, settings: dict[str, Any], bits: int) -> RegionManifest:
-        """The manifest of new features.
+        """Return the manifest of new features.
 
         Args:
             bits: of a stored embedding number in the compact layout, 16 or 32; LangSplat's files always hold 32.
-
-        Raises:
-            InputError: another number of bits.
         """
         if bits not in (16, 32):
             raise InputError(f"embeddings are stored with 16 or 32 bits, not {bits}")
@@ -75,11 +67,7 @@ class RegionManifest:
 
 
 def read_manifest(folder: Path) -> RegionManifest | None:
-    """The manifest of a folder of region features; None where there is none.
-
-    Raises:
-        FileFormatError: it is damaged, or of a newer version.
-    """
+    """Return the manifest of a folder of region features; None where there is none."""
     path = folder / MANIFEST
     if not path.is_file():
         return None
@@ -95,11 +83,7 @@ def read_manifest(folder: Path) -> RegionManifest | None:
 
 
 def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = False) -> None:
-    """Write a folder's manifest atomically. Several processes may do so at once if they agree.
-
-    Raises:
-        InputError: there is another manifest already and ``overwrite`` is false.
-    """
+    """Write a folder's manifest atomically. Several processes may do so at once if they agree."""
     record = {
         "schema": SCHEMA,
         "version": VERSION,

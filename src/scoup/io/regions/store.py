@@ -29,26 +29,15 @@ _LAYOUTS: dict[Layout, RegionLayout] = {"compact": compact, "langsplat": langspl
 
 @dataclass(frozen=True)
 class RegionStore:
-    """A folder of region features. Views are complete or not there.
+    """A folder of region features. Views are complete or not there."""
 
-    Attributes:
-        folder: of the features themselves.
-        manifest: how they were made; None for features of other programs.
-        layout: of the files; that of the manifest where there is one.
-    """
-
-    folder: Path
-    manifest: RegionManifest | None = None
-    layout: Layout = "langsplat"
+    folder: Path  # of the features themselves
+    manifest: RegionManifest | None = None  # how they were made; None for features of other programs
+    layout: Layout = "langsplat"  # of the files; that of the manifest where there is one
 
     @classmethod
     def open(cls, folder: str | Path) -> RegionStore:
-        """The store in a folder of region features, or in a scene folder with ``language_features`` in it.
-
-        Raises:
-            MissingFileError: there is no such folder.
-            FileFormatError: the manifest is damaged, or of a newer version.
-        """
+        """Return the store in a folder of region features, or in a scene folder with ``language_features`` in it."""
         path = existing_folder(folder, "a folder of region features", "make them first, or check the path")
         path = region_folder(path)
         manifest = read_manifest(path)
@@ -61,14 +50,11 @@ class RegionStore:
 
     @classmethod
     def create(cls, folder: Path, manifest: RegionManifest, overwrite: bool = False) -> RegionStore:
-        """The store of a manifest, to ``begin`` and write to; a folder with the same manifest is continued.
+        """Return the store of a manifest, to ``begin`` and write to; a folder with the same manifest is continued.
 
         Args:
             folder: made by ``begin`` if it is missing.
             overwrite: allow another manifest to be there, which ``begin`` replaces.
-
-        Raises:
-            InputError: the folder holds something else, or was made with other settings; nothing has changed then.
         """
         cls.check_new(folder, manifest, overwrite)
         return cls(folder, manifest, manifest.layout)
@@ -77,11 +63,7 @@ class RegionStore:
     def check_new(
         cls, folder: Path, manifest: RegionManifest, overwrite: bool = False
     ) -> RegionManifest | None:
-        """Check that views of a manifest may be written into a folder; the manifest that is there, None for none.
-
-        Raises:
-            InputError: as ``create``.
-        """
+        """Check that views of a manifest may be written into a folder; the manifest that is there, None for none."""
         if folder.is_file():
             raise InputError(f"{folder}: is a file; give the name of a folder")
         there = read_manifest(folder) if folder.is_dir() else None
@@ -107,9 +89,6 @@ class RegionStore:
 
         Args:
             overwrite: in place of another one; views made under that one no longer count.
-
-        Raises:
-            InputError: there is another one, and ``overwrite`` is false.
         """
         if self.manifest is not None and read_manifest(self.folder) != self.manifest:
             write_manifest(self.folder, self.manifest, overwrite)
@@ -125,15 +104,11 @@ class RegionStore:
         return "" if self.manifest is None else self.manifest.fingerprint
 
     def files(self, stem: str) -> list[Path]:
-        """The files of a view, whether they are there or not; labels first."""
+        """Return the files of a view, whether they are there or not; labels first."""
         return [self.folder / f"{stem}{ending}" for ending in self.endings]
 
     def stems(self) -> list[str]:
-        """Stems of the views that count: not those made under a manifest that was given up.
-
-        Raises:
-            FileFormatError: a file is damaged, or of a newer version.
-        """
+        """Stems of the views that count: not those made under a manifest that was given up."""
         ending = self.endings[0]
         stems = [path.name.removesuffix(ending) for path in view_files(self.folder, ending)]
         if self.layout == "langsplat":  # whose files do not name their manifest
@@ -141,19 +116,11 @@ class RegionStore:
         return [stem for stem in stems if self._counts(self.open_view(stem))]
 
     def open_view(self, stem: str) -> StoredView:
-        """A view, whatever manifest it was made under.
-
-        Raises:
-            MissingFileError, FileFormatError: a file is missing, damaged, or of a newer version.
-        """
+        """Return a view, whatever manifest it was made under."""
         return _LAYOUTS[self.layout].open_view(self.folder, stem)
 
     def view(self, stem: str) -> StoredView | None:
-        """A view that counts; None if there is none.
-
-        Raises:
-            FileFormatError: as ``open_view``.
-        """
+        """Return a view that counts; None if there is none."""
         if not all(path.is_file() for path in self.files(stem)):
             return None
         view = self.open_view(stem)
@@ -163,7 +130,7 @@ class RegionStore:
         return self.manifest is None or view.manifest in (None, self.fingerprint)
 
     def has(self, name: str, photograph: str) -> bool:
-        """Whether the view was made under this manifest from this photograph (its SHA-256)."""
+        """Return whether the view was made under this manifest from this photograph (its SHA-256)."""
         try:
             origin = _LAYOUTS[self.layout].origin(self.folder, stem_of(name))
         except ScoupError:  # not there, or damaged: made anew
@@ -171,11 +138,7 @@ class RegionStore:
         return origin == (self.fingerprint, photograph)
 
     def check_free(self, stems: Iterable[str], overwrite: bool) -> None:
-        """Check that these views may be written.
-
-        Raises:
-            OutputExistsError, InputError: as ``atomic.check_output``.
-        """
+        """Check that these views may be written."""
         for stem in stems:
             for path in self.files(stem):
                 check_output(path, overwrite)
@@ -186,9 +149,6 @@ class RegionStore:
         Args:
             stem: of the files; that of the view's name if None.
             overwrite: in place of an older one.
-
-        Raises:
-            OutputExistsError, InputError: as ``atomic.check_output``.
         """
         stem = stem_of(regions.name) if stem is None else stem
         if self.layout == "compact":
@@ -199,5 +159,5 @@ class RegionStore:
         return self.size_of(stem)
 
     def size_of(self, stem: str) -> int:
-        """Bytes of the files of a view."""
+        """Return bytes of the files of a view."""
         return sum(path.stat().st_size for path in self.files(stem))

@@ -18,19 +18,13 @@ REMEDY = "extract the features again"
 
 @dataclass(frozen=True, eq=False)
 class ViewRegions:
-    """The regions of one view in memory, in the orientation of the stored photograph.
+    """The regions of one view in memory, in the orientation of the stored photograph."""
 
-    Attributes:
-        name: of the image; "" where a layout does not keep it.
-        labels: level -> [H, W] int32 rows of that level's embeddings, -1 for none; one size for all levels.
-        embeddings: level -> [R, D] floating point.
-        photograph: SHA-256 of the photograph's file; "" if it is not known.
-    """
-
-    name: str
+    name: str  # of the image; "" where a layout does not keep it
+    # level -> [H, W] int32 rows of that level's embeddings, -1 for none; one size for all levels
     labels: dict[str, NDArray[np.int32]]
-    embeddings: dict[str, NDArray[np.floating]]
-    photograph: str = ""
+    embeddings: dict[str, NDArray[np.floating]]  # level -> [R, D] floating point
+    photograph: str = ""  # SHA-256 of the photograph's file; "" if it is not known
 
     def __len__(self) -> int:
         return sum(len(rows) for rows in self.embeddings.values())
@@ -69,15 +63,15 @@ class StoredView(Protocol):
     def embeddings_path(self) -> Path: ...
 
     def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
-        """[levels, H, W] labels as stored: rows of each level's own embeddings, or -1."""
+        """Return [levels, H, W] labels as stored: rows of each level's own embeddings, or -1."""
         ...
 
     def embeddings(self, level: str) -> NDArray[np.floating]:
-        """[R, D] embeddings of a level, as stored."""
+        """Return [R, D] embeddings of a level, as stored."""
         ...
 
     def read(self) -> ViewRegions:
-        """Everything the view holds."""
+        """Return everything the view holds."""
         ...
 
 
@@ -90,11 +84,7 @@ class RegionLayout(Protocol):
         ...
 
     def open_view(self, folder: Path, stem: str) -> StoredView:
-        """A view whose files are there.
-
-        Raises:
-            MissingFileError, FileFormatError: a file is missing, something else, damaged, or of a newer version.
-        """
+        """Return a view whose files are there."""
         ...
 
     def write_view(
@@ -104,42 +94,31 @@ class RegionLayout(Protocol):
 
         Args:
             manifest: fingerprint of the folder's manifest, "" if there is none.
-
-        Raises:
-            OutputExistsError, InputError: as ``atomic.check_output``.
         """
         ...
 
     def origin(self, folder: Path, stem: str) -> tuple[str, str]:
-        """What a view was made from: fingerprint of the manifest, SHA-256 of the photograph; "" if not known.
-
-        Raises:
-            MissingFileError, FileFormatError: as ``open_view``.
-        """
+        """Return the fingerprint of the manifest and the SHA-256 of the photograph; "" if not known."""
         ...
 
 
 def region_folder(path: Path) -> Path:
-    """The folder of region features of a scene folder; ``path`` itself where it is none."""
+    """Return the folder of region features of a scene folder; ``path`` itself where it is none."""
     return path / FOLDER_NAME if (path / FOLDER_NAME).is_dir() else path
 
 
 def stem_of(name: str) -> str:
-    """An image name without folders, cut at its first dot: the stem of region files."""
+    """Return an image name without folders, cut at its first dot: the stem of region files."""
     return Path(name).name.split(".", 1)[0]
 
 
 def view_files(folder: Path, ending: str) -> list[Path]:
-    """The files of a folder with that ending, in order, without the hidden ones that a killed process leaves."""
+    """Return the files of a folder with that ending, in order, without the hidden ones that a killed process leaves."""
     return sorted(path for path in folder.glob(f"*{ending}") if not path.name.startswith("."))
 
 
 def check_stems(folder: Path, names: Iterable[str]) -> None:
-    """Refuse two images whose region files would have one name.
-
-    Raises:
-        InputError: there are such images.
-    """
+    """Refuse two images whose region files would have one name."""
     by_stem: dict[str, str] = {}
     for name in names:
         other = by_stem.setdefault(stem_of(name), name)

@@ -65,11 +65,7 @@ def keep_finite(
     sh: np.ndarray,
     source: str,
 ) -> tuple[Gaussians, np.ndarray]:
-    """Gaussians of the rows whose activated values are all finite, and a boolean [N] saying which they are.
-
-    Warns:
-        ScoupWarning: some rows were dropped; says how many.
-    """
+    """Gaussians of the rows whose activated values are all finite, and a boolean [N] saying which they are."""
     arrays = [means, quats, scales, opacities, sh]
     kept = finite_rows(arrays)
     if not kept.all():
@@ -80,7 +76,7 @@ def keep_finite(
 
 
 def finite_rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Boolean [N]: rows that are finite in all arrays [N, ...]."""
+    """Return boolean [N]: rows that are finite in all arrays [N, ...]."""
     kept = np.ones(len(arrays[0]), bool)
     for array in arrays:
         kept &= np.isfinite(array).all(tuple(range(1, array.ndim)))
@@ -98,11 +94,7 @@ def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) 
 
 
 def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarray]:
-    """means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other values.
-
-    Raises:
-        InputError: some Gaussians have values that are not finite; an infinite opacity is 1.
-    """
+    """means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other values."""
     if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
         raise InputError(f"{path}: some Gaussians have values that are not finite; leave these out first")
     arrays = {
@@ -113,7 +105,7 @@ def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarra
 
 
 def _settled(raw: np.ndarray, wanted: np.ndarray, forward: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Where ``raw`` does not map to ``wanted``, one of its float32 neighbours may."""
+    """Return ``raw``, or a float32 neighbour where that maps to ``wanted`` and ``raw`` does not."""
     wrong = np.flatnonzero((forward(raw) != wanted).ravel() & np.isfinite(raw.ravel()))
     if not len(wrong):
         return raw

@@ -40,7 +40,7 @@ WRITERS: dict[str, Callable[[Gaussians, str | Path, bool], None]] = {
 
 
 def written_suffix(path: str | Path) -> str:
-    """The suffix of a name, as ``WRITERS`` knows it."""
+    """Return the suffix of a name, as ``WRITERS`` knows it."""
     name = Path(path).name.lower()
     return COMPRESSED_PLY if name.endswith(COMPRESSED_PLY) else Path(name).suffix
 

@@ -44,16 +44,7 @@ with open(target, "wb") as stream:
 
 
 def read_through_gaussforge(path: str | Path) -> Gaussians:
-    """Read a .ksplat or .sog file.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged.
-        ScoupError: gaussforge is not installed.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite were dropped.
-    """
+    """Read a .ksplat or .sog file."""
     path = existing_file(path, "a splat")
     with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
         made = Path(folder) / "splat.ply"
@@ -67,12 +58,7 @@ def read_through_gaussforge(path: str | Path) -> Gaussians:
 
 
 def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
-    """Write a .ksplat or .sog file.
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
-        ScoupError: gaussforge is not installed, or fails.
-    """
+    """Write a .ksplat or .sog file."""
     path = Path(path)
     with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
         plain, made = Path(folder) / "splat.ply", Path(folder) / "converted"
@@ -84,7 +70,7 @@ def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: 
 
 
 def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:
-    """Whether gaussforge has converted a file, in a process of its own."""
+    """Return whether gaussforge has converted a file, in a process of its own."""
     if not _is_installed():
         raise ScoupError(f".{wanted if kind == 'ply' else kind} {HOW_TO_GET_IT}")
     size = source.stat().st_size

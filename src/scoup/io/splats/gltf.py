@@ -65,7 +65,7 @@ def read_gltf(path: str | Path) -> Gaussians:
 
 
 def read_gltf_features(path: str | Path) -> GaussianFeatures | None:
-    """The classes of the Gaussians that ``read_gltf`` gives, in the same order; None where the file has none.
+    """Return the classes of the Gaussians that ``read_gltf`` gives, in the same order; None where the file has none.
 
     Of several sets of feature ids the first one with a property table counts.
 
@@ -200,7 +200,7 @@ def _writable(gaussians: Gaussians, path: Path) -> Columns:
 
 
 def _root(builder: GltfBuilder, gaussians: Gaussians, features: GaussianFeatures | None) -> dict[str, Any]:
-    """The JSON of one primitive, whose columns go to ``builder``."""
+    """Return the JSON of one primitive, whose columns go to ``builder``."""
     sh, opacities = gaussians.sh.numpy(), gaussians.opacities.numpy()[:, None]
     attributes = {
         "POSITION": builder.add_attribute(gaussians.means.numpy(), bounds=True),
@@ -230,7 +230,7 @@ def _root(builder: GltfBuilder, gaussians: Gaussians, features: GaussianFeatures
 
 
 def _fallback(base: np.ndarray, opacities: np.ndarray) -> np.ndarray:
-    """[N, 4] uint16 colour of SH degree 0 in linear RGB, and opacity, for viewers that show points only."""
+    """Return [N, 4] uint16 colour of SH degree 0 in linear RGB, and opacity, for viewers that show points only."""
     with np.errstate(all="ignore"):
         encoded = (base.astype(np.float64) * SH_C0 + 0.5).clip(0.0, 1.0)
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

@@ -23,13 +23,13 @@ _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 
 def accessor_count(document: GltfDocument, index: Any, what: str) -> int:
-    """Number of rows that an accessor says it has; nothing is read."""
+    """Return number of rows that an accessor says it has; nothing is read."""
     entry = document.entry("accessors", index, what)
     return document.whole(entry.get("count"), f"the count of {what}", low=1)
 
 
 def raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tuple[np.ndarray, bool]:
-    """A column as it stands in its buffer, and whether its integers are normalised.
+    """Return a column as it stands in its buffer, and whether its integers are normalised.
 
     Args:
         index: of the accessor.
@@ -38,9 +38,6 @@ def raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tu
 
     Returns:
         [N, width] of the type of the file, a view of the buffer.
-
-    Raises:
-        FileFormatError: it is of another type, points outside of its buffer, or is sparse.
     """
     entry = document.entry("accessors", index, what)
     if entry.get("type") != kind:
@@ -68,11 +65,7 @@ def raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tu
 def read_accessor(
     document: GltfDocument, index: Any, kind: str, what: str, integers: Integers = "none"
 ) -> np.ndarray:
-    """The values of a column: [N, width] float32; see ``raw_accessor``.
-
-    Raises:
-        FileFormatError: also where it is stored as integers that ``integers`` does not allow.
-    """
+    """Return the values of a column: [N, width] float32; see ``raw_accessor``."""
     rows, normalised = raw_accessor(document, index, kind, what)
     if rows.dtype.kind == "f":
         return rows.astype(np.float32)

@@ -25,7 +25,6 @@ class GltfDocument:
     """The JSON of a glTF file and its buffers; every access to either is checked.
 
     Args:
-        path: the file.
         root: its JSON.
         binary: the binary chunk of a .glb file.
     """
@@ -41,11 +40,7 @@ class GltfDocument:
         return FileFormatError(self.path, problem, remedy)
 
     def whole(self, value: Any, what: str, low: int = 0, default: int | None = None) -> int:
-        """``value`` as a whole number of at least ``low``; ``default`` where it is missing.
-
-        Raises:
-            FileFormatError: it is anything else.
-        """
+        """``value`` as a whole number of at least ``low``; ``default`` where it is missing."""
         if value is None and default is not None:
             return default
         if isinstance(value, float) and value == value // 1 and abs(value) < _LARGEST:
@@ -55,14 +50,14 @@ class GltfDocument:
         return value
 
     def entries(self, name: str) -> list[Any]:
-        """The list ``name`` at the top of the JSON; empty where there is none."""
+        """Return the list ``name`` at the top of the JSON; empty where there is none."""
         value = self.root.get(name, [])
         if not isinstance(value, list):
             raise self.error(f"{name} is not a list")
         return value
 
     def entry(self, name: str, index: Any, what: str) -> dict[str, Any]:
-        """The object that ``what`` points to by its index in the list ``name``."""
+        """Return the object that ``what`` points to by its index in the list ``name``."""
         items = self.entries(name)
         number = self.whole(index, f"the index of {what}")
         if number >= len(items):
@@ -72,7 +67,7 @@ class GltfDocument:
         return items[number]
 
     def names(self, name: str) -> list[str]:
-        """A list of names at the top of the JSON, such as ``extensionsUsed``."""
+        """Return a list of names at the top of the JSON, such as ``extensionsUsed``."""
         return [item for item in self.entries(name) if isinstance(item, str)]
 
     @property
@@ -81,7 +76,7 @@ class GltfDocument:
         return (0 if self._binary is None else len(self._binary)) + sum(map(len, self._sources.values()))
 
     def view(self, index: Any, what: str) -> tuple[memoryview, int]:
-        """The bytes of a buffer view and its stride (0 where it has none)."""
+        """Return the bytes of a buffer view and its stride (0 where it has none)."""
         entry = self.entry("bufferViews", index, f"the buffer view of {what}")
         data = self._buffer(entry.get("buffer"), what)
         offset = self.whole(entry.get("byteOffset"), f"the offset of {what}", default=0)
@@ -123,7 +118,7 @@ class GltfDocument:
         return self._sources[uri]
 
     def _external(self, uri: str) -> bytes:
-        """A file beside or below the .gltf; never one outside of its folder, through a link either."""
+        """Return a file beside or below the .gltf; never one outside of its folder, through a link either."""
         refused = self.error(
             f"a buffer is {uri[:60]!a}, which is not a file in its folder",
             "put all files of it into one folder, or export it as .glb",
@@ -146,19 +141,14 @@ class GltfDocument:
 
 
 def extension(item: dict[str, Any], name: str) -> dict[str, Any] | None:
-    """An extension of an object of the JSON, if it has it."""
+    """Return an extension of an object of the JSON, if it has it."""
     extensions = item.get("extensions")
     value = extensions.get(name) if isinstance(extensions, dict) else None
     return value if isinstance(value, dict) else None
 
 
 def read_document(path: str | Path) -> GltfDocument:
-    """Open a .glb or .gltf file; which of the two is seen from its first bytes.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not glTF 2.
-    """
+    """Open a .glb or .gltf file; which of the two is seen from its first bytes."""
     path = existing_file(path, "a glTF file (.glb or .gltf)")
     data = read_bytes(path)
     text, binary = _chunks(path, data) if data[:4] == MAGIC else (data, None)

@@ -27,18 +27,16 @@ _OFFSETS = {f"UINT{8 * size}": np.dtype(f"<u{size}") for size in (1, 2, 4, 8)}
 class GaussianFeatures:
     """The class of every Gaussian, as glTF viewers find it.
 
-    Attributes:
-        ids: [N] int64 on the CPU, the position of a name in ``names``; -1 for none of them. Any integers are taken.
-        names: C names of classes, at least one; none is empty.
-        label: what the classes are called in the file: letters, digits and underscores.
-
     Raises:
         InputError: an attribute is not as above.
     """
 
-    ids: Tensor  # [N]
+    ids: Tensor
+    """[N] int64 on the CPU, the position of a name in ``names``; -1 for none of them. Any integers are taken."""
     names: tuple[str, ...]
+    """C names of classes, at least one; none is empty."""
     label: str = "label"
+    """What the classes are called in the file: letters, digits and underscores."""
 
     def __post_init__(self) -> None:
         ids = torch.as_tensor(self.ids).detach().cpu()
@@ -57,7 +55,7 @@ class GaussianFeatures:
 
 
 def stored_ids(features: GaussianFeatures) -> np.ndarray:
-    """[N, 1] of the smallest type that holds all ids; the number of classes stands for none of them."""
+    """Return [N, 1] of the smallest type that holds all ids; the number of classes stands for none of them."""
     count = len(features.names)
     dtype = np.uint8 if count <= 255 else np.uint16 if count <= 65_535 else np.float32
     ids = features.ids.numpy()
@@ -65,7 +63,7 @@ def stored_ids(features: GaussianFeatures) -> np.ndarray:
 
 
 def table_columns(features: GaussianFeatures) -> tuple[bytes, bytes, bytes]:
-    """Names one after another in UTF-8, where each begins (and the last ends), and how many Gaussians each has."""
+    """Return the names in UTF-8, the offsets of their starts (and of the last end), and the Gaussians of each."""
     names = [name.encode() for name in features.names]
     offsets = np.cumsum([0, *map(len, names)]).astype("<u4")
     ids = features.ids.numpy()
@@ -74,14 +72,14 @@ def table_columns(features: GaussianFeatures) -> tuple[bytes, bytes, bytes]:
 
 
 def features_json(features: GaussianFeatures) -> dict[str, Any]:
-    """The extension of a primitive whose attribute _FEATURE_ID_0 holds ``stored_ids``."""
+    """Return the extension of a primitive whose attribute _FEATURE_ID_0 holds ``stored_ids``."""
     count = len(features.names)
     found = {"attribute": 0, "featureCount": count, "label": features.label}
     return {"featureIds": [{**found, "nullFeatureId": count, "propertyTable": 0}]}
 
 
 def metadata_json(features: GaussianFeatures, views: tuple[int, int, int]) -> dict[str, Any]:
-    """The extension of the file; ``views`` are the buffer views of ``table_columns``."""
+    """Return the extension of the file; ``views`` are the buffer views of ``table_columns``."""
     properties = {
         "name": {"type": "STRING", "required": True, "description": "Name of the class"},
         "count": {
@@ -105,7 +103,9 @@ def metadata_json(features: GaussianFeatures, views: tuple[int, int, int]) -> di
 
 
 def primitive_ids(document: GltfDocument, primitive: dict[str, Any], count: int) -> np.ndarray | None:
-    """[N] int64 ids of a primitive of N = ``count`` Gaussians as they are stored, -1 for none; None if it has none."""
+    """Return [N] int64 ids of a primitive of N = ``count`` Gaussians as they are stored, -1 for none; None if it has
+    none.
+    """
     found = id_set(document, primitive)
     if found is None:
         return None
@@ -123,7 +123,7 @@ def primitive_ids(document: GltfDocument, primitive: dict[str, Any], count: int)
 
 
 def id_set(document: GltfDocument, primitive: dict[str, Any]) -> dict[str, Any] | None:
-    """The first set of ids of a primitive that is stored as an attribute and has a table."""
+    """Return the first set of ids of a primitive that is stored as an attribute and has a table."""
     sets = (extension(primitive, FEATURES) or {}).get("featureIds", [])
     if not isinstance(sets, list):
         raise document.error("featureIds is not a list")
@@ -134,7 +134,7 @@ def id_set(document: GltfDocument, primitive: dict[str, Any]) -> dict[str, Any] 
 
 
 def table_names(document: GltfDocument, index: Any) -> tuple[str, ...]:
-    """The names in a property table: its property ``name`` or else the first one that holds texts."""
+    """Return the names in a property table: its property ``name`` or else the first one that holds texts."""
     tables = (extension(document.root, METADATA) or {}).get("propertyTables")
     number = document.whole(index, "the property table of feature ids")
     if not isinstance(tables, list) or number >= len(tables) or not isinstance(tables[number], dict):

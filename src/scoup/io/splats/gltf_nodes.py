@@ -22,25 +22,18 @@ _APPLY = "apply the transform of the node in the program that made the file, and
 
 @dataclass(frozen=True)
 class Similarity:
-    """x -> scale * rotation @ x + translation; all float64.
-
-    Attributes:
-        rotation: [3, 3].
-        translation: [3].
-    """
+    """x -> scale * rotation @ x + translation; all float64."""
 
     scale: float
-    rotation: np.ndarray
-    translation: np.ndarray
+    rotation: np.ndarray  # [3, 3]
+    translation: np.ndarray  # [3]
 
 
 def placed_splats(document: GltfDocument) -> Iterator[tuple[dict[str, Any], Similarity | None]]:
-    """The primitives with Gaussians of the scene, each with its way to the world (None where it stands there already).
+    """Yield the primitives with Gaussians of the scene, each with its way to the world (None where it stands there
+    already).
 
     A mesh that several nodes use comes once for each of them.
-
-    Raises:
-        FileFormatError: nodes form no tree, or a transform is not finite, not uniform, or mirrors.
     """
     of_meshes: dict[int, list[dict[str, Any]]] = {}
     waiting = [(root, np.eye(4)) for root in reversed(_roots(document))]
@@ -64,7 +57,7 @@ def placed_splats(document: GltfDocument) -> Iterator[tuple[dict[str, Any], Simi
 
 
 def splat_primitives(document: GltfDocument, mesh: int) -> list[dict[str, Any]]:
-    """The primitives of a mesh that hold Gaussians."""
+    """Return the primitives of a mesh that hold Gaussians."""
     primitives = document.entry("meshes", mesh, "a mesh").get("primitives")
     if not isinstance(primitives, list):
         raise document.error(f"meshes[{mesh}] has no primitives")
@@ -97,7 +90,7 @@ def _combined(document: GltfDocument, above: np.ndarray, node: dict[str, Any], i
 
 
 def _own_matrix(document: GltfDocument, node: dict[str, Any], index: int) -> np.ndarray:
-    """[4, 4] float64 of a node's matrix, or of its translation, rotation and scale."""
+    """Return [4, 4] float64 of a node's matrix, or of its translation, rotation and scale."""
 
     def numbers(name: str, default: list[float]) -> np.ndarray:
         place = f"nodes[{index}].{name}"

@@ -29,7 +29,7 @@ Columns = dict[str, np.ndarray]
 
 
 def read_primitive(document: GltfDocument, primitive: dict[str, Any]) -> Columns:
-    """The values of one primitive in its own frame."""
+    """Return the values of one primitive in its own frame."""
     _check_primitive(document, primitive)
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict) or "POSITION" not in attributes:
@@ -74,7 +74,7 @@ def _check_primitive(document: GltfDocument, primitive: dict[str, Any]) -> None:
 
 
 def _degree(attributes: dict[str, Any]) -> int:
-    """The highest degree of which there is a coefficient; those that are missing are found when they are read."""
+    """Return the highest degree that has a coefficient; missing coefficients are found when they are read."""
     return max(
         degree
         for degree in range(SH_DEGREE + 1)
@@ -83,7 +83,7 @@ def _degree(attributes: dict[str, Any]) -> int:
 
 
 def sh_names(degree: int) -> list[str]:
-    """The attributes of all coefficients up to a degree, in our order."""
+    """Return the attributes of all coefficients up to a degree, in our order."""
     return [
         f"{SPLATS}:SH_DEGREE_{level}_COEF_{order}"
         for level in range(degree + 1)
@@ -92,7 +92,7 @@ def sh_names(degree: int) -> list[str]:
 
 
 def transformed(columns: Columns, similarity: Similarity) -> Columns:
-    """The values of a primitive in the frame of the world, computed in float64 and rounded once."""
+    """Return the values of a primitive in the frame of the world, computed in float64 and rounded once."""
     with np.errstate(all="ignore"):
         means = columns["means"].astype(np.float64) @ (similarity.scale * similarity.rotation).T
         return {

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def rotation_from_quat(quat: np.ndarray) -> np.ndarray | None:
-    """[3, 3] float64 of a quaternion (w, x, y, z), which is normalised first; None for one without a direction."""
+    """Return the rotation [3, 3] float64 of a quaternion (w, x, y, z) of any norm; None if that is 0 or infinite."""
     largest = np.abs(quat).max()
     if not 0 < largest < np.inf:
         return None
@@ -22,7 +22,7 @@ def rotation_from_quat(quat: np.ndarray) -> np.ndarray | None:
 
 
 def quat_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """[4] float64 unit quaternion (w, x, y, z) of a rotation [3, 3]."""
+    """Return [4] float64 unit quaternion (w, x, y, z) of a rotation [3, 3]."""
     r = rotation
     # The column of the outer product of the quaternion with itself that has the largest diagonal is the most exact.
     outer = np.array(
@@ -65,7 +65,9 @@ def rotated_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def sh_basis(directions: np.ndarray) -> np.ndarray:
-    """[M, 16] float64 real spherical harmonics with the signs of 3DGS, which are those of KHR_gaussian_splatting."""
+    """Return [M, 16] float64 real spherical harmonics with the signs of 3DGS, which are those of
+    KHR_gaussian_splatting.
+    """
     x, y, z = directions.T
     xx, yy, zz = x * x, y * y, z * z
     columns = [
@@ -90,7 +92,7 @@ def sh_basis(directions: np.ndarray) -> np.ndarray:
 
 
 def _directions(count: int = 64) -> np.ndarray:
-    """[count, 3] unit vectors, spread evenly in a spiral."""
+    """Return [count, 3] unit vectors, spread evenly in a spiral."""
     steps = np.arange(count) + 0.5
     height, angle = 1 - 2 * steps / count, steps * np.pi * (1 + 5**0.5)
     width = np.sqrt(1 - height**2)

@@ -64,11 +64,7 @@ class GltfBuilder:
         return len(self.accessors) - 1
 
     def glb(self, root: dict[str, Any]) -> list[bytes]:
-        """The parts of a .glb file; ``root`` is its JSON without buffers, views and accessors.
-
-        Raises:
-            InputError: it would be larger than such a file can be.
-        """
+        """Return the parts of a .glb file; ``root`` is its JSON without buffers, views and accessors."""
         text = self._json(root, {"byteLength": self._length})
         text += b" " * (-len(text) % 4)
         total = HEADER.size + 2 * CHUNK.size + len(text) + self._length
@@ -78,7 +74,7 @@ class GltfBuilder:
         return [header, text, CHUNK.pack(self._length, BINARY_CHUNK), *self._parts]
 
     def gltf(self, root: dict[str, Any]) -> list[bytes]:
-        """The one part of a .gltf file with its buffer inside; see ``glb``."""
+        """Return the one part of a .gltf file with its buffer inside; see ``glb``."""
         body = base64.b64encode(b"".join(self._parts)).decode()
         uri = f"data:application/octet-stream;base64,{body}"
         return [self._json(root, {"byteLength": self._length, "uri": uri})]

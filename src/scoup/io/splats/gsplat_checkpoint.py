@@ -58,11 +58,7 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
 
 
 def exported_splat(results: str | Path) -> Path:
-    """The splat of the last step that gsplat's trainer exported: ply/point_cloud_<step>.ply.
-
-    Raises:
-        MissingFileError: there is none.
-    """
+    """Return the splat of the last step that gsplat's trainer exported: ply/point_cloud_<step>.ply."""
     steps = {
         int(found[1]): file
         for file in (Path(results) / "ply").glob("point_cloud_*.ply")
@@ -75,11 +71,7 @@ def exported_splat(results: str | Path) -> Path:
 
 
 def latest_ranks(folder: str | Path) -> list[Path]:
-    """The files of the latest step in a ckpts folder (or in the one inside ``folder``), in order of rank.
-
-    Raises:
-        MissingFileError: there are none, or a rank is missing.
-    """
+    """Return the files of the latest step in a ckpts folder (or in the one inside ``folder``), in order of rank."""
     folder = Path(folder)
     if (folder / "ckpts").is_dir():
         folder = folder / "ckpts"

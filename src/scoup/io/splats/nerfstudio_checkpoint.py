@@ -29,12 +29,12 @@ _SHAPES = {
 
 
 def is_splatfacto_name(path: str | Path) -> bool:
-    """Whether a file is named as nerfstudio names its checkpoints."""
+    """Return whether a file is named as nerfstudio names its checkpoints."""
     return _NAME.fullmatch(Path(path).name) is not None
 
 
 def latest_checkpoint(run: str | Path) -> Path | None:
-    """The checkpoint of the last step in a run's folder, if there is one."""
+    """Return the checkpoint of the last step in a run's folder, if there is one."""
     steps = {}
     for file in (Path(run) / MODELS).glob("step-*.ckpt"):
         matched = _NAME.fullmatch(file.name)
@@ -44,11 +44,7 @@ def latest_checkpoint(run: str | Path) -> Path | None:
 
 
 def splat_of_run(run: str | Path) -> Path:
-    """The last checkpoint of a run, otherwise the splat exported into it or into its ``exports``.
-
-    Raises:
-        MissingFileError: there is neither, or several exports.
-    """
+    """Return the last checkpoint of a run, otherwise the splat exported into it or into its ``exports``."""
     run = Path(run)
     checkpoint = latest_checkpoint(run)
     if checkpoint is not None:
@@ -61,15 +57,7 @@ def splat_of_run(run: str | Path) -> Path:
 
 
 def read_splatfacto(path: str | Path) -> Gaussians:
-    """Read one checkpoint of splatfacto. It is read with torch's restricted loader: nothing in it is run.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged or holds something else.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite were dropped.
-    """
+    """Read one checkpoint of splatfacto. It is read with torch's restricted loader: nothing in it is run."""
     path = Path(path)
     raw = _tensors(path, load_torch(path, _WHAT, _EXPORT))
     count = {len(array) for array in raw.values()}

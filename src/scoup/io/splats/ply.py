@@ -33,17 +33,14 @@ _CHUNK = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class PlyTable:
-    """The vertices of a PLY file, untouched.
-
-    Attributes:
-        path: where it was read from.
-        rows: [N] structured array, one field a property, in the file's order, types and byte order.
-        comments: comment lines of the header, without the keyword.
-    """
+    """The vertices of a PLY file, untouched."""
 
     path: Path
-    rows: np.ndarray  # [N]
+    """Where it was read from."""
+    rows: np.ndarray
+    """[N] structured array, one field a property, in the file's order, types and byte order."""
     comments: tuple[str, ...] = ()
+    """Comment lines of the header, without the keyword."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -53,11 +50,11 @@ class PlyTable:
         return self.rows.dtype.names or ()
 
     def select(self, chosen: np.ndarray) -> PlyTable:
-        """The chosen rows, unchanged. ``chosen`` is a boolean mask [N] or row numbers [M]."""
+        """Return the chosen rows, unchanged. ``chosen`` is a boolean mask [N] or row numbers [M]."""
         return replace(self, rows=self.rows[chosen])
 
     def with_column(self, name: str, values: np.ndarray) -> PlyTable:
-        """The table with one more property at the end (or another one in its place), for example an id."""
+        """Return the table with one more property at the end (or another one in its place), for example an id."""
         kept = [(item, self.rows.dtype[item]) for item in self.names if item != name]
         # A PLY file has one byte order for all.
         order = ">" if any(kind.byteorder == ">" for _, kind in kept) else "<"
@@ -68,7 +65,7 @@ class PlyTable:
         return replace(self, rows=rows)
 
     def columns(self, names: tuple[str, ...], dtype: type = np.float32) -> np.ndarray:
-        """[N, len(names)] of ``dtype``, the named properties side by side."""
+        """Return [N, len(names)] of ``dtype``, the named properties side by side."""
         with np.errstate(all="ignore"):  # values of any kind may stand in a file
             return self._columns(names, dtype)
 
@@ -172,7 +169,7 @@ def read_ply(path: str | Path) -> Gaussians:
 
 
 def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
-    """The Gaussians as rows of the Inria layout: centre, zero normals, colour, opacity, scale, rotation."""
+    """Return the Gaussians as rows of the Inria layout: centre, zero normals, colour, opacity, scale, rotation."""
     values = {
         name: getattr(gaussians, name).detach().cpu().numpy() for name in ("means", "quats", "scales", "sh")
     }
@@ -203,7 +200,7 @@ def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
 
 
 def as_stored(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians as ``read_ply`` gives them after ``write_ply``; doing it twice changes nothing."""
+    """Return the Gaussians as ``read_ply`` gives them after ``write_ply``; doing it twice changes nothing."""
     return gaussians_from_table(table_from_gaussians(gaussians))[0].to(gaussians.device)
 
 

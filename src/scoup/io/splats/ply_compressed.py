@@ -18,7 +18,7 @@ SH_RANGE = 8.0  # bytes of higher SH cover -4 to 4
 
 
 def is_compressed(names: tuple[str, ...]) -> bool:
-    """Whether vertices with these properties are packed."""
+    """Return whether vertices with these properties are packed."""
     return set(_PACKED) <= set(names)
 
 
@@ -28,12 +28,6 @@ def read_compressed(path: Path, vertices: np.ndarray) -> Gaussians:
     Args:
         path: the file, for its elements ``chunk`` (value ranges of each block) and ``sh`` (if it has one).
         vertices: [N] its packed vertices.
-
-    Raises:
-        FileFormatError: blocks or SH rows are missing or do not fit the vertices.
-
-    Warns:
-        ScoupWarning: rows with values that are not finite were dropped.
     """
     packed = {name: vertices[name] for name in _PACKED}
     if any(column.dtype.kind != "u" or column.dtype.itemsize != 4 for column in packed.values()):
@@ -65,7 +59,7 @@ def read_compressed(path: Path, vertices: np.ndarray) -> Gaussians:
 def _within(
     path: Path, blocks: np.ndarray, block: np.ndarray, prefix: str, axes: str, share: np.ndarray
 ) -> np.ndarray:
-    """[N, 3] float64: ``share`` of the way from the minimum to the maximum of each row's block."""
+    """Return [N, 3] float64: ``share`` of the way from the minimum to the maximum of each row's block."""
     names = [f"{end}_{prefix}{axis}" for end in ("min", "max") for axis in axes]
     if not set(names) <= set(blocks.dtype.names or ()):
         raise _damaged(path, f"lacks {names[0]} or its like in its chunks")
@@ -85,7 +79,7 @@ def _bytes(packed: np.ndarray) -> np.ndarray:
 
 
 def _rotation(packed: np.ndarray) -> np.ndarray:
-    """[N, 4] quaternions w, x, y, z: two bits tell the largest component, the others have ten each."""
+    """Return [N, 4] quaternions w, x, y, z: two bits tell the largest component, the others have ten each."""
     others = np.stack([(packed >> shift & 1023) / 1023.0 for shift in (20, 10, 0)], axis=1)
     others = (others - 0.5) * np.sqrt(2.0)
     largest = np.sqrt(np.clip(1.0 - (others**2).sum(1), 0.0, None))
@@ -101,7 +95,7 @@ def _rotation(packed: np.ndarray) -> np.ndarray:
 
 
 def _higher_sh(path: Path, elements: tuple[str, ...], count: int) -> np.ndarray:
-    """[N, B - 1, 3] coefficients above degree 0."""
+    """Return [N, B - 1, 3] coefficients above degree 0."""
     if "sh" not in elements:
         return np.zeros((count, 0, 3))
     rows = read_rows(read_header(path, "sh"))

@@ -82,7 +82,7 @@ def _shares(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _word(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """[N] shares 0..1 side by side in 32 bits, the first of them highest."""
+    """Return [N] shares 0..1 side by side in 32 bits, the first of them highest."""
     word = np.zeros(len(shares), np.int64)
     for column, width in enumerate(bits):
         word = word << width | np.rint(shares[:, column] * ((1 << width) - 1)).astype(np.int64)
@@ -90,7 +90,7 @@ def _word(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _rotation(quats: np.ndarray) -> np.ndarray:
-    """[N] two bits for the largest of w, x, y, z, ten for each of the others."""
+    """Return [N] two bits for the largest of w, x, y, z, ten for each of the others."""
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
     quats = quats * np.where(quats[rows, largest] < 0, -1.0, 1.0)[:, None]

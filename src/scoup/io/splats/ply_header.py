@@ -30,24 +30,15 @@ _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "<"}
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """What a header says of one element, most often the vertices.
-
-    Attributes:
-        encoding: "binary_little_endian", "binary_big_endian" or "ascii".
-        count: number of rows; checked against the size of the file.
-        dtype: structured type of one row in the file's byte order.
-        offset: where the rows start, in bytes (always the first element of an ASCII file).
-        comments: comment lines, without the keyword.
-        elements: names of all elements of the file.
-    """
+    """The header of one element, most often the vertices."""
 
     path: Path
-    encoding: str
-    count: int
-    dtype: np.dtype
-    offset: int
-    comments: tuple[str, ...]
-    elements: tuple[str, ...]
+    encoding: str  # "binary_little_endian", "binary_big_endian" or "ascii"
+    count: int  # number of rows; checked against the size of the file
+    dtype: np.dtype  # structured type of one row in the file's byte order
+    offset: int  # where the rows start, in bytes (always the first element of an ASCII file)
+    comments: tuple[str, ...]  # comment lines, without the keyword
+    elements: tuple[str, ...]  # names of all elements of the file
 
 
 @dataclass
@@ -59,15 +50,7 @@ class _Element:
 
 
 def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
-    """Read the header and check it against the size of the file; takes no memory for the rows.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not a PLY file, or shorter than its header says.
-
-    Warns:
-        ScoupWarning: the file is longer than its header says.
-    """
+    """Read the header and check it against the size of the file; takes no memory for the rows."""
     path = existing_file(path, "a PLY file")
     try:
         size = os.path.getsize(path)
@@ -91,11 +74,7 @@ def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
 
 
 def ply_type(dtype: np.dtype) -> np.dtype:
-    """``dtype`` if PLY has such a number, else the nearest that it has.
-
-    Raises:
-        InputError: it is not a number.
-    """
+    """``dtype`` if PLY has such a number, else the nearest that it has."""
     if dtype.kind not in "biuf":
         raise InputError(f"a PLY property cannot hold values of type {dtype}")
     if dtype.str[1:] in _NAMES:
@@ -104,7 +83,7 @@ def ply_type(dtype: np.dtype) -> np.dtype:
 
 
 def format_header(dtype: np.dtype, count: int, comments: tuple[str, ...] = ()) -> bytes:
-    """The header of a binary file with ``count`` vertices of the structured type ``dtype``."""
+    """Return the header of a binary file with ``count`` vertices of the structured type ``dtype``."""
     names = dtype.names or ()
     big = any(dtype[name].byteorder == ">" for name in names)
     lines = ["ply", f"format binary_{'big' if big else 'little'}_endian 1.0"]

@@ -18,7 +18,7 @@ AT_A_TIME = 1 << 18  # rows of a large file
 
 
 def read_rows(header: PlyHeader) -> np.ndarray:
-    """The rows a header describes: [N] structured."""
+    """Return the rows a header describes: [N] structured."""
     return _read_ascii(header) if header.encoding == "ascii" else _read_binary(header, 0, header.count)
 
 
@@ -28,12 +28,6 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
     Args:
         header: of a file of any size.
         activate: values [M, ...] of some rows, by the names of ``Gaussians``.
-
-    Raises:
-        FileFormatError: the file cannot be read. WriteError: there is no room for the temporary files.
-
-    Warns:
-        ScoupWarning: rows that are not finite were dropped.
     """
     arrays: dict[str, np.ndarray] = {}
     count = 0

@@ -27,20 +27,12 @@ SHAPES: dict[str, tuple[int, ...]] = {
 
 
 def is_scenesplat(folder: Path) -> bool:
-    """Whether a folder holds Gaussians of this kind (points alone have no opacity)."""
+    """Return whether a folder holds Gaussians of this kind (points alone have no opacity)."""
     return (folder / "coord.npy").is_file() and (folder / "opacity.npy").is_file()
 
 
 def read_scenesplat(folder: str | Path) -> Gaussians:
-    """Gaussians of SH degree 0 from coord.npy, color.npy, opacity.npy, scale.npy and quat.npy.
-
-    Raises:
-        MissingFileError: one of them is not there.
-        FileFormatError: one holds no plain numbers, is cut short, or is of another size than the others.
-
-    Warns:
-        ScoupWarning: rows were dropped because they are not finite.
-    """
+    """Gaussians of SH degree 0 from coord.npy, color.npy, opacity.npy, scale.npy and quat.npy."""
     folder = Path(folder)
     values = {name: _column(folder / f"{name}.npy", shape) for name, shape in SHAPES.items()}
     for name, column in values.items():
@@ -67,11 +59,7 @@ def read_scenesplat(folder: str | Path) -> Gaussians:
 
 
 def write_scenesplat(gaussians: Gaussians, folder: str | Path, overwrite: bool = False) -> None:
-    """Write Gaussians; of their colours only SH degree 0, in bytes.
-
-    Raises:
-        OutputExistsError: a file is there and ``overwrite`` is false.
-    """
+    """Write Gaussians; of their colours only SH degree 0, in bytes."""
     rgb = (gaussians.sh[:, 0].cpu().numpy() * SH_C0 + 0.5).clip(0, 1)
     values = {
         "coord": gaussians.means.cpu().numpy(),
@@ -87,7 +75,7 @@ def write_scenesplat(gaussians: Gaussians, folder: str | Path, overwrite: bool =
 
 
 def _column(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """[N, *shape] float32; a column of its own ([N, 1]) is taken for one number a row."""
+    """Return [N, *shape] float32; a column of its own ([N, 1]) is taken for one number a row."""
     column = open_npy(path, f"{path.stem} of Gaussians", "give a folder of SceneSplat's preprocessing")
     if not shape and column.ndim == 2 and column.shape[1] == 1:
         column = column[:, 0]

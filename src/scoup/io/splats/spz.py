@@ -119,7 +119,7 @@ def _fraction_bits(largest: float) -> int:
 
 
 def _positions(header: SpzHeader, packed: np.ndarray) -> np.ndarray:
-    """[N, 3] float64 in the file's axes."""
+    """Return [N, 3] float64 in the file's axes."""
     if header.version == 1:
         return np.ascontiguousarray(packed).view("<f2").astype(np.float64).reshape(-1, 3)
     parts = packed.reshape(-1, 3, 3).astype(np.int64)
@@ -135,7 +135,7 @@ def _packed_positions(header: SpzHeader, means: np.ndarray) -> bytes:
 
 
 def _quats(packed: np.ndarray) -> np.ndarray:
-    """[N, 4] float64 quaternions w, x, y, z in our axes, of three bytes (x, y, z; w is not negative) or four."""
+    """Return [N, 4] float64 quaternions w, x, y, z in our axes, of three bytes (x, y, z; w is not negative) or four."""
     if packed.shape[1] == 3:
         vector = packed / 127.5 - 1.0
         w = np.sqrt(np.clip(1.0 - (vector**2).sum(1), 0.0, None))

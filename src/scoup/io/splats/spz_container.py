@@ -33,19 +33,12 @@ _DAMAGED = "the file is damaged; copy or export it again"
 
 @dataclass(frozen=True)
 class SpzHeader:
-    """What stands before the attributes.
+    """The header before the attributes."""
 
-    Attributes:
-        version: 1 to 4.
-        count: N, of Gaussians.
-        degree: of the spherical harmonics, 0 to 4.
-        fraction_bits: bits after the binary point of a coordinate.
-    """
-
-    version: int
-    count: int
-    degree: int
-    fraction_bits: int
+    version: int  # 1 to 4
+    count: int  # N, of Gaussians
+    degree: int  # of the spherical harmonics, 0 to 4
+    fraction_bits: int  # bits after the binary point of a coordinate
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -62,16 +55,7 @@ class SpzHeader:
 
 
 def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
-    """The header and the attributes' bytes, each of its full size.
-
-    Args:
-        path: of the file, for messages.
-        content: all of it.
-
-    Raises:
-        FileFormatError: it is damaged, cut short, of a newer version, or would unpack to more than its size allows.
-        ScoupError: it needs a package that is not there.
-    """
+    """Return the header and the attributes' bytes, each of its full size."""
     if content[:4] == MAGIC.to_bytes(4, "little"):
         return _read_streams(path, content)
     if content[:2] != b"\x1f\x8b":
@@ -99,11 +83,7 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
 
 
 def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
-    """The bytes of a file; the same for the same header and attributes.
-
-    Raises:
-        ScoupError: version 4 needs a package that is not there.
-    """
+    """Return the bytes of a file; the same for the same header and attributes."""
     start = (MAGIC, header.version, header.count, header.degree, header.fraction_bits, 0)
     if header.version < 4:
         packed = io.BytesIO()
@@ -149,10 +129,9 @@ def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byte
 
 
 def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, int]:
-    """The header, its flags, and its last byte.
+    """Return the header, its flags, and its last byte.
 
     Args:
-        path: of the file.
         start: its first bytes, unpacked.
         available: bytes of the file, which limit the Gaussians that it can hold.
     """
@@ -183,7 +162,7 @@ def _compressed(content: bytes) -> bytes:
 
 
 def _unpacked(path: Path, packed: bytes, size: int) -> bytes:
-    """The contents of a zstd stream that must have ``size`` bytes; no more are unpacked than these and one."""
+    """Return the contents of a zstd stream that must have ``size`` bytes; no more are unpacked than these and one."""
     try:
         import zstandard
     except ImportError:
