@@ -25,24 +25,16 @@ __all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """Settings of all solvers; each reads its own.
+    """Settings of all solvers; each reads its own."""
 
-    Attributes:
-        effort: of "exact": "fast" or "best".
-        epochs, tolerance: of "adam".
-        backend: of "exact", see ``scoup.coding.backends``; by default what is fastest for the device of the rows.
-    """
-
-    effort: str = "best"
-    epochs: int = 4000
+    effort: str = "best"  # of "exact", as the backend
+    epochs: int = 4000  # of "adam", as the tolerance
     tolerance: float | None = None
     backend: str | None = None
 
 
+# solver(rows, n_atoms, k, seed, settings, progress) -> atoms [L, D], codes of the unit rows [R, D], epochs or steps run
 Solver = Callable[[Tensor, int, int, int, SolverSettings, Progress], tuple[Tensor, SparseCodes, int]]
-"""``solver(rows, n_atoms, k, seed, settings, progress)`` gives atoms [L, D], the codes of the unit rows [R, D], and the
-number of epochs or steps run.
-"""
 
 
 def _adam(
@@ -136,7 +128,7 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
 
 
 def _spread(codes: SparseCodes, coded: Tensor) -> SparseCodes:
-    """Codes of the rows where ``coded`` [R] is true, with empty codes in between."""
+    """Put the codes at the rows where ``coded`` [R] is true, and empty codes elsewhere."""
     if coded.all():
         return codes
     indices = torch.zeros(len(coded), codes.k, dtype=torch.long, device=coded.device)

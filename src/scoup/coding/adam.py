@@ -43,31 +43,24 @@ _TINY = 1e-30
 
 @dataclass(frozen=True)
 class AdamSettings:
-    """Settings of the solver.
+    """Settings of the solver."""
 
-    Attributes:
-        epochs: full-batch steps.
-        learning_rate: for logits and codebook alike.
-        tolerance: stop once the mean loss has fallen by less than this over the last 100 epochs; None: never.
-        logit_scale: initial logits are this times the cosine of region and initial atom; 0 starts all equal.
-    """
-
-    epochs: int = 4000
-    learning_rate: float = LEARNING_RATE
-    tolerance: float | None = None
-    logit_scale: float = LOGIT_SCALE
+    epochs: int = 4000  # full-batch steps
+    learning_rate: float = LEARNING_RATE  # of logits and codebook
+    tolerance: float | None = None  # stop once the mean loss has fallen by less over the last 100 epochs
+    logit_scale: float = (
+        LOGIT_SCALE  # initial logits per cosine of region and initial atom; 0 starts all equal
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class AdamSolution:
-    """What the solver learned: ``atoms`` [L, D] float32 (not of unit norm), the codes of the rows, epochs
-    run, and the mean loss before each of them.
-    """
+    """The result of the solver."""
 
-    atoms: Tensor  # [L, D]
-    codes: SparseCodes
-    epochs: int
-    losses: tuple[float, ...]
+    atoms: Tensor  # [L, D] float32, not of unit norm
+    codes: SparseCodes  # of the rows
+    epochs: int  # run
+    losses: tuple[float, ...]  # mean, before each epoch
 
 
 def solve_adam(
@@ -79,17 +72,10 @@ def solve_adam(
     progress: Progress = no_progress,
     initial_atoms: Tensor | None = None,  # [L, D]
 ) -> AdamSolution:
-    """Learn atoms and K-sparse codes of unit rows by full-batch Adam (method.md, stage 1, "the paper's
-    solver").
+    """Learn atoms and K-sparse codes of unit rows by full-batch Adam (method.md, stage 1, "the paper's solver").
 
-    Args:
-        rows: [R, D] float32 unit vectors, R >= 1.
-        n_atoms: L.
-        k: most atoms a row may use; more than L counts as L.
-        seed: of the k-means start.
-        settings: see ``AdamSettings``.
-        progress: called after every epoch, as stage "sparse coding".
-        initial_atoms: [L, D] float32 start of the codebook; by default spherical k-means of the rows.
+    ``k`` above L counts as L. ``progress`` is called after every epoch, as stage "sparse coding". The codebook starts
+    from ``initial_atoms``, by default spherical k-means of the rows.
     """
     settings = settings or AdamSettings()
     atoms = spherical_kmeans(rows, n_atoms, seed) if initial_atoms is None else initial_atoms.clone()

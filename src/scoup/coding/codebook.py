@@ -22,29 +22,19 @@ SAME_ATOM = 1e-6  # 1 - cosine
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """Rows under a codebook that was not learned from them.
-
-    Attributes:
-        codes: of the rows, at most K atoms each.
-        cosines: [R] float32 between each row and its decoded code; 0 for rows of norm zero or without a code.
-        badly_explained: [R] boolean, the cosine is below what the codebook reaches on rows like those it was learned
-            from. Rows of norm zero are never marked: there is nothing to explain.
-    """
+    """Rows under a codebook that was not learned from them."""
 
     codes: SparseCodes
-    cosines: Tensor  # [R]
-    badly_explained: Tensor  # [R]
+    """Of the rows, at most K atoms each."""
+    cosines: Tensor
+    """[R] float32 between each row and its decoded code; 0 for rows of norm zero or without a code."""
+    badly_explained: Tensor
+    """[R] boolean, the cosine is below that of rows like those the codebook was learned from; false for norm zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Codebook:
     """Atoms, and the codes of the rows they were learned from.
-
-    Attributes:
-        atoms: [L, D] float32, as learned: of unit norm with the "exact" solver (or zero, where embeddings take fewer
-            values than there are atoms), not with "adam".
-        codes: of the rows given to ``fit_codes``, in their order, and then of those given to ``extended``.
-        report: quality and cost.
 
     Example:
         >>> embeddings = torch.randn(50, 16, generator=torch.Generator().manual_seed(0))
@@ -53,14 +43,18 @@ class Codebook:
         torch.Size([8, 16])
     """
 
-    atoms: Tensor  # [L, D]
+    atoms: Tensor
+    """[L, D] float32: of unit norm with the "exact" solver (or zero, where embeddings take fewer values than there are
+    atoms), not with "adam"."""
     codes: SparseCodes
+    """Of the rows passed to ``fit_codes``, in their order, and then of those passed to ``extended``."""
     report: CodingReport
+    """Quality and cost."""
 
     __repr__ = brief
 
     def encode(self, rows: Tensor) -> Encoded:
-        """Codes of new rows [R, D] with these atoms, and which rows the atoms explain badly.
+        """Code new rows [R, D] with these atoms, and mark the rows that the atoms explain badly.
 
         Raises:
             InputError: if the rows are not [R, D] with this codebook's D, or not finite.
@@ -68,7 +62,7 @@ class Codebook:
         return encode_rows(self._checked(rows), self.atoms, self.codes.k, self.report.explained_from)
 
     def extended(self, rows: Tensor, n_new: int = 8, seed: int = 0) -> Codebook:
-        """A codebook with more atoms, learned from those of ``rows`` [R, D] that this one explains badly.
+        """Return a codebook with more atoms, learned from those of ``rows`` [R, D] that this one explains badly.
 
         The old atoms come first and the old codes stay as they are, number for number; only the type of the indices
         widens beyond 256 atoms. After them come the codes of all ``rows`` under all atoms. Where no row is badly
@@ -116,21 +110,11 @@ def encode_rows(rows: Tensor, atoms: Tensor, k: int, threshold: float) -> Encode
 
 
 def learn_atoms(rows: Tensor, atoms: Tensor, k: int, n_new: int, seed: int = 0) -> Tensor:
-    """New atoms for rows that the old ones explain badly.
+    """Return new atoms [M, D], unit vectors, no two the same, M <= n_new, for rows that the old ones explain badly.
 
     Spherical k-means, the best of ``STARTS`` starts by the loss of the rows under old and new atoms together. The new
-    atoms take three quarters off the loss of unseen things; closed-form updates of them, with the old ones held, took
-    2 to 9 % off what was left: not worth a second solver.
-
-    Args:
-        rows: [R, D] float32 unit vectors.
-        atoms: [L, D] the old ones.
-        k: K, the most atoms of a code.
-        n_new: how many at most.
-        seed: of the random starts.
-
-    Returns:
-        [M, D] float32 unit vectors, no two the same, M <= n_new and M <= R.
+    atoms reduce the loss of unseen things by three quarters; closed-form updates of them, with the old ones fixed,
+    reduced the rest by 2 to 9 %: not worth a second solver.
     """
     count = min(n_new, len(rows))
     best, least = atoms.new_zeros(0, atoms.shape[1]), float("inf")
@@ -146,17 +130,13 @@ def learn_atoms(rows: Tensor, atoms: Tensor, k: int, n_new: int, seed: int = 0) 
 
 
 def check_new_atoms(n_atoms: int, n_new: int) -> None:
-    """Refuse a negative number of new atoms, or one that makes a codebook too large.
-
-    Raises:
-        InputError: it is.
-    """
+    """Refuse a negative number of new atoms, or one that makes a codebook too large."""
     if n_new < 0:
         raise InputError(f"the number of new atoms must not be negative, got {n_new}")
     index_dtype(n_atoms + n_new)  # checks its range
 
 
 def _different(atoms: Tensor) -> Tensor:
-    """Without the atoms that equal an earlier one: k-means of few distinct rows gives copies."""
+    """Drop atoms that equal an earlier one: k-means of few distinct rows gives copies."""
     same = (atoms @ atoms.T) > 1 - SAME_ATOM
     return atoms[~same.tril(-1).any(1)]

@@ -1,4 +1,4 @@
-"""Embeddings that take few values, such as those of a panoptic segmenter: one vector a class.
+"""Embeddings that take few values, such as those of a panoptic segmenter: one vector per class.
 
 Where the different rows number no more than the atoms, the rows themselves are a codebook without loss, and one atom is
 the whole code of a row: the vote of the uplift then counts classes. A codebook that is learned has no loss either, but
@@ -20,18 +20,11 @@ LEAST_ROWS = 2  # rows of a value, on average, that make values classes
 
 
 def value_codes(rows: Tensor, n_atoms: int, k: int) -> tuple[Tensor, SparseCodes] | None:
-    """Values as atoms, and codes of one atom; None where the rows take too many values.
+    """Return atoms [L, D], the values of unit rows [R, D] in the order of their first rows and then zeros, and codes of
+    one atom of weight 1; None where the rows take too many values.
 
     Values must be no more than the atoms, and no more than half as many as the rows: where nearly every row has a
-    vector of its own, one atom a row would leave the vote nothing to agree on.
-
-    Args:
-        rows: [R, D] float32 unit vectors.
-        n_atoms: L.
-        k: columns of the codes.
-
-    Returns:
-        Atoms [L, D] float32, the values in the order of their first rows and then zeros; and codes of weight 1.
+    vector of its own, one atom per row would leave the vote nothing to agree on.
     """
     found = distinct_rows(rows, min(n_atoms, len(rows) // LEAST_ROWS))
     if found is None:
@@ -46,17 +39,9 @@ def value_codes(rows: Tensor, n_atoms: int, k: int) -> tuple[Tensor, SparseCodes
 
 
 def distinct_rows(rows: Tensor, most: int) -> tuple[Tensor, Tensor] | None:
-    """The values of unit rows [R, D], and which of them each row takes.
+    """Return the values [M, D] of unit rows [R, D] and the nearest value [R] int64 of each; None for M > ``most``.
 
-    A row is a new value if none before it is within ``SAME``. Where there are too many, that is mostly known after the
-    first ``most`` + 1 rows.
-
-    Args:
-        rows: [R, D] float32 unit vectors.
-        most: how many values at most.
-
-    Returns:
-        Values [M, D] and the value [R] int64 of each row, the nearest one; None if there are more than ``most``.
+    A row is a new value if none before it is within ``SAME``. Too many are mostly known after ``most`` + 1 rows.
     """
     values = rows[:0]
     for block in rows.split(most + 1):

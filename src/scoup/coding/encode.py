@@ -16,17 +16,12 @@ def encode(
     k: int,
     backend: str | None = None,
 ) -> SparseCodes:
-    """For each row at most K atoms and weights >= 0 that bring the decoded code near to it in angle.
+    """Return for each row at most K atoms and weights >= 0 whose decoded code is near to it in angle.
 
-    A greedy choice by orthogonal least squares and one round of exchanges, see ``reference.code``: near
-    the optimum, and mostly it, but not guaranteed to be.
-
-    Args:
-        rows: [R, D] float32, unit norm or zero; rows of norm zero, and rows to which no atom
-            has a positive inner product, get empty codes.
-        atoms: [L, D] float32, any norm; atoms of norm zero are never used.
-        k: most atoms a row may use; the codes have K columns even if there are fewer atoms.
-        backend: by name; by default the fastest for the device of the rows.
+    A greedy choice by orthogonal least squares and one round of exchanges, see ``reference.code``: near the optimum,
+    and mostly it, but not guaranteed to be. Rows (unit norm or zero) of norm zero, and those to which no atom has a
+    positive inner product, get empty codes; atoms of norm zero are never used. The codes have K columns even if there
+    are fewer atoms.
     """
     device = working_device(rows)
     ours, codebook = (part.detach().to(device).float().contiguous() for part in (rows, atoms))

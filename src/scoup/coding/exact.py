@@ -47,19 +47,12 @@ _LEAST_COSINE = 0.1  # rows that are coded worse weigh no more than those coded 
 
 @dataclass(frozen=True)
 class ExactSettings:
-    """Settings of the solver.
+    """Settings of the solver."""
 
-    Attributes:
-        steps: Adam steps on the codebook.
-        batch: rows of a step.
-        learning_rate: of the first step; it falls to zero along a cosine.
-        passes: closed-form passes over all rows afterwards, at most.
-    """
-
-    steps: int = 200
-    batch: int = 500
-    learning_rate: float = 1e-2
-    passes: int = 5
+    steps: int = 200  # of Adam on the codebook
+    batch: int = 500  # rows of a step
+    learning_rate: float = 1e-2  # of the first step; it falls to zero along a cosine
+    passes: int = 5  # closed-form, over all rows afterwards, at most
 
 
 BEST = ExactSettings()
@@ -69,20 +62,14 @@ EFFORTS = {"fast": FAST, "best": BEST}
 
 @dataclass(frozen=True, eq=False)
 class ExactSolution:
-    """What the solver learned.
+    """The result of the solver."""
 
-    Attributes:
-        atoms: [L, D] float32, unit norm.
-        codes: of the rows.
-        steps: Adam steps and passes run.
-        losses: mean loss over all rows before the passes, after each pass that was kept, and at the end; it never
-            rises.
-    """
-
-    atoms: Tensor  # [L, D]
-    codes: SparseCodes
-    steps: int
-    losses: tuple[float, ...]
+    atoms: Tensor  # [L, D] float32, unit norm
+    codes: SparseCodes  # of the rows
+    steps: int  # and passes run
+    losses: tuple[
+        float, ...
+    ]  # mean over all rows before the passes, after each kept one, and at the end; never rises
 
 
 def solve_exact(
@@ -100,14 +87,8 @@ def solve_exact(
     gives the same bytes on the same kind of device; on a CPU with the compiled core, whatever the number of threads.
     Beyond the rows it takes memory for the codes and for L x (L + D) numbers, and on a GPU for a block of similarities.
 
-    Args:
-        rows: [R, D] float32 unit vectors, R >= 1.
-        n_atoms: L.
-        k: most atoms a row may use; more than L counts as L.
-        seed: of the start and of the batches.
-        settings: see ``ExactSettings``; ``FAST`` takes about half the time of ``BEST``.
-        progress: called after every step and pass, as stage "sparse coding".
-        backend: by name; by default the fastest for the device of the rows.
+    ``k`` above L counts as L. ``FAST`` takes about half the time of ``BEST``. ``progress`` is called after every step
+    and pass, as stage "sparse coding".
     """
     ours = rows.detach().to(working_device(rows)).float().contiguous()
     learner = Learner(ours, n_atoms, min(k, n_atoms), seed, coding_backend(ours.device, backend))
@@ -122,13 +103,7 @@ def solve_exact(
 
 
 class Learner:
-    """The codebook while it is learned.
-
-    Attributes:
-        rows: [R, D] float32 unit vectors.
-        atoms: [L, D] float32, of unit norm.
-        losses: see ``ExactSolution``.
-    """
+    """The codebook while it is learned from unit rows; ``losses`` as in ``ExactSolution``."""
 
     def __init__(self, rows: Tensor, n_atoms: int, k: int, seed: int, backend: CodingBackend) -> None:
         self.rows = rows
@@ -165,7 +140,7 @@ class Learner:
             yield
 
     def passes(self, settings: ExactSettings) -> Iterator[None]:
-        """Solve for the codebook over all rows again and again, keeping what lowers the loss; yields after each."""
+        """Solve for the codebook over all rows repeatedly, keeping what lowers the loss; yield after each."""
         if settings.passes == 0:
             return
         codes = self.code(self.atoms, swap_passes=1)
@@ -187,20 +162,20 @@ class Learner:
         self._codes = codes
 
     def final_codes(self) -> RowCodes:
-        """Codes of all rows, going on from those of the last pass if there was one."""
+        """Return codes of all rows, starting from those of the last pass, if any."""
         codes = self.code(self.atoms, FINAL_SWAPS, None if self._codes is None else self._codes.support)
         self.losses.append(_loss(codes))
         return codes
 
     def _batches(self, size: int) -> Iterator[Tensor]:
-        """Row numbers [size] without end, every row once before any comes again, but for a last few."""
+        """Yield row numbers [size] without end, every row once before any comes again, but for a last few."""
         while True:
             order = torch.randperm(len(self.rows), generator=self._random).to(self.rows.device)
             for start in range(0, len(order) - size + 1, size):
                 yield order[start : start + size]
 
     def code(self, atoms: Tensor, swap_passes: int, warm: Tensor | None = None) -> RowCodes:
-        """Codes of all rows over ``atoms`` [L, D]."""
+        """Return codes of all rows over ``atoms`` [L, D]."""
         return self._backend.code_rows(self.rows, atoms, self._k, swap_passes, warm)
 
     def _moments(self, rows: Tensor, codes: RowCodes) -> tuple[Tensor, Tensor]:
@@ -208,26 +183,26 @@ class Learner:
         return self._backend.code_moments(rows, codes, scale, len(self.atoms))
 
     def gradient(self, rows: Tensor, codes: RowCodes) -> Tensor:
-        """[L, D] float32: of the mean loss of some rows [n, D] with these codes, by the atoms."""
+        """Return [L, D] float32: of the mean loss of some rows [n, D] with these codes, by the atoms."""
         within, toward = self._moments(rows, codes)
         columns = self.atoms.T.contiguous()
         return (self._backend.row_products(within.float(), columns) - toward.float()).div_(len(rows))
 
     def _least_squares_atoms(self, codes: RowCodes) -> Tensor:
         within, toward = self._moments(self.rows, codes)
-        # Also holds atoms that nobody uses where they are.
+        # Also keeps unused atoms in place.
         diagonal = within.diagonal()
         ridge = max(RIDGE * float(ordered_sum(diagonal, 0) / len(diagonal)), 1e-12)
         diagonal += ridge
         return self._backend.solve(within, toward + ridge * self.atoms).float()
 
     def _rare(self, supports: Tensor) -> Tensor:
-        """Numbers of the atoms that few of these codes [n, K] use."""
+        """Return the numbers of the atoms that few of these codes [n, K] use."""
         uses = torch.bincount(supports[supports >= 0], minlength=len(self.atoms))
         return (uses < RARE * len(supports)).nonzero()[:, 0]
 
     def reseed(self, rare: Tensor, rows: Tensor, cosines: Tensor) -> Tensor:
-        """Place rarely used atoms at the rows that are coded worst; which were placed."""
+        """Place rarely used atoms at the rows that are coded worst; return the placed ones."""
         worst = cosines.argsort(stable=True)[: len(rare)]
         worst = worst[cosines[worst] < 1 - 1e-6]
         placed = rare[: len(worst)]

@@ -16,17 +16,11 @@ def spherical_kmeans(
     seed: int = 0,
     iterations: int = ITERATIONS,
 ) -> Tensor:
-    """Unit-norm cluster centres of unit rows, by cosine distance; [L, D], dtype and device of ``rows``.
+    """Return unit-norm cluster centres [L, D] of unit rows, by cosine distance; deterministic for a seed.
 
-    The start is greedy k-means++ (Arthur and Vassilvitskii 2007, with the best of 4 candidates a step), then
-    Lloyd iterations; a cluster that loses all its rows is moved to the row that is worst represented. With
-    fewer distinct rows than atoms some atoms are equal. Deterministic for a seed.
-
-    Args:
-        rows: [R, D] float32 unit vectors, R >= 1.
-        n_atoms: L, the number of centres.
-        seed: of the random start.
-        iterations: at most this many Lloyd iterations; they stop once no row changes its cluster.
+    The start is greedy k-means++ (Arthur and Vassilvitskii 2007, with the best of 4 candidates per step), then Lloyd
+    iterations until no row changes its cluster; a cluster that loses all its rows is moved to the row that is worst
+    represented. With fewer distinct rows than atoms some atoms are equal.
     """
     generator = torch.Generator().manual_seed(seed)
     sample = rows
@@ -66,9 +60,7 @@ def _plus_plus(rows: Tensor, n_atoms: int, generator: torch.Generator) -> Tensor
 
 
 def _distance(rows: Tensor, centres: Tensor) -> Tensor:
-    """[R, C]: 1 - cosine, half the squared distance of unit vectors; exactly 0 for equal rows up to
-    rounding.
-    """
+    """Return [R, C] 1 - cosine, half the squared distance of unit vectors; exactly 0 for rows equal up to rounding."""
     distance = 1 - rows @ centres.T
     return torch.where(distance > 1e-6, distance, 0.0)
 

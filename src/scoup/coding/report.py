@@ -1,4 +1,4 @@
-"""How well codes stand for the embeddings they were made from."""
+"""Quality of codes: how well they represent the embeddings they were made from."""
 
 from __future__ import annotations
 
@@ -18,31 +18,28 @@ ROUNDING = 1e-5  # of a cosine, between a fit and the same rows coded again
 class CodingReport:
     """Quality and cost of a sparse coding.
 
-    Attributes:
-        solver: its name.
-        regions: rows coded, rows of norm zero not counted.
-        loss: mean of 1 - cosine between a row and its decoded code.
-        mean_cosine: mean cosine.
-        low_cosine: 5th percentile of the cosine.
-        dead_atoms: share of the codebook that no row uses, 0..1.
-        epochs: optimisation steps run.
-        seconds: wall-clock time of the fit.
-        explained_from: the cosine below which a row that was not learned from counts as badly explained, see
-            ``explained_from``.
-
-    ``Codebook.extended`` brings more rows: all figures are of all rows then, but for ``low_cosine`` and
-    ``explained_from``, which stay those of the rows the first atoms were learned from.
+    After ``Codebook.extended`` all figures are of all rows, but for ``low_cosine`` and ``explained_from``, which stay
+    those of the rows the first atoms were learned from.
     """
 
     solver: str
+    """Its name."""
     regions: int
+    """Rows coded, rows of norm zero not counted."""
     loss: float
+    """Mean of 1 - cosine between a row and its decoded code."""
     mean_cosine: float
+    """Mean cosine."""
     low_cosine: float
+    """5th percentile of the cosine."""
     dead_atoms: float
+    """Share of the codebook that no row uses, 0..1."""
     epochs: int
+    """Optimisation steps run."""
     seconds: float
+    """Wall-clock time of the fit."""
     explained_from: float
+    """Cosine below which a row that was not learned from counts as badly explained."""
 
     def __str__(self) -> str:
         return (
@@ -53,9 +50,8 @@ class CodingReport:
 
 
 def decoded_cosines(rows: Tensor, atoms: Tensor, codes: SparseCodes) -> Tensor:
-    """[R] float32: cosine between each row of ``rows`` [R, D] and its code decoded with ``atoms`` [L, D]; 0
-    where either is zero. Decodes in chunks.
-    """
+    """Return [R] float32: cosine between each row [R, D] and its code decoded with ``atoms`` [L, D] in chunks; 0 where
+    either is zero."""
     blocks = [
         torch.nn.functional.cosine_similarity(codes.rows(part).to_dense() @ atoms, rows[part], dim=1)
         for part in (slice(start, start + 8192) for start in range(0, len(rows), 8192))
@@ -71,7 +67,7 @@ def report_on(
     epochs: int = 0,
     seconds: float = 0.0,
 ) -> CodingReport:
-    """Measure codes against the rows they stand for; zero rows are left out of the figures."""
+    """Measure codes against their rows; zero rows are left out of the figures."""
     coded = torch.linalg.vector_norm(rows, dim=1) > 0
     cosines = decoded_cosines(rows, atoms, codes)[coded].double()
     # With no rows at all nothing is misrepresented.
@@ -91,17 +87,12 @@ def report_on(
 
 
 def explained_from(low_cosine: float, regions: int, n_atoms: int) -> float:
-    """The cosine from which on a row that was not learned from counts as well explained, 0..1.
+    """Return the cosine from which on a row that was not learned from counts as well explained, 0..1.
 
     The 5th percentile of the training rows is no measure of others where atoms are many: an atom learned from n rows
     lies nearer to them than to the next row of the same thing. A fit errs by 1 - 1/n on its own rows and by 1 + 1/n on
     others, n = regions / atoms (Akaike's final prediction error), so the distance is scaled by the ratio of the two.
     With no more rows than atoms nothing is known: whatever differs from the training rows is below the threshold.
-
-    Args:
-        low_cosine: see ``CodingReport``.
-        regions: rows the atoms were learned from, those of norm zero not counted.
-        n_atoms: atoms learned from them.
     """
     factor = (regions + n_atoms) / (regions - n_atoms) if regions > n_atoms else 1.0
     return max(1.0 - (1.0 - low_cosine) * factor - ROUNDING, LEAST_EXPLAINED)
@@ -110,14 +101,7 @@ def explained_from(low_cosine: float, regions: int, n_atoms: int) -> float:
 def report_with_more(
     report: CodingReport, cosines: Tensor, codes: SparseCodes, seconds: float
 ) -> CodingReport:
-    """The report of old and new rows together.
-
-    Args:
-        report: of the old rows.
-        cosines: [R] of the new rows, those of norm zero left out.
-        codes: of all rows.
-        seconds: spent on the new rows.
-    """
+    """Return the report of old and new rows together: ``codes`` of all rows, cosines and seconds of the new ones."""
     regions = report.regions + len(cosines)
     total = report.mean_cosine * report.regions + float(cosines.double().sum())
     mean = total / regions if regions else 1.0

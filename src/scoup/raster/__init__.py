@@ -1,9 +1,9 @@
 """The rasteriser's contract: project once, render often, all levels in one pass.
 
 ``project`` projects, bins and sorts the Gaussians for one camera. The other functions take its ``Projection``. They all
-use the same blending weights e = alpha * transmittance of each Gaussian at each pixel (method.md, stage 2), so
-what is uplifted is exactly what is rendered. Gaussians that are not finite are never drawn; a pixel that nothing paints
-is zero.
+use the same blending weights e = alpha * transmittance of each Gaussian at each pixel (method.md, stage 2), so the
+uplift sees exactly what is rendered. Gaussians that are not finite are never drawn; a pixel to which no Gaussian
+contributes is zero.
 
 A backend is one module with these functions, chosen by the device of the tensors or by name (``base.backends``).
 """
@@ -52,34 +52,27 @@ BACKENDS = {
 
 @dataclass(frozen=True, eq=False)
 class PreparedGaussians:
-    """Gaussians made ready for many projections. Made by ``prepare_gaussians``.
-
-    Attributes:
-        gaussians: the rows in the order that suits the backend; of their colours only the constant part.
-        order: [N] int64, the row of the original scene that each of them is; None where nothing was moved.
-        backend: its name.
-        handle: what the backend computed for all projections, 48 bytes a Gaussian with "native"; None if nothing.
-    """
+    """Gaussians made ready for many projections by ``prepare_gaussians``."""
 
     gaussians: Gaussians
+    """The rows in the order that suits the backend; of their colours only the constant part."""
     order: Tensor | None
+    """[N] int64, the row of each in the original scene; None where nothing was moved."""
     backend: str
+    """Its name."""
     handle: Any = None
+    """Data of the backend for all projections, 48 bytes per Gaussian with "native"."""
 
     def restored(self, rows: Tensor) -> Tensor:
-        """``rows`` [N, ...], one for each Gaussian of this scene, in the order of the original scene."""
+        """Return ``rows`` [N, ...], one per Gaussian of this scene, in the order of the original scene."""
         return rows if self.order is None else restored(rows, self.order)
 
 
 def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> PreparedGaussians:
-    """Order the Gaussians as suits a backend, and compute what all projections share. Worth it for many projections.
+    """Order the Gaussians as suits a backend (see ``project``), and compute what many projections share.
 
-    Their projections count the Gaussians in the new order: region sums and values follow it, too. They show exactly the
+    Projections count the Gaussians in the new order: region sums and values follow it, too. The images are exactly the
     same, since equal depths go by the original rows.
-
-    Args:
-        gaussians: N Gaussians.
-        backend: as for ``project``.
     """
     name, module = load_backend(BACKENDS, gaussians.device, backend, "raster")
     bare = dataclasses.replace(gaussians, sh=gaussians.sh[:, :1])
@@ -91,7 +84,7 @@ def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> Prepa
 
 
 def _moved_to_disk(gaussians: Gaussians, order: Tensor) -> Gaussians:
-    """``gaussians.select(order)`` in temporary files, of which a view touches what it sees."""
+    """Return ``gaussians.select(order)`` in temporary files, of which a view touches what it sees."""
     moved: dict[str, Tensor] = {}
     for field in dataclasses.fields(gaussians):
         rows = getattr(gaussians, field.name)
@@ -107,7 +100,7 @@ def project(
     preset: str | RasterPreset = "inria",
     backend: str | None = None,
 ) -> Projection:
-    """Bring the Gaussians to one camera: project, bin to tiles and sort.
+    """Project the Gaussians to one camera, bin them to tiles and sort them.
 
     Args:
         gaussians: N Gaussians, or the same prepared for many projections (by the backend named there).
@@ -119,7 +112,7 @@ def project(
         A projection for the functions below. It keeps no reference to colours or codes.
 
     Raises:
-        UnknownNameError: no preset or backend has that name.
+        UnknownNameError: the preset or backend is unknown.
         InputError: the backend does not serve the tensors' device, or is not built.
 
     Example:
@@ -145,7 +138,8 @@ def project(
 
 
 def region_sums(projection: Projection, labels: Tensor | CombinedLabels) -> ViewSums:
-    """How much each Gaussian paints of each region: A[i, r] = sum of e_i over the pixels of r (method.md, stage 2).
+    """Return how much each Gaussian contributes to each region: A[i, r], the sum of e_i over the pixels of r
+    (method.md, stage 2).
 
     Args:
         projection: from ``project``.
@@ -153,7 +147,7 @@ def region_sums(projection: Projection, labels: Tensor | CombinedLabels) -> View
 
     Returns:
         Entries (Gaussian, combination of regions over all levels, weight), and the table of combinations, on the
-        projection's device. Gaussians that paint no region have none.
+        projection's device. Gaussians that contribute to no region have none.
 
     Raises:
         InputError: the labels do not have the size of the image.
@@ -201,7 +195,7 @@ def render_codes(projection: Projection, indices: Tensor, weights: Tensor, n_ato
 def render_cosines(
     projection: Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
-    """Cosine between the rendered feature of each pixel and each query, without any map of D or L channels.
+    """Return the cosine between the rendered feature of each pixel and each query, without a map of D or L channels.
 
     Uses cos = (W A) / sqrt(W G W^T) with A = C T^T and G = C C^T (method.md, stage 3). Pixels that no code
     reaches get 0.
@@ -224,7 +218,7 @@ def render_cosines(
 def render_cosines_and_norms(
     projection: Projection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """``render_cosines``, and the norm of each pixel's rendered feature, which no query changes.
+    """Return ``render_cosines``, and the norm of each pixel's rendered feature, which no query changes.
 
     A cosine is a sum over Gaussians, W A, by this norm: where it is known, another query is a render of few channels
     (``codes.code_scores``, then ``render_channels``).
@@ -244,7 +238,7 @@ def render_cosines_and_norms(
 
 
 def render_features(projection: Projection, indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
-    """Decoded features of each pixel, for those who want the map: S x H x W x D numbers.
+    """Render the decoded features of each pixel: S x H x W x D numbers.
 
     Args:
         projection: from ``project``.
@@ -263,7 +257,7 @@ def render_features(projection: Projection, indices: Tensor, weights: Tensor, co
 def render_colors(
     gaussians: Gaussians, camera: Camera, projection: Projection | None = None, background: float = 0.0
 ) -> Tensor:
-    """[H, W, 3] float32 colour render in 0..1 over a grey background; ``projection`` saves projecting again."""
+    """Render colours [H, W, 3] float32 in 0..1 over a grey background; ``projection`` saves projecting again."""
     projection = projection if projection is not None else project(gaussians, camera)
     image, alpha = render_channels(projection, view_colors(gaussians, camera))
     return (image + (1.0 - alpha)[..., None] * background).clamp(0, 1)

@@ -1,4 +1,4 @@
-"""Which Gaussian may paint in which tile of the image."""
+"""The Gaussians that may contribute to each tile of the image."""
 
 from __future__ import annotations
 
@@ -10,27 +10,20 @@ from torch import Tensor
 from scoup.raster.presets import ALPHA_MIN
 from scoup.raster.projection import ProjectedGaussians, tile_counts
 
-# Bounds are relaxed by this many pixels, so that only the per-pixel alpha test ever decides what is painted and
-# the answer does not depend on the tile size.
+# Bounds are relaxed by this many pixels, so that only the alpha test per pixel decides and the answer does not depend
+# on the tile size.
 SLACK = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """Per tile, the Gaussians that reach it, nearest first.
+    """The Gaussians that reach each tile, nearest first; tile number = row * across + column."""
 
-    Attributes:
-        tile: edge length of a tile in pixels.
-        across, down: tiles across and down; tile number = row * across + column.
-        ranks: [P] int64 rows of the projected Gaussians, tile after tile.
-        starts: [tiles + 1] int64, where each tile's rows begin in ``ranks``.
-    """
-
-    tile: int
-    across: int
+    tile: int  # edge length in pixels
+    across: int  # tiles
     down: int
-    ranks: Tensor  # [P]
-    starts: Tensor  # [tiles + 1]
+    ranks: Tensor  # [P] int64 rows of the projected Gaussians, tile after tile
+    starts: Tensor  # [tiles + 1] int64, where each tile's rows begin in ``ranks``
 
 
 def bin_to_tiles(projected: ProjectedGaussians, width: int, height: int, tile: int) -> Bins:
@@ -49,14 +42,9 @@ def bin_to_tiles(projected: ProjectedGaussians, width: int, height: int, tile: i
 
 
 def tiles_in(first: Tensor, spans: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Rectangles of tiles, one tile after the other.
+    """Expand rectangles, of a first tile [M, 2] float64 (column, row) and a size [M, 2] int64, to their tiles.
 
-    Args:
-        first: [M, 2] float64 column and row of the first tile of each.
-        spans: [M, 2] int64 columns and rows.
-
-    Returns:
-        [P] int64 each: the rectangle's number, row and column of the tile.
+    Returns [P] int64 each: the rectangle's number, row and column of the tile.
     """
     counts = spans[:, 0] * spans[:, 1]
     ranks = torch.repeat_interleave(counts)
@@ -67,7 +55,7 @@ def tiles_in(first: Tensor, spans: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def grouped(ranks: Tensor, tiles: Tensor, tile: int, across: int, down: int) -> Bins:
-    """Pairs in depth order as lists of the tiles: a stable sort by tile alone keeps each tile's depth order."""
+    """Group pairs in depth order by tile: a stable sort by tile alone keeps each tile's depth order."""
     order = torch.argsort(tiles.int(), stable=True)
     starts = torch.zeros(across * down + 1, dtype=torch.int64, device=ranks.device)
     starts[1:] = torch.cumsum(torch.bincount(tiles, minlength=across * down), 0)
@@ -77,9 +65,9 @@ def grouped(ranks: Tensor, tiles: Tensor, tile: int, across: int, down: int) -> 
 def _ellipse_touches_tile(
     projected: ProjectedGaussians, ranks: Tensor, left: Tensor, top: Tensor, tile: int
 ) -> Tensor:
-    """Boolean [P]: does the ellipse alpha >= 1/255 reach the rectangle of the tile's pixel centres?
+    """Return [P] whether the ellipse alpha >= 1/255 reaches the rectangle of the tile's pixel centres.
 
-    The distance of the ellipse's metric is convex, so its minimum over a rectangle that does not hold the centre
+    The distance of the ellipse's metric is convex, so its minimum over a rectangle that does not contain the centre
     lies on an edge facing the centre; along an edge it is a parabola.
     """
     xx, xy, yy = projected.covariances.unbind(1)

@@ -1,5 +1,7 @@
-"""Label maps of all levels as one map: a pixel has one region, or none, at each level, and few of these combinations
-occur. Whatever is summed up over regions is summed up over combinations first, for all levels at once.
+"""Label maps of all levels as one map of label tuples.
+
+A pixel has one region, or none, at each level, and few of these combinations occur. Sums over regions are sums over
+combinations first, for all levels at once.
 """
 
 from __future__ import annotations
@@ -16,19 +18,15 @@ from scoup.base.native import native_core
 
 @dataclass(frozen=True, eq=False)
 class CombinedLabels:
-    """The combinations of regions of one view.
+    """The combinations of regions of one view, in the order of their first pixels, row by row."""
 
-    Attributes:
-        map: [H, W] int32, number of the combination of each pixel; -1 where no level has a region.
-        table: [C, S] int32, the region of each combination at each level, -1 for none. Numbered in the order in which
-            their first pixels come, row by row.
-    """
-
-    map: Tensor  # [H, W]
-    table: Tensor  # [C, S]
+    map: Tensor
+    """[H, W] int32, number of the combination of each pixel; -1 where no level has a region."""
+    table: Tensor
+    """[C, S] int32, the region of each combination at each level, -1 for none."""
 
     def digest(self) -> str:
-        """SHA-256: equal for equal label maps only, to compare them later."""
+        """Return a SHA-256 that is equal for equal label maps only."""
         digest = hashlib.sha256(str([list(self.map.shape), list(self.table.shape)]).encode())
         for part in (self.table, self.map):
             digest.update(part.cpu().contiguous().numpy().data)
@@ -36,7 +34,7 @@ class CombinedLabels:
 
 
 def combine(labels: Tensor) -> CombinedLabels:
-    """The combinations of label maps [S, H, W] of integers; every number below 0 means that there is no region.
+    """Return the combinations of label maps [S, H, W] of integers; every number below 0 means no region.
 
     Raises:
         InputError: they are not of this form, or a region is beyond 32 bits.
@@ -53,7 +51,7 @@ def combine(labels: Tensor) -> CombinedLabels:
 
 
 def combine_reference(labels: Tensor) -> CombinedLabels:
-    """``combine`` in plain torch, on any device."""
+    """Do as ``combine`` in plain torch, on any device."""
     levels, height, width = labels.shape
     flat = labels.clamp(min=-1).int().flatten(1).T  # [P, S]
     if not flat.numel():

@@ -1,6 +1,6 @@
 """The rasteriser on a CPU: the C++ core in native/, behind the same functions as ``reference``.
 
-Everything runs on ``torch.get_num_threads()`` threads; the result does not depend on how many those are.
+Everything runs on ``torch.get_num_threads()`` threads; the result does not depend on their number.
 """
 
 from __future__ import annotations
@@ -25,20 +25,14 @@ from scoup.scene.gaussians import Gaussians
 
 @dataclass(frozen=True, eq=False)
 class NativeProjection:
-    """A scene as one camera sees it: projected, binned and sorted. Made by ``project``.
+    """A scene as one camera sees it: projected, binned and sorted."""
 
-    Attributes:
-        n_gaussians: N of the scene.
-        width, height: image size in pixels.
-        preset: the rasteriser constants used.
-        handle: what the compiled core keeps: 64 bytes a Gaussian of the chunks that may be seen, and 4 bytes a pair of
-            a Gaussian and a tile of 16 x 16 pixels that it reaches.
-    """
-
-    n_gaussians: int
-    width: int
+    n_gaussians: int  # of the scene
+    width: int  # pixels
     height: int
     preset: RasterPreset
+    # Of the compiled core: 64 bytes per Gaussian of the chunks that may be seen, and 4 bytes per pair of a Gaussian and
+    # a tile of 16 x 16 pixels that it reaches.
     handle: Any
 
     backend = "native"
@@ -48,14 +42,11 @@ PREPARES = True  # by ``make_scene``, and the order of the rows matters to cache
 
 
 def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: bool = False) -> Any:
-    """The Gaussians as the compiled core takes them. It refers to the tensors; ``many_views`` takes 48 bytes a Gaussian
-    more, up to ``MOST_ROWS_IN_MEMORY`` of them.
+    """Return the Gaussians as the compiled core takes them. It refers to the tensors: later changes may be seen.
 
-    Args:
-        gaussians: N Gaussians. What is changed in them later may or may not be seen.
-        ties: [N] int64, decides between equal depths; by default the rows do.
-        many_views: compute what does not depend on the camera now, not for every projection, and pass over chunks of
-            8,192 rows that a camera cannot see.
+    ``ties`` [N] int64 decides between equal depths; by default the rows do. ``many_views`` computes what does not
+    depend on the camera once, and passes over chunks of 8,192 rows that a camera cannot see, for 48 bytes per Gaussian
+    more, up to ``MOST_ROWS_IN_MEMORY`` of them.
     """
     with _refusals():
         return require_core().Scene(
@@ -73,7 +64,7 @@ def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: boo
 def project(
     gaussians: Gaussians, camera: Camera, preset: RasterPreset, scene: Any | None = None
 ) -> NativeProjection:
-    """See ``raster.project``. ``scene``: of these Gaussians, where ``make_scene`` has made it already."""
+    """See ``raster.project``; ``scene`` is from ``make_scene``."""
     scene = make_scene(gaussians) if scene is None else scene
     with _refusals():
         handle = require_core().project(
@@ -121,7 +112,7 @@ def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor,
 def render_cosines(
     projection: NativeProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
-    """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    """See ``raster.render_cosines``. No map of coefficients is kept."""
     return render_cosines_and_norms(projection, indices, weights, codebook, queries)[0]
 
 
@@ -153,23 +144,22 @@ def render_features(
 
 
 def count_work(projection: NativeProjection) -> dict[str, int]:
-    """How much work the projection is.
+    """Count the work of the projection.
 
-    Returns:
-        "pairs": of a Gaussian and a tile that are visited before the tile's pixels are finished; "blocks": vectors
-        of "lanes" pixels evaluated; "evaluations": pixels painted, alpha >= 1/255 and before the stop.
+    "pairs" of a Gaussian and a tile that are visited before the tile's pixels are finished; "blocks", vectors of
+    "lanes" pixels evaluated; "evaluations", pixels contributed to, alpha >= 1/255 and before the stop.
     """
     return dict(require_core().count_work(projection.handle, torch.get_num_threads()))
 
 
 def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:
-    """A contiguous CPU array; no copy where the tensor is one already."""
+    """Return a contiguous CPU array; no copy where the tensor is one already."""
     return tensor.detach().to("cpu", dtype).contiguous().numpy()
 
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """What the core refuses is the caller's mistake."""
+    """Turn errors of the core into InputError: what it refuses is the caller's mistake."""
     try:
         yield
     except (ValueError, IndexError) as error:
@@ -177,8 +167,9 @@ def _refusals() -> Iterator[None]:
 
 
 def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices as uint8 or uint16, weights as float32 or the bits of float16: the forms fields are stored in. They are
-    not searched for atoms beyond the codebook: the core refuses those it meets.
+    """Return indices as uint8 or uint16, weights as float32 or the bits of float16: the forms of stored fields.
+
+    They are not searched for atoms beyond the codebook: the core refuses those it meets.
     """
     if indices.dtype not in (torch.uint8, torch.uint16):
         check_atoms(indices, n_atoms)

@@ -10,13 +10,9 @@ BITS = 21  # an axis: enough for rooms in scenes with a far-away background
 
 
 def morton_order(means: Tensor) -> Tensor:
-    """Rows along a Z-order curve.
+    """Return [N] int64 rows of ``means`` [N, 3] along a Z-order curve; rows in one cell of its grid keep their order.
 
-    Args:
-        means: [N, 3]; entries that are not finite count as 0.
-
-    Returns:
-        [N] int64 permutation; rows in the same cell of the curve's grid keep their order.
+    Entries that are not finite count as 0.
     """
     if not len(means):
         return torch.zeros(0, dtype=torch.int64, device=means.device)
@@ -29,12 +25,7 @@ def morton_order(means: Tensor) -> Tensor:
 
 
 def restored(rows: Tensor, order: Tensor) -> Tensor:
-    """Rows moved back: row ``i`` to place ``order[i]``.
-
-    Args:
-        rows: [N, ...], any dtype.
-        order: [N] int64 permutation.
-    """
+    """Move rows [N, ...] back: row ``i`` to place ``order[i]``."""
     out = torch.empty_like(rows)
     if rows.dtype == torch.uint16:  # torch moves rows of its signed counterpart only
         out.view(torch.int16)[order] = rows.view(torch.int16)
@@ -48,13 +39,13 @@ def _finite(means: Tensor) -> Tensor:
 
 
 def _codes(points: Tensor, low: Tensor, span: Tensor) -> Tensor:
-    """[N] int64 places on the curve."""
+    """Return [N] int64 places on the curve."""
     cells = ((points - low) / span * (2**BITS - 1)).long()
     return _spread(cells[:, 0]) | (_spread(cells[:, 1]) << 1) | (_spread(cells[:, 2]) << 2)
 
 
 def _spread(cells: Tensor) -> Tensor:
-    """Two zero bits between every two bits of 21-bit numbers."""
+    """Put two zero bits between every two bits of 21-bit numbers."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),

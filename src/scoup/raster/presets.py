@@ -6,30 +6,27 @@ from dataclasses import dataclass
 
 from scoup.base.errors import UnknownNameError
 
-ALPHA_MIN = 1.0 / 255.0  # a Gaussian paints exactly the pixels where its alpha reaches this
+ALPHA_MIN = 1.0 / 255.0  # a Gaussian contributes exactly to the pixels where its alpha reaches this
 LOW_PASS = 0.3  # added to the diagonal of the 2D covariance, in square pixels
 
 
 @dataclass(frozen=True)
 class RasterPreset:
-    """What a trained scene expects of its rasteriser.
-
-    Attributes:
-        name: the preset's name.
-        near: Gaussians at this view depth or nearer are not drawn (world units).
-        alpha_max: upper bound of a Gaussian's alpha at a pixel.
-        stop: a pixel is finished before the Gaussian that would bring its transmittance below this.
-        stop_inclusive: whether a transmittance equal to ``stop`` finishes the pixel too.
-        centred_clamp: clamp the Jacobian at 1.3 tan(fov / 2) about the image centre (Inria); otherwise at
-            0.3 tan(fov / 2) beyond the image border, wherever the principal point lies (gsplat).
-    """
+    """Constants of the rasteriser with which a scene was trained."""
 
     name: str
+    """Of the preset."""
     near: float
+    """Gaussians at this view depth or nearer are not drawn (world units)."""
     alpha_max: float
+    """Upper bound of a Gaussian's alpha at a pixel."""
     stop: float
+    """A pixel is finished before the Gaussian that would bring its transmittance below this."""
     stop_inclusive: bool
+    """Whether a transmittance equal to ``stop`` finishes the pixel too."""
     centred_clamp: bool
+    """Clamp the Jacobian at 1.3 tan(fov / 2) about the image centre (Inria); otherwise at 0.3 tan(fov / 2) beyond the
+    image border, wherever the principal point lies (gsplat)."""
 
 
 RASTER_PRESETS = {
@@ -39,11 +36,7 @@ RASTER_PRESETS = {
 
 
 def raster_preset(preset: str | RasterPreset) -> RasterPreset:
-    """The preset of that name; a preset passes through.
-
-    Raises:
-        UnknownNameError: there is no preset of that name.
-    """
+    """Return the preset of that name; a preset passes through."""
     if isinstance(preset, RasterPreset):
         return preset
     if preset not in RASTER_PRESETS:

@@ -19,35 +19,26 @@ from scoup.scene.gaussians import Gaussians
 
 @dataclass(frozen=True, eq=False)
 class ProjectedGaussians:
-    """The M Gaussians a camera may see, nearest first (equal depths in the order of their index); float64.
+    """The M Gaussians a camera may see, nearest first (equal depths in the order of their index); float64."""
 
-    Attributes:
-        ids: [M] int64 row of each in the scene.
-        means2d: [M, 2] centre in pixels.
-        depths: [M] view-space z in world units.
-        covariances: [M, 3] (xx, xy, yy) of the 2D covariance in square pixels, low-pass included.
-        determinants: [M] of the 2D covariance.
-        opacities: [M] peak alpha, 1/255 to 1.
-    """
-
-    ids: Tensor  # [M]
-    means2d: Tensor  # [M, 2]
-    depths: Tensor  # [M]
-    covariances: Tensor  # [M, 3]
-    determinants: Tensor  # [M]
-    opacities: Tensor  # [M]
+    ids: Tensor  # [M] int64 row of each in the scene
+    means2d: Tensor  # [M, 2] centre in pixels
+    depths: Tensor  # [M] view-space z in world units
+    covariances: Tensor  # [M, 3] (xx, xy, yy) of the 2D covariance in square pixels, low-pass included
+    determinants: Tensor  # [M] of the 2D covariance
+    opacities: Tensor  # [M] peak alpha, 1/255 to 1
 
     def __len__(self) -> int:
         return self.ids.shape[0]
 
     def extents(self) -> Tensor:
-        """[M, 2] half width and height in pixels of the ellipse where alpha = 1/255."""
+        """Return [M, 2] half width and height in pixels of the ellipse where alpha = 1/255."""
         radius2 = 2.0 * torch.log(self.opacities / ALPHA_MIN)
         return torch.sqrt(radius2[:, None].clamp(min=0) * self.covariances[:, [0, 2]])
 
 
 def project_gaussians(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> ProjectedGaussians:
-    """Project, drop what cannot paint a pixel, and sort by depth.
+    """Project, drop what cannot contribute to a pixel, and sort by depth.
 
     Dropped: rows that are not finite, zero quaternions, opacity under 1/255, depth at or before the near plane,
     ellipses that miss the image. Source: EWA splatting as in 3DGS; see docs/conventions.md for the constants.
@@ -68,7 +59,7 @@ def project_gaussians(gaussians: Gaussians, camera: Camera, preset: RasterPreset
     determinants = (minors * minors).sum(1) + LOW_PASS * (squares[:, 0] + squares[:, 1]) + LOW_PASS**2
     focal = torch.tensor([camera.fx, camera.fy], dtype=torch.float64, device=points.device)
     principal = torch.tensor([camera.cx, camera.cy], dtype=torch.float64, device=points.device)
-    # K may hold a skew term; Jacobians of the field ignore it, and so do we.
+    # K may contain a skew term; Jacobians in the literature ignore it, and so does this one.
     means2d = points[:, :2] / points[:, 2:] * focal + principal
     found = ProjectedGaussians(
         ids,
@@ -96,7 +87,7 @@ def project_gaussians(gaussians: Gaussians, camera: Camera, preset: RasterPreset
 def _image_plane_factor(
     gaussians: Gaussians, ids: Tensor, points: Tensor, camera: Camera, preset: RasterPreset
 ) -> Tensor:
-    """B [M, 2, 3] float64 with B B^T the 2D covariance before the low-pass: B = J W R S."""
+    """Return B [M, 2, 3] float64 with B B^T the 2D covariance before the low-pass: B = J W R S."""
     depth = points[:, 2]
     x_low, x_high, y_low, y_high = ray_limits(camera, preset)
     ray_x = (points[:, 0] / depth).clamp(x_low, x_high)
@@ -110,7 +101,7 @@ def _image_plane_factor(
 
 
 def ray_limits(camera: Camera, preset: RasterPreset) -> tuple[float, float, float, float]:
-    """Bounds (x low, x high, y low, y high) of x / z and y / z at which the Jacobian is taken."""
+    """Return the bounds (x low, x high, y low, y high) of x / z and y / z at which the Jacobian is taken."""
     tan_x, tan_y = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
     if preset.centred_clamp:
         return -1.3 * tan_x, 1.3 * tan_x, -1.3 * tan_y, 1.3 * tan_y
@@ -123,7 +114,7 @@ def ray_limits(camera: Camera, preset: RasterPreset) -> tuple[float, float, floa
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """[M, 3, 3] rotation matrices of quaternions [M, 4] (w, x, y, z); they are normalised first."""
+    """Return [M, 3, 3] rotation matrices of quaternions [M, 4] (w, x, y, z), normalised first."""
     w, x, y, z = (quats / torch.linalg.vector_norm(quats, dim=1, keepdim=True)).unbind(1)
     return torch.stack(
         [
@@ -136,5 +127,5 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 
 
 def tile_counts(width: int, height: int, tile: int) -> tuple[int, int]:
-    """Tiles across and down that cover the image."""
+    """Return the tiles across and down that cover the image."""
     return math.ceil(width / tile), math.ceil(height / tile)

@@ -2,7 +2,7 @@
 
 A tile's Gaussians are taken front to back in chunks. For one chunk the blending weights of G Gaussians at P
 pixels are a matrix E [G, P]; rendering is E^T @ values, and the region sums are E @ one-hot(regions). Several
-tiles are blended together so that each torch call has enough to do; what a tile needs is then one matrix product.
+tiles are blended together so that each torch call has enough to do.
 """
 
 from __future__ import annotations
@@ -32,24 +32,15 @@ _BELOW_ALPHA_MIN = float(torch.nextafter(torch.tensor(ALPHA_MIN), torch.tensor(0
 
 @dataclass(frozen=True, eq=False)
 class ReferenceProjection:
-    """A scene as one camera sees it: projected, binned and sorted. Made by ``project``.
+    """A scene as one camera sees it: projected, binned and sorted."""
 
-    Attributes:
-        n_gaussians: N of the scene.
-        width, height: image size in pixels.
-        preset: the rasteriser constants used.
-        visible: the Gaussians that the camera may see, nearest first.
-        bins: which of them reach which tile.
-        ellipses: [M, 4] float64 (ku, slope, kv, log opacity): see ``_alpha``.
-    """
-
-    n_gaussians: int
-    width: int
+    n_gaussians: int  # of the scene
+    width: int  # pixels
     height: int
     preset: RasterPreset
     visible: ProjectedGaussians
     bins: Bins
-    ellipses: Tensor
+    ellipses: Tensor  # [M, 4] float64 (ku, slope, kv, log opacity): see ``_alpha``
 
     backend = "reference"
 
@@ -129,9 +120,7 @@ def render_cosines(
 def render_cosines_and_norms(
     projection: ReferenceProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """See ``raster.render_cosines_and_norms``. The coefficients of a tile are used up at once; no map of them is
-    kept.
-    """
+    """See ``raster.render_cosines_and_norms``. No map of coefficients is kept."""
     levels, n_atoms, _ = codebook.shape
     check_atoms(indices, n_atoms)
     count = len(queries)
@@ -170,7 +159,7 @@ class _Batch:
 
 
 def _batches(projection: ReferenceProjection) -> Iterator[_Batch]:
-    """Tiles that hold anything, the fullest first, so that tiles of a batch have about as many Gaussians."""
+    """Yield tiles that are not empty, the fullest first, so that tiles of a batch have about as many Gaussians."""
     starts = projection.bins.starts
     counts = starts[1:] - starts[:-1]
     order = torch.argsort(counts, descending=True, stable=True)
@@ -181,16 +170,14 @@ def _batches(projection: ReferenceProjection) -> Iterator[_Batch]:
 
 
 def tile_weights(projection: ReferenceProjection) -> Iterator[tuple[int, Tensor, Tensor]]:
-    """Tile by tile (tile, ids [G], weights [G, P]): the Gaussians that paint it and how much of each pixel."""
+    """Yield (tile, ids [G], weights [G, P]): the Gaussians that contribute to it and how much to each pixel."""
     for batch in _batches(projection):
         parts = []
         for slots, ranks, weights in _blend(projection, batch):
             painting = torch.nonzero(weights.amax(2), as_tuple=True)
             parts.append((slots[painting[0]], ranks[painting], weights[painting]))
         slots, ranks, weights = (torch.cat(items) for items in zip(*parts, strict=True))
-        order = torch.argsort(
-            slots, stable=True
-        )  # chunks come front to back, so each tile stays front to back
+        order = torch.argsort(slots, stable=True)  # chunks come front to back, so each tile stays so
         ids, weights = projection.visible.ids[ranks[order]], weights[order]
         counts = torch.bincount(slots, minlength=len(batch.tiles)).tolist()
         yield from zip(batch.tiles.tolist(), ids.split(counts), weights.split(counts), strict=True)
@@ -263,7 +250,7 @@ def _alpha(projection: ReferenceProjection, tiles: Tensor, ranks: Tensor, valid:
 
 
 def _dense_codes(indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
-    """[G, S * L] of sparse codes [G, S, K]."""
+    """Return [G, S * L] of sparse codes [G, S, K]."""
     count, levels, _ = indices.shape
     offsets = torch.arange(levels, device=indices.device)[:, None] * n_atoms
     dense = torch.zeros(count, levels * n_atoms, device=weights.device)
@@ -271,14 +258,9 @@ def _dense_codes(indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
 
 
 def _one_hot_columns(numbers: Tensor, n_numbers: int) -> tuple[Tensor, Tensor]:
-    """One column for each distinct number >= 0 of a tile.
+    """Return one_hot [T, P, C] float32 of numbers [T, P] below ``n_numbers``, and the number of each column [T, C].
 
-    Args:
-        numbers: [T, P].
-        n_numbers: number of possible ones.
-
-    Returns:
-        one_hot [T, P, C] float32 and the number of each column [T, C]; C is the largest count of distinct ones.
+    A tile has a column for each distinct number >= 0; C is the largest count of these.
     """
     tiles, pixels = numbers.shape
     present = torch.zeros(tiles, n_numbers + 1, dtype=torch.bool, device=numbers.device)
@@ -303,7 +285,7 @@ def _empty_tiles(projection: ReferenceProjection, channels: int, device: torch.d
 
 
 def to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
-    """[S, H, W] -> [tiles, S, P]; pixels beyond the image get ``fill``."""
+    """Rearrange [S, H, W] to [tiles, S, P]; pixels beyond the image get ``fill``."""
     levels, height, width = maps.shape
     padded = torch.nn.functional.pad(
         maps, (0, bins.across * bins.tile - width, 0, bins.down * bins.tile - height), value=fill
@@ -313,7 +295,7 @@ def to_tiles(maps: Tensor, bins: Bins, fill: int) -> Tensor:
 
 
 def _from_tiles(tiles: Tensor, projection: ReferenceProjection) -> Tensor:
-    """[tiles, P, C] -> [H, W, C]."""
+    """Rearrange [tiles, P, C] to [H, W, C]."""
     bins, channels = projection.bins, tiles.shape[2]
     blocks = tiles.view(bins.down, bins.across, bins.tile, bins.tile, channels).permute(0, 2, 1, 3, 4)
     image = blocks.reshape(bins.down * bins.tile, bins.across * bins.tile, channels)

@@ -12,7 +12,7 @@ C1 = 0.4886025119029199
 
 
 def view_colors(gaussians: Gaussians, camera: Camera) -> Tensor:
-    """[N, 3] float32 RGB of every Gaussian seen from the camera, max(0, SH(direction) + 0.5)."""
+    """Return [N, 3] float32 RGB of every Gaussian seen from the camera, max(0, SH(direction) + 0.5)."""
     colors = SH_C0 * gaussians.sh[:, 0] + 0.5
     if gaussians.sh_degree > 0:
         position = camera.position.float().to(gaussians.device)
@@ -23,7 +23,7 @@ def view_colors(gaussians: Gaussians, camera: Camera) -> Tensor:
 
 
 def _basis(directions: Tensor, degree: int) -> Tensor:
-    """[N, (degree + 1)^2 - 1] basis values without the constant one, in the order and signs of 3DGS."""
+    """Return [N, (degree + 1)^2 - 1] basis values without the constant one, in the order and signs of 3DGS."""
     x, y, z = directions.unbind(1)
     xx, yy, zz = x * x, y * y, z * z
     values = [-C1 * y, C1 * z, -C1 * x]

@@ -1,4 +1,4 @@
-"""Region sums of one view: how much each Gaussian paints of each combination of its regions."""
+"""Region sums of one view: how much each Gaussian contributes to each combination of its regions."""
 
 from __future__ import annotations
 
@@ -13,26 +13,24 @@ class ViewSums:
     """Region sums of one view: A[i, c] = sum of the blending weights e_i over the pixels of combination c.
 
     A region is the union of its combinations, so that A[i, r] of method.md, stage 2, is a sum of these.
-
-    Attributes:
-        gaussian: [E] int32, rising.
-        combination: [E] int32, rising among entries of the same Gaussian; each pair occurs once.
-        weight: [E] float32, positive.
-        table: [C, S] int32, the region of each combination at each level, -1 for none.
-        labels_digest: of the label maps (``CombinedLabels.digest``), "" where it is not known.
     """
 
-    gaussian: Tensor  # [E]
-    combination: Tensor  # [E]
-    weight: Tensor  # [E]
-    table: Tensor  # [C, S]
+    gaussian: Tensor
+    """[E] int32, rising."""
+    combination: Tensor
+    """[E] int32, rising among entries of the same Gaussian; each pair occurs once."""
+    weight: Tensor
+    """[E] float32, positive."""
+    table: Tensor
+    """[C, S] int32, the region of each combination at each level, -1 for none."""
     labels_digest: str = ""
+    """Of the label maps (``CombinedLabels.digest``), "" if unknown."""
 
     @classmethod
     def of_triplets(
         cls, gaussian: Tensor, level: Tensor, region: Tensor, weight: Tensor, n_levels: int
     ) -> ViewSums:
-        """From (Gaussian, level, region, weight) [T], each combination then being a region of one level."""
+        """Make sums of (Gaussian, level, region, weight) [T], where each combination is a region of one level."""
         total = int(region.max()) + 1 if len(region) else 1
         pairs, combination = torch.unique(level.long() * total + region.long(), return_inverse=True)
         table = torch.full((len(pairs), n_levels), -1, dtype=torch.int32, device=weight.device)
@@ -43,7 +41,7 @@ class ViewSums:
         return cls(*merged, table)
 
     def triplets(self, level: int) -> tuple[Tensor, Tensor, Tensor]:
-        """(gaussian [T] int64, region [T] int64, weight [T] float32) of one level, sorted, each pair once."""
+        """Return (gaussian [T] int64, region [T] int64, weight [T] float32) of one level, sorted, each pair once."""
         region = self.table[:, level].long()[self.combination.long()]
         there = region >= 0
         n_regions = int(self.table[:, level].max()) + 1 if len(self.table) else 0
@@ -54,13 +52,7 @@ class ViewSums:
 
 
 def merge(first: Tensor, second: Tensor, weight: Tensor, n_second: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Add up the weights of equal pairs, one after the other in float64; (int32, int32, float32) sorted by both.
-
-    Args:
-        first: [T] integers.
-        second: [T] integers below ``n_second``.
-        weight: [T] float32.
-    """
+    """Add up the weights of equal pairs, in order and in float64; return (int32, int32, float32) sorted by both."""
     keys, order = torch.sort(first.long() * n_second + second.long(), stable=True)
     keys, counts = torch.unique_consecutive(keys, return_counts=True)
     total = weight.double()[order]

@@ -27,19 +27,12 @@ _CALL_NUMBERS = 1 << 26  # similarities that exist at a time
 
 @dataclass(frozen=True)
 class Launch:
-    """Sizes of one program.
+    """Sizes of one program."""
 
-    Attributes:
-        padded_k: K as a power of two.
-        padded_atoms: L as a power of two.
-        block_rows: rows it codes, a power of two.
-        warps: of 32 threads.
-    """
-
-    padded_k: int
-    padded_atoms: int
-    block_rows: int
-    warps: int
+    padded_k: int  # K as a power of two
+    padded_atoms: int  # L as a power of two
+    block_rows: int  # rows it codes, a power of two
+    warps: int  # of 32 threads
 
 
 def can_code(n_atoms: int, k: int) -> bool:

@@ -41,26 +41,19 @@ _BLOCK = 128
 
 @dataclass(frozen=True, eq=False)
 class TritonProjection:
-    """A scene as one camera sees it: projected, binned and sorted. Made by ``project``.
+    """A scene as one camera sees it: projected, binned and sorted."""
 
-    Attributes:
-        n_gaussians: N of the scene.
-        width, height: image size in pixels.
-        preset: the rasteriser constants used.
-        records: [., RECORD] float32, for each tile what it knows of the Gaussians that reach it, nearest first, see
-            ``kernels.blending``; PADDING more rows at the end.
-        starts: [tiles + 1] int64, where each tile begins in these.
-        precision: of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores,
-            where numbers are known to fit, and is "tf32x3" elsewhere; "tf32x3" does the same with tf32; "ieee" is
-            plain float32; "tf32" keeps 11 bits.
-    """
-
-    n_gaussians: int
-    width: int
+    n_gaussians: int  # of the scene
+    width: int  # pixels
     height: int
     preset: RasterPreset
+    # [., RECORD] float32 of the Gaussians that reach each tile, nearest first, see ``kernels.blending``; PADDING more
+    # rows at the end.
     records: Tensor
-    starts: Tensor
+    starts: Tensor  # [tiles + 1] int64, where each tile begins in these
+    # Of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores, where numbers
+    # are known to fit, and is "tf32x3" elsewhere; "tf32x3" does the same with tf32; "ieee" is plain float32; "tf32"
+    # keeps 11 bits.
     precision: Precision = "fp16x3"
 
     backend = "triton"
@@ -76,7 +69,7 @@ class TritonProjection:
 
     @property
     def pair_ids(self) -> Tensor:
-        """[.] int32 rows of the scene, one for each record."""
+        """[.] int32 rows of the scene, one per record."""
         return self.numbers[:, ROW.value]
 
     @property
@@ -89,9 +82,9 @@ class TritonProjection:
         return len(self.starts) - 1
 
     def products(self, wide: bool = False) -> Precision:
-        """How this GPU multiplies; ``wide`` where numbers may be beyond what float16 can hold.
+        """Return the precision of products on this GPU; ``wide`` where numbers may be beyond float16.
 
-        AMD's matrix units know no products of split tf32: they multiply float32 as it is.
+        AMD's matrix units have no products of split tf32: they multiply float32 as it is.
         """
         chosen = "tf32x3" if wide and self.precision == "fp16x3" else self.precision
         return "ieee" if torch.version.hip and chosen != "fp16x3" else chosen
@@ -100,11 +93,7 @@ class TritonProjection:
 def project(
     gaussians: Gaussians, camera: Camera, preset: RasterPreset, precision: Precision = "fp16x3"
 ) -> TritonProjection:
-    """See ``raster.project``; ``precision`` as in ``TritonProjection``.
-
-    Raises:
-        InputError: the image has more pairs of Gaussians and tiles than 31 bits can number.
-    """
+    """See ``raster.project``; more pairs of Gaussians and tiles than 31 bits can number raise InputError."""
     device = gaussians.device
     with torch.cuda.device_of(gaussians.means):
         table = camera_table(camera, preset, device)
@@ -185,7 +174,7 @@ def _bin(
 
 
 def camera_table(camera: Camera, preset: RasterPreset, device: torch.device) -> Tensor:
-    """[TABLE] float64: what the kernels of ``kernels.projection`` know of a camera and of the constants."""
+    """Return [TABLE] float64: the camera and the constants, for the kernels of ``kernels.projection``."""
     numbers = [
         *camera.viewmat[:3].double().flatten().tolist(),
         camera.fx,

@@ -18,37 +18,25 @@ from scoup.raster.view_sums import merge
 MOST_SUMS = 1 << 27  # float32 numbers at a time: half a gigabyte
 CHUNK = 32
 COLUMNS = 16
-WARPS = 2  # of a program that sums up: a thread a pixel
+WARPS = 2  # of a program that sums up: a thread per pixel
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The pixels of each tile by their combination of regions: a column is a combination that some pixel has.
+    """The pixels of each tile by their combination of regions: a column is a combination that some pixel has."""
 
-    Attributes:
-        of_pixel: [tiles, P] int16, the column of each pixel of a tile, -1 without any region.
-        counts: [tiles] int32.
-        firsts: [tiles] int64, where the columns of a tile begin in ``combinations``.
-        combinations: [C] int32, those of each tile rising.
-    """
-
-    of_pixel: Tensor
-    counts: Tensor
-    firsts: Tensor
-    combinations: Tensor
+    of_pixel: Tensor  # [tiles, P] int16, the column of each pixel of a tile, -1 without any region
+    counts: Tensor  # [tiles] int32
+    firsts: Tensor  # [tiles] int64, where the columns of a tile begin in ``combinations``
+    combinations: Tensor  # [C] int32, those of each tile rising
 
 
 @dataclass(frozen=True, eq=False)
 class TileSums:
-    """How much each Gaussian paints of each column, for some of the tiles.
+    """The contribution of each Gaussian to each column, for some of the tiles."""
 
-    Attributes:
-        values: [.] float32: for each tile [its Gaussians, its columns].
-        bases: [tiles] int64: where a tile's values begin, -1 for the other tiles.
-    """
-
-    values: Tensor
-    bases: Tensor
+    values: Tensor  # [.] float32: for each tile [its Gaussians, its columns]
+    bases: Tensor  # [tiles] int64: where a tile's values begin, -1 for the other tiles
 
 
 def region_sums(projection: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -90,7 +78,7 @@ def columns_of(projection: TritonProjection, combinations: Tensor) -> Columns:
 
 
 def tile_sums(projection: TritonProjection, columns: Columns) -> Iterator[TileSums]:
-    """Sums of all tiles, as many tiles at a time as ``MOST_SUMS`` allows; Gaussians that paint nothing have zeros."""
+    """Yield sums, of as many tiles at a time as ``MOST_SUMS`` allows; Gaussians that contribute nothing have zeros."""
     ends = torch.cumsum(projection.starts.diff() * columns.counts, 0)
     total = int(ends[-1]) if len(ends) else 0
     if total <= MOST_SUMS:
@@ -111,9 +99,7 @@ def tile_sums(projection: TritonProjection, columns: Columns) -> Iterator[TileSu
 def _sums_of(
     projection: TritonProjection, columns: Columns, ends: Tensor, first: int, last: int, count: int
 ) -> TileSums:
-    """Of the tiles from ``first`` to before ``last``, ``count`` numbers; ``ends`` [tiles] is where those of each tile
-    end.
-    """
+    """Return ``count`` sums, of the tiles from ``first`` to before ``last``; ``ends`` [tiles] is where tiles end."""
     device = projection.device
     begins = torch.nn.functional.pad(ends[:-1], (1, 0))
     values = torch.zeros(count, device=device)

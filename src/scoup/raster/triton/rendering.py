@@ -77,15 +77,10 @@ def channel_blocks(channels: int) -> ChannelBlocks:
 
 @dataclass(frozen=True, eq=False)
 class PackedCodes:
-    """Codes as the kernels read them, see ``kernels.codes.pack_kernel``.
+    """Codes as the kernels read them, see ``kernels.codes.pack_kernel``."""
 
-    Attributes:
-        words: [N, S, GROUPS * SLOTS] int32, or int64 where ``wide``.
-        wide: weights are kept as float32, because they came so or because of another precision.
-    """
-
-    words: Tensor
-    wide: bool
+    words: Tensor  # [N, S, GROUPS * SLOTS] int32, or int64 where ``wide``
+    wide: bool  # weights are float32, as they came or because of another precision
 
     @property
     def groups(self) -> int:
@@ -133,7 +128,7 @@ def render_codes(projection: TritonProjection, indices: Tensor, weights: Tensor,
 def render_cosines(
     projection: TritonProjection, indices: Tensor, weights: Tensor, codebook: Tensor, queries: Tensor
 ) -> Tensor:
-    """See ``raster.render_cosines``. The coefficients of a tile are used up at once; no map of them is kept."""
+    """See ``raster.render_cosines``. No map of coefficients is kept."""
     levels, count = len(codebook), len(queries)
     codebook, queries = codebook.to(projection.device), queries.to(projection.device)
     scores = float32_products(codebook, queries)
