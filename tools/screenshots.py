@@ -38,7 +38,8 @@ PATIENCE = 300_000
 """Milliseconds: drawing without a GPU takes seconds a frame."""
 QUALITY = 88
 IN_SIGHT_IS_LOADED = (
-    "[...document.images].every((each) => each.complete || each.getBoundingClientRect().top > innerHeight)"
+    "[...document.images].every((each) => each.complete || !each.offsetParent || "
+    "each.getBoundingClientRect().top > innerHeight)"
 )
 
 

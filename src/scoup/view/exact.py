@@ -31,23 +31,13 @@ _WORDS_SHOWN = 5
 
 @dataclass(frozen=True, eq=False)
 class PictureRequest:
-    """What a picture is to show.
+    """The camera and the content of a picture; raises InputError for values out of range or a missing text."""
 
-    Attributes:
-        camera: of the view; sides of at most ``LARGEST_SIDE`` pixels.
-        mode: "color": the splat; "heat": the relevancy to the text over it; "mask": the mask of the text, its box and
-            point; "codes": like meaning, like colour.
-        question: of one text, for "heat" and "mask".
-        level: position of the level whose codes are shown; None: the middle one.
-
-    Raises:
-        InputError: a value is out of range, or the text is missing.
-    """
-
-    camera: Camera
+    camera: Camera  # sides of at most LARGEST_SIDE pixels
     mode: PictureMode = "color"
-    question: Question | None = None
-    level: int | None = None
+    """heat: relevancy over the splat; mask: with its box and point; codes: like meaning, like colour."""
+    question: Question | None = None  # of one text, for heat and mask
+    level: int | None = None  # position of the level whose codes are shown; None: the middle one
 
     def __post_init__(self) -> None:
         if self.mode not in get_args(PictureMode):
@@ -59,11 +49,7 @@ class PictureRequest:
 
 
 class ExactPictures:
-    """Renders of one field, with what further renders of the same camera reuse.
-
-    Args:
-        field: to be rendered, with its geometry.
-    """
+    """Renders of one field; keeps what further renders of the same camera reuse."""
 
     def __init__(self, field: FieldQueries) -> None:
         self.field = field
@@ -71,7 +57,7 @@ class ExactPictures:
         self._code_drawings: dict[int, Draw] = {}
 
     def picture(self, request: PictureRequest) -> Picture:
-        """[H, W, 3] uint8, of the camera's size, without any lettering."""
+        """Return [H, W, 3] uint8 of the camera's size, without lettering."""
         camera, projection = request.camera, self.projected(request.camera)
         if request.mode == "codes":
             level = len(self.field.levels) // 2 if request.level is None else request.level
@@ -90,7 +76,7 @@ class ExactPictures:
         return mask_overlay(answer.mask, rgb, answer.box, answer.point)
 
     def projected(self, camera: Camera) -> raster.Projection:
-        """The projection to a camera; the last is kept."""
+        """Return the projection to a camera; the last one is kept."""
         name = camera.fingerprint()
         if self._projection is None or self._projection[0] != name:
             self._projection = name, self.field.project(camera)
@@ -105,10 +91,10 @@ def what_is_at(
     words: TextVectors | None,
     projection: raster.Projection | None = None,
 ) -> dict[str, Any]:
-    """What a scene says is at a pixel: the words that fit best there, level by level, and where it is.
+    """Return the words that fit best at a pixel, level by level, and its position in the world.
 
-    The codes of the Gaussians that paint the pixel are summed up by their blending weights, as a render of codes does
-    (method.md, stage 3). The position is on the pixel's ray, at the median depth of that weight.
+    The codes of the Gaussians that contribute to the pixel are summed by their blending weights, as a render of codes
+    does (method.md, stage 3). The position is on the pixel's ray, at the median depth of that weight.
 
     Args:
         field: to be asked, with its geometry.

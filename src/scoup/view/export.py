@@ -26,24 +26,16 @@ FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js", "things.j
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written.
+    """Sizes of an exported page."""
 
-    Attributes:
-        path: the file or folder.
-        n_bytes: of all of it.
-        scene_bytes: of splat and codes, compressed.
-        words_bytes: of the vocabulary, compressed.
-        words: how many can be asked.
-    """
-
-    path: Path
-    n_bytes: int
-    scene_bytes: int
-    words_bytes: int
-    words: int
+    path: Path  # the file or folder
+    n_bytes: int  # of all of it
+    scene_bytes: int  # splat and codes, compressed
+    words_bytes: int  # the vocabulary, compressed
+    words: int  # how many can be asked
 
     def record(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return {
             "out": str(self.path),
             "bytes": self.n_bytes,
@@ -107,14 +99,14 @@ def export_page(
 
 
 def jpeg(picture: Picture, quality: int = THUMBNAIL_QUALITY) -> bytes:
-    """A picture [H, W, 3] uint8 as a JPEG."""
+    """Return a picture [H, W, 3] uint8 as a JPEG."""
     stream = io.BytesIO()
     Image.fromarray(picture).save(stream, "JPEG", quality=quality)
     return stream.getvalue()
 
 
 def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
-    """The file of words, empty if no text can be asked, and how many there are."""
+    """Return the file of words, empty if no text can be asked, and how many there are."""
     vocabulary = viewed.vocabulary()
     if vocabulary is None:
         return b"", 0
@@ -123,7 +115,7 @@ def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
 
 
 def _thumbnails(viewed: ViewedField, progress: Progress) -> Sequence[str | None]:
-    """JPEGs of evenly spread cameras as base64; None for the others."""
+    """Return JPEGs of evenly spread cameras as base64; None for the others."""
     cameras = list(viewed.field.cameras or ())
     step = max(1, -(-len(cameras) // MOST_THUMBNAILS))
     found: list[str | None] = []

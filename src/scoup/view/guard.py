@@ -28,22 +28,17 @@ _OWN_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 @dataclass(frozen=True)
 class Guard:
-    """Who may ask.
+    """The rules for who may send requests."""
 
-    Attributes:
-        host: that the server is bound to.
-        token: first part of every path; empty on loopback.
-        names: by which the server may be called: a page of another site, whose name leads to this machine, calls it by
-            its own (DNS rebinding).
-    """
-
-    host: str
-    token: str = ""
+    host: str  # the server is bound to it
+    token: str = ""  # first part of every path; empty on loopback
     names: frozenset[str] = field(default_factory=frozenset)
+    """Accepted in the header Host. A page of another site whose name resolves to this machine sends its own name (DNS
+    rebinding)."""
 
     @classmethod
     def of(cls, host: str) -> Guard:
-        """For a server that is bound to a host; beyond loopback with a new token."""
+        """Return the rules of a server bound to a host; beyond loopback with a new token."""
         if is_loopback(host):
             return cls(host, "", _OWN_NAMES | {host.lower()})
         own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
@@ -51,11 +46,11 @@ class Guard:
 
     @property
     def prefix(self) -> str:
-        """What every path begins with."""
+        """The first part of every path."""
         return f"/{self.token}" if self.token else ""
 
     def refuses(self, method: str, host: str | None, origin: str | None, site: str | None) -> str | None:
-        """Why a request is refused, by its headers Host, Origin and Sec-Fetch-Site; None if it may pass."""
+        """Return why a request is refused, by its headers Host, Origin and Sec-Fetch-Site; None if it may pass."""
         name = urlsplit(f"//{host}").hostname if host and _is_host(host) else None
         if name is None or not (name in self.names or (not is_loopback(self.host) and _is_address(name))):
             return "this name of the server is not known; open the address that scoup view printed"
@@ -67,7 +62,7 @@ class Guard:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches a host."""
+    """Return whether only this machine reaches a host."""
     try:
         return host.lower() == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -83,7 +78,7 @@ def _is_address(name: str) -> bool:
 
 
 def _is_host(text: str) -> bool:
-    """Whether the header Host is a name or an address and perhaps a port, and nothing else."""
+    """Return whether the header Host is a name or an address, with or without a port."""
     try:
         parts = urlsplit(f"//{text}")
         return parts.netloc == text and not parts.username and parts.port != 0

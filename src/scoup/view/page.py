@@ -36,19 +36,12 @@ document.body.append(script);
 
 @dataclass(frozen=True)
 class PageFiles:
-    """The files of the page.
+    """The files of the page."""
 
-    Attributes:
-        index: HTML, with the lines ``STYLE``, ``SETTINGS`` and ``PROGRAM``.
-        program: JavaScript.
-        style: CSS.
-        licences: of all packages in the program.
-    """
-
-    index: str
-    program: bytes
-    style: str
-    licences: str
+    index: str  # HTML, with the lines STYLE, SETTINGS and PROGRAM
+    program: bytes  # JavaScript
+    style: str  # CSS
+    licences: str  # of all packages in the program
 
     @cached_property
     def packed_program(self) -> bytes:
@@ -56,11 +49,11 @@ class PageFiles:
         return gzip.compress(self.program, 9, mtime=0)
 
     def with_settings(self, settings: Mapping[str, Any]) -> str:
-        """The HTML with the settings of a server, which hands out program and style."""
+        """Return the HTML with the settings of a server, which serves program and style."""
         return self.index.replace(SETTINGS, _settings_line(settings))
 
     def in_one(self, settings: Mapping[str, Any], data: str) -> str:
-        """The HTML with everything inside.
+        """Return the HTML with everything inside.
 
         Args:
             settings: of the page.
@@ -75,7 +68,7 @@ class PageFiles:
 
 @cache
 def page_files(folder: Path = PAGE_FOLDER) -> PageFiles:
-    """The files of the page, as they were built.
+    """Return the files of the page, as they were built.
 
     Raises:
         ScoupError: the page was not built, with what to do about it.
@@ -95,7 +88,7 @@ def page_files(folder: Path = PAGE_FOLDER) -> PageFiles:
 
 
 def script_text(value: Any) -> str:
-    """A JSON value that may stand within a script of a page."""
+    """Return a JSON value that is safe within a script of a page."""
     return json.dumps(value, ensure_ascii=True).replace("<", "\\u003c").replace(">", "\\u003e")
 
 

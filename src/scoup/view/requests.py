@@ -20,26 +20,19 @@ _QUALITIES = (1, 95)
 
 @dataclass(frozen=True)
 class Message:
-    """The fields of a request.
+    """The fields of a request; methods raise InputError if a field is missing, of another type or out of range."""
 
-    Attributes:
-        fields: as they came.
-
-    Raises:
-        InputError: of each method: a field is missing, of another type or out of range.
-    """
-
-    fields: dict[str, Any]
+    fields: dict[str, Any]  # as they came
 
     def texts(self) -> list[str]:
-        """1 to ``MOST_TEXTS`` texts in "texts"."""
+        """Return the 1 to ``MOST_TEXTS`` texts in "texts"."""
         texts = self.fields.get("texts")
         if not isinstance(texts, list) or not 1 <= len(texts) <= MOST_TEXTS:
             raise InputError(f"give 1 to {MOST_TEXTS} texts to look for")
         return [_checked_text(text) for text in texts]
 
     def things(self) -> dict[int, str]:
-        """Names by number of the things in "things"; none if the field is missing."""
+        """Return the names, by number, of the things in "things"; none if the field is missing."""
         things = self.fields.get("things", [])
         if not isinstance(things, list) or len(things) > MOST_THINGS:
             raise InputError(f"select at most {MOST_THINGS:,} things")
@@ -52,12 +45,12 @@ class Message:
         return found
 
     def text(self) -> str | None:
-        """The text in "text", if there is one."""
+        """Return the text in "text"; None if there is none."""
         text = self.fields.get("text")
         return None if text is None else _checked_text(text)
 
     def level(self, count: int) -> int | None:
-        """The position of a level among ``count``, if there is one."""
+        """Return the position of a level among ``count``; None if there is none."""
         level = self.fields.get("level")
         if level is None:
             return None
@@ -66,23 +59,23 @@ class Message:
         return level
 
     def threshold(self) -> float | None:
-        """0 to 1, if there is one."""
+        """Return the threshold, 0 to 1; None if there is none."""
         threshold = self.fields.get("threshold")
         return None if threshold is None else self._number("threshold", 0, 1)
 
     def flag(self, name: str) -> bool:
-        """Whether a field is true; false if it is missing."""
+        """Return whether a field is true; False if it is missing."""
         value = self.fields.get(name, False)
         if not isinstance(value, bool):
             raise InputError(f"{name!r} must be true or false")
         return value
 
     def quality(self, default: int = 85) -> int:
-        """Of a JPEG."""
+        """Return the quality of a JPEG."""
         return default if "quality" not in self.fields else round(self._number("quality", *_QUALITIES))
 
     def camera(self) -> Camera:
-        """The camera in "camera"; its sides are at most ``LARGEST_SIDE``."""
+        """Return the camera in "camera"; its sides are at most ``LARGEST_SIDE``."""
         record = self.fields.get("camera")
         if not isinstance(record, dict):
             raise InputError("the camera is missing")
@@ -92,7 +85,7 @@ class Message:
         return Camera("view", matrix, torch.tensor(K, dtype=torch.float64).reshape(3, 3), width, height)
 
     def pixel(self) -> tuple[int, int]:
-        """(x, y) in "pixel"."""
+        """Return (x, y) in "pixel"."""
         x, y = _numbers(self.fields, "pixel", 2)
         return math.floor(x), math.floor(y)
 

@@ -25,35 +25,22 @@ class PageAnswer:
 
     Things answer where the field has them and they are convincing; the votes of the Gaussians answer otherwise, and
     wherever the page is given a threshold.
-
-    Attributes:
-        text: the query.
-        scores: [S, L] float32, inner products of atoms and text.
-        level: position of the level that answers.
-        score: the largest relevancy of a Gaussian at that level; minus infinity if none has a code.
-        thresholds: [S] the stable threshold of each level, on the rescaled relevancy.
-        spans: [S, 2] relevancies that rescaling takes to 0 and 1 at each level.
-        z_score: of what was found; None if presence is not judged.
-        present: whether the thing is in the scene; true if that is not judged.
-        gaussians: how many answer.
-        chosen_things: the things that answer if no level is chosen; None where the votes answer.
-        things: per level, the things that answer if this level is chosen; None where the votes answer.
     """
 
     text: str
-    scores: Tensor  # [S, L]
-    level: int
-    score: float
-    thresholds: Tensor  # [S]
-    spans: Tensor  # [S, 2]
-    z_score: float | None
-    present: bool
-    gaussians: int
-    chosen_things: list[int] | None
-    things: list[list[int] | None]
+    scores: Tensor  # [S, L] float32, inner products of atoms and text
+    level: int  # position of the level that answers
+    score: float  # the largest relevancy of a Gaussian at that level; minus infinity if none has a code
+    thresholds: Tensor  # [S] stable threshold of each level, on the rescaled relevancy
+    spans: Tensor  # [S, 2] relevancies that rescaling takes to 0 and 1 at each level
+    z_score: float | None  # None if presence is not judged
+    present: bool  # true if presence is not judged
+    gaussians: int  # how many answer
+    chosen_things: list[int] | None  # that answer if no level is chosen; None where the votes answer
+    things: list[list[int] | None]  # per level, that answer if it is chosen; None where the votes answer
 
     def record(self) -> dict[str, Any]:
-        """Plain JSON values; ``scores`` as base64 of float32, little-endian."""
+        """Return plain JSON values; ``scores`` as base64 of float32, little-endian."""
         judged = self.z_score is not None and math.isfinite(self.z_score)
         return {
             "text": self.text,
@@ -71,7 +58,7 @@ class PageAnswer:
 
 
 def scene_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]:
-    """The answer to each text, in their order.
+    """Yield the answer to each text, in their order.
 
     Args:
         field: to be queried.

@@ -19,21 +19,19 @@ class UnitCodes:
 
     The cosine of a Gaussian with a text is (w A) / sqrt(w G w^T) with A = C T^T and G = C C^T (method.md, stage 3).
     The divisor does not depend on the text: it is taken out of the weights once.
-
-    Attributes:
-        indices: [N, S, K] as in the field.
-        weights: [N, S, K] float32, divided by the norm of the decoded code; zeros where there is no code.
-        confidence: [N, S] float32, 0..1: norm of the decoded code when its weights sum to 1. It is 1 where all regions
-            that voted for the Gaussian have one embedding, and less the more they differ; 0 where there is no code.
     """
 
-    indices: Tensor  # [N, S, K]
-    weights: Tensor  # [N, S, K]
-    confidence: Tensor  # [N, S]
+    indices: Tensor  # [N, S, K] as in the field
+    weights: (
+        Tensor  # [N, S, K] float32, divided by the norm of the decoded code; zeros where there is no code
+    )
+    confidence: Tensor  # [N, S] float32
+    """0 to 1, norm of the decoded code when its weights sum to 1: 1 where all regions that voted for the Gaussian have
+    one embedding, and less the more they differ; 0 where there is no code."""
 
     @classmethod
     def of(cls, field: CodedScene) -> UnitCodes:
-        """Those of a field."""
+        """Return those of a field."""
         indices, codebook = field.code_indices.cpu(), field.codebook.float().cpu()
         weights = field.code_weights.float().cpu()
         norms = torch.zeros(weights.shape[:2])
@@ -54,11 +52,11 @@ class UnitCodes:
         return len(self.indices)
 
     def coded(self) -> Tensor:
-        """[S, N] boolean: Gaussians with a code at each level."""
+        """Return [S, N] boolean: Gaussians with a code at each level."""
         return (self.weights > 0).any(-1).T
 
     def cosines(self, scores: Tensor) -> Tensor:
-        """[S, Q, N] float32 cosines of all Gaussians; 0 without a code.
+        """Return [S, Q, N] float32 cosines of all Gaussians; 0 without a code.
 
         Args:
             scores: [S, L, Q] float32, A: inner products of atoms and unit text vectors (``atom_scores``).
@@ -67,5 +65,5 @@ class UnitCodes:
 
 
 def atom_scores(field: CodedScene, vectors: Tensor) -> Tensor:
-    """[S, L, Q] float32 on the CPU: inner products A = C T^T of the codebooks and text vectors [Q, D]."""
+    """Return [S, L, Q] float32 on the CPU: inner products A = C T^T of the codebooks and text vectors [Q, D]."""
     return field.codebook.float().cpu() @ vectors.float().cpu().T
