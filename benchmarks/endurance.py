@@ -129,7 +129,7 @@ class Trial:
 
 
 def endure(verb: Verb, scene: Scene, kills: int, seed: int, outside: float = 0.5) -> list[Trial]:
-    """Return trials of a verb until so many kills have hit.
+    """Try a verb until so many kills have hit.
 
     ``outside``: see ``Endurance``.
     """
@@ -185,7 +185,7 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
 
 
 def run_and_kill(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, outside: float) -> Run:
-    """Return a run that is killed at a random moment, if it is not over before."""
+    """Run a verb and kill it at a random moment, if it is not over before."""
     moment, point = dice.random(), dice.randint(1, len(plain.notes))
     if dice.random() < outside:
         return verb.run(scene, after=moment * EARLY * plain.seconds)

@@ -80,7 +80,7 @@ def answers(work: Workload, name: str) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def differences(theirs: tuple[Tensor, Tensor, Tensor], exact: tuple[Tensor, Tensor, Tensor], k: int) -> Row:
-    """Return greatest differences; and the share of pixels whose k largest atoms, at any level, are not the
+    """Return the greatest differences, and the share of pixels whose k largest atoms, at any level, are not the
     same in order."""
     off = [float((one - other).abs().max()) for one, other in zip(theirs, exact, strict=True)]
     off[2] /= float(exact[2].max().clamp(min=1e-30))

@@ -68,7 +68,7 @@ class DeviceClock:
         return first.elapsed_time(last) / 1e3 / runs
 
     def peak_bytes(self, run: Callable[[], object]) -> dict[str, int | None]:
-        """Return most bytes that torch allocated on the device during a run, and how many of them were not
+        """Return the most bytes that torch allocated on the device during a run, and how many of them were not
         allocated before; None on a CPU.
         """
         if not self.on_gpu:

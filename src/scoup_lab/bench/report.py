@@ -65,7 +65,7 @@ def comparison(rows: Iterable[Row]) -> dict[str, list[dict[str, Any]]]:
 
 
 def stage_table(rows: Sequence[Row]) -> str:
-    """Return markdown: a line for each scene and stage; milliseconds of each backend and number of threads; ratios.
+    """Return Markdown: a line for each scene and stage; milliseconds of each backend and number of threads; ratios.
 
     Where medians come from different numbers of repetitions, the heading of each column says how many.
     """

@@ -68,7 +68,7 @@ def tracked_points(folder: Path, cameras: Cameras) -> Matches | None:
 def dominant_gaussians(
     gaussians: Gaussians, cameras: Sequence[Camera], raster_preset: str = "inria"
 ) -> Matches:
-    """Return gaussians in the views where they contribute more than half of the pixel under their centre."""
+    """Return Gaussians in the views where they contribute more than half of the pixel under their centre."""
     seen: dict[int, list[Observation]] = {}
     for camera in cameras:
         centres = centre_pixels(gaussians, camera)
