@@ -25,6 +25,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup catalog scene.scoup
   scoup render scene.scoup --what codes --camera all
   scoup view scene.scoup
+  scoup mcp scene.scoup
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
@@ -47,6 +48,7 @@ SCOUP = Family(
         "catalog": "scoup.cli.catalog:MakeCatalog",
         "render": "scoup.cli.render:Render",
         "view": "scoup.cli.view:View",
+        "mcp": "scoup.cli.mcp:ServeAgents",
         "info": "scoup.cli.info:Info",
         "eval": "scoup_lab.cli.evaluate:EVAL",
         "bench": "scoup_lab.cli.bench:Bench",

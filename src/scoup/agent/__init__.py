@@ -1,0 +1,1 @@
+"""Fields for language models: tools of the Model Context Protocol."""

@@ -1,0 +1,197 @@
+"""What a language model may do with fields, as plain functions: arguments in, JSON values or a picture out."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scoup import raster
+from scoup.base.errors import InputError, looked_up
+from scoup.io import save_gaussians
+from scoup.models.text import LONGEST
+from scoup.pictures import as_picture, mask_overlay
+from scoup.pictures.colors import Picture
+from scoup.query.catalog_files import thing_mask
+from scoup.query.methods import FieldQueries
+from scoup.query.scene_things import Thing
+from scoup.scene.cameras import Cameras
+
+MOST_LISTED = 200
+"""Things in one reply."""
+MOST_MARKED = 12
+"""Things marked in one picture."""
+WIDEST = 1024
+"""Pixels of the longer side of a picture."""
+_COLORS = ((255, 92, 40), (64, 160, 255), (90, 200, 90), (240, 200, 40), (200, 90, 220), (40, 210, 210))
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTools:
+    """The tools over some fields.
+
+    Everything a caller passes is checked; files are written into one folder only, and only new ones.
+    """
+
+    fields: Mapping[str, FieldQueries]
+    """By the names under which they are served."""
+    export_folder: Path | None = None
+    """Where selections are written; None: nowhere."""
+    metres_per_unit: float | None = None
+    """Length of the scenes' unit; positions and distances are given in metres, too."""
+
+    def list_scenes(self) -> list[dict[str, Any]]:
+        """List the scenes with their size, number of things, levels and cameras."""
+        return [
+            {
+                "scene": name,
+                "gaussians": len(field),
+                "things": 0 if field.thing_table is None else len(field.thing_table),
+                "levels": list(field.levels),
+                "cameras": len(field.cameras or ()),
+            }
+            for name, field in self.fields.items()
+        ]
+
+    def list_cameras(self, scene: str) -> list[dict[str, Any]]:
+        """List the cameras of a scene: name, position and image size in pixels."""
+        return [
+            {
+                "camera": camera.name,
+                "position": [round(value, 5) for value in camera.position.tolist()],
+                "width": camera.width,
+                "height": camera.height,
+            }
+            for camera in self._field(scene).cameras or ()
+        ]
+
+    def list_things(self, scene: str, level: str | None = None, limit: int = 50) -> dict[str, Any]:
+        """List the things of a scene, the largest first; `level` keeps those of one level of detail."""
+        field = self._field(scene)
+        if level is not None:
+            field.level_index(level)
+        things = [thing for thing in field.things() if level in (None, thing.level)]
+        things.sort(key=lambda thing: -thing.n_gaussians)
+        return self._reply(things, limit)
+
+    def find(self, scene: str, text: str, seen_from: str | None = None, limit: int = 50) -> dict[str, Any]:
+        """Find every thing that a text or phrase names, the best first.
+
+        `text` is a name ("mug"), or a phrase with a relation or an order: "mug left of the laptop", "book on the
+        shelf", "kettle nearest to the sink", "largest box", "second chair from the left", "how many cups". An unknown
+        relation is an error that lists the known ones. Left, right, in front of and behind are meant as seen from the
+        camera `seen_from`. `count` is 0 where the thing is not in the scene.
+        """
+        field = self._field(scene)
+        frame = field.frame(seen_from)
+        reply = self._reply(field.things(_bounded(text), frame), limit)
+        return {**reply, "directions": frame.said()}
+
+    def describe_thing(self, scene: str, thing: int) -> dict[str, Any]:
+        """Describe one thing by its number: place, box, what it is a part of, and its own parts."""
+        field = self._field(scene)
+        every = {each.number: each for each in field.things()}
+        one = self._thing(every, thing)
+        parts = [number for number, each in every.items() if each.parent == thing]
+        return {**one.record(self.metres_per_unit), "parts": parts}
+
+    def measure_distance(self, scene: str, thing: int, other: int) -> dict[str, Any]:
+        """Measure the distance between the positions of two things."""
+        every = {each.number: each for each in self._field(scene).things()}
+        one, two = self._thing(every, thing), self._thing(every, other)
+        distance = float((one.position - two.position).norm())
+        metres = {} if self.metres_per_unit is None else {"metres": round(distance * self.metres_per_unit, 4)}
+        return {"thing": thing, "other": other, "distance": float(f"{distance:.6g}"), **metres}
+
+    def render_view(self, scene: str, camera: str | None = None, things: list[int] | None = None) -> Picture:
+        """Render the scene as a camera sees it, with some things marked in colours and by their numbers."""
+        field = self._field(scene)
+        if things and len(things) > MOST_MARKED:
+            raise InputError(f"things: at most {MOST_MARKED} in one picture, got {len(things)}")
+        every = {each.number: each for each in field.things()} if things else {}
+        marked = [self._thing(every, number) for number in things or ()]
+        view = field.camera(0 if camera is None else camera)
+        if max(view.width, view.height) > WIDEST:
+            view = Cameras([view]).scaled(WIDEST / max(view.width, view.height))[0]
+        projection = field.project(view)
+        picture = as_picture(raster.render_colors(field.gaussians, view, projection).cpu())
+        for place, thing in enumerate(marked):
+            mask = thing_mask(field, projection, thing)
+            if bool(mask.any()):
+                color = _COLORS[place % len(_COLORS)]
+                drawn = mask_overlay(mask, picture, color=color)
+                picture = np.where(mask.numpy()[..., None], drawn, picture)
+                picture = _numbered(picture, mask.numpy(), str(thing.number), color)
+        return picture
+
+    def export_selection(
+        self, scene: str, text: str, file_name: str, seen_from: str | None = None
+    ) -> dict[str, Any]:
+        """Write the Gaussians that answer an expression ("mug and not handle", "mug left of the laptop") as a new PLY.
+
+        The file goes into the folder named when the server was started; `file_name` is a plain name without folders.
+        """
+        if self.export_folder is None:
+            raise InputError("this server writes no files: it was started without a folder for exports")
+        field, name = self._field(scene), file_name.removesuffix(".ply")
+        if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
+            raise InputError(
+                f"{file_name[:80]!r}: expected a plain name of lower-case letters, digits, - and _, such as mug.ply"
+            )
+        path = self.export_folder / f"{name}.ply"
+        if path.exists():
+            raise InputError(f"{path.name}: already exists; choose another name")
+        frame = field.frame(seen_from) if seen_from is not None else None
+        answer = field.select(_bounded(text), frame=frame)
+        count = int(answer.mask.sum())
+        if not count:
+            raise InputError(f"{text[:80]!r}: nothing answers in this scene, so nothing was written")
+        save_gaussians(field.gaussians.select(answer.mask.to(field.gaussians.device)).to("cpu"), path)
+        return {"file": path.name, "gaussians": count}
+
+    def _field(self, scene: str) -> FieldQueries:
+        return looked_up("scene", scene, self.fields)
+
+    def _thing(self, every: Mapping[int | None, Thing], number: int) -> Thing:
+        if number not in every:
+            raise InputError(f"there is no thing {number}; list_things names those of the scene")
+        return every[number]
+
+    def _reply(self, things: list[Thing], limit: int) -> dict[str, Any]:
+        if not 1 <= limit <= MOST_LISTED:
+            raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
+        records = [thing.record(self.metres_per_unit) for thing in things[:limit]]
+        return {"count": len(things), "things": records}
+
+
+def _bounded(text: str) -> str:
+    if not text.strip() or len(text) > LONGEST:
+        raise InputError(f"text: expected 1 to {LONGEST} characters, got {len(text)}")
+    return text
+
+
+def _numbered(picture: Picture, mask: np.ndarray, text: str, color: tuple[int, int, int]) -> Picture:
+    """Write a number in the middle of a mask [H, W]."""
+    from PIL import Image, ImageDraw
+
+    from scoup.pictures.lettering import font
+
+    rows, columns = np.nonzero(mask)
+    image = Image.fromarray(picture)
+    draw, face = ImageDraw.Draw(image), font(max(12, math.ceil(picture.shape[1] / 50)))
+    place = (float(np.median(columns)), float(np.median(rows)))
+    draw.text(
+        place,
+        text,
+        fill="white",
+        font=face,
+        anchor="mm",
+        stroke_width=2,
+        stroke_fill=tuple(c // 3 for c in color),
+    )
+    return np.asarray(image)

@@ -1,0 +1,59 @@
+"""scoup mcp: fields for language models, by the Model Context Protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from scoup.cli.console import Console
+from scoup.cli.options import Common, OptionalNumber, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.query_options import check_metres
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServeAgents(Common):
+    """Serve fields to a language model over standard input and output (Model Context Protocol): list and find things,
+    relations, distances, views with marks, and export selections into one folder. A client starts this program; see
+    docs/agents.md."""
+
+    option_groups: ClassVar[OptionGroups] = {"tools": "text out metres_per_unit"}
+
+    fields: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="FIELD [FIELD ...]", help_behavior_hint=""),
+    ]
+    """.scoup files; each is a scene, named as its file."""
+    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
+    out: OptionalPath = None
+    """Folder into which selections may be exported; nothing in it is overwritten. Default: exports are refused."""
+    metres_per_unit: OptionalNumber = None
+    """Length of the scenes' unit in metres, if you know it."""
+
+    def run(self, console: Console) -> None:
+        """Open the fields and serve them until the client leaves."""
+        from scoup.agent.server import make_server
+        from scoup.agent.tools import SceneTools
+        from scoup.base.errors import InputError, MissingFileError
+        from scoup.field.language_field import LanguageField
+
+        check_metres(self.metres_per_unit)
+        names = [path.stem for path in self.fields]
+        if not names or len(set(names)) < len(names):
+            raise InputError(f"expected .scoup files with different names, got {', '.join(names) or 'none'}")
+        if self.out is not None and not self.out.is_dir():
+            raise MissingFileError(
+                self.out, "there is no such folder for exports", "create it, or omit --out"
+            )
+        fields = {}
+        for name, path in zip(names, self.fields, strict=True):
+            field = LanguageField.load(path).to(self.device)
+            field.text_encoder(self.text)
+            len(field.gaussians)  # a geometry that is missing is said now, not to the model
+            fields[name] = field
+        server = make_server(SceneTools(fields, self.out, self.metres_per_unit))
+        console.warn(f"serving {', '.join(names)} over standard input and output")
+        server.run("stdio")
