@@ -31,7 +31,7 @@ CLIP_DIM = 512
 
 @dataclass(frozen=True, eq=False)
 class _Loaded:
-    """What a build is given: the scene, its splat's file and rasteriser preset, the model of its embeddings."""
+    """The inputs of a build."""
 
     gaussians: Gaussians
     cameras: Cameras
@@ -71,12 +71,12 @@ class Build(BuildOptions, ViewOptions):
     """Also keep the region sums, in <out>.sums: with them scoup update adds and removes views, and --sums builds again
     (other embeddings, codes or rounds) without rasterising."""
     sums: OptionalPath = None
-    """Take the region sums from this folder, as --keep-sums has left it; nothing is rasterised. It is not changed."""
+    """Take the region sums from this folder, written by --keep-sums; nothing is rasterised. It is not changed."""
     sums_weights: Literal["float32", "float16"] = "float32"
-    """How region sums are kept: float16 takes 5 bytes an entry instead of 7."""
+    """Type of stored region sums: float16 takes 5 bytes per entry instead of 7."""
     least_weight: float = 0.0
-    """Leave out entries of the region sums below this, for less space. 0.01 leaves out a quarter to a half of them;
-    Gaussians that paint hardly anything lose their codes with them."""
+    """Omit entries of the region sums below this, for less space. 0.01 omits a quarter to a half; Gaussians that
+    contribute hardly anything lose their codes."""
 
     shard: OptionalText = None
     """I/N, such as 1/4: only rasterise this share of the views, and write <out>.I-of-N.sums. scoup merge makes the
@@ -179,7 +179,7 @@ class Build(BuildOptions, ViewOptions):
         report_field(console, found.field, out, found.bytes_of_sums, device, time.perf_counter() - started)
 
     def _load(self, console: Console, device: str, out: Path) -> _Loaded:
-        """The scene."""
+        """Read the scene."""
         from scoup.io import default_preset, load_gaussians
         from scoup.io.scene_parts import find_splat
         from scoup.uplift.provenance import embedding_model_of

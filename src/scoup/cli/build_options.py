@@ -8,16 +8,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalInteger, OptionalNumber, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.option_groups import borrow_options
+from scoup.cli.options import Flag, OptionGroups, WritesCommon
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.uplift.build_settings import BuildSettings
+
+
+_SETTINGS = "n_atoms k keep rounds solver effort epochs tolerance seed"
 
 
 @dataclass(frozen=True, kw_only=True)
+@borrow_options(BUILD_PRESETS["default"], _SETTINGS, paper=BUILD_PRESETS["paper"])
 class BuildOptions(WritesCommon):
-    """What a field is made like."""
+    """Options of verbs that make a field."""
 
     option_groups: ClassVar[OptionGroups] = {
         "coding": "n_atoms k solver effort epochs tolerance",
@@ -26,46 +31,20 @@ class BuildOptions(WritesCommon):
     }
 
     preset: Literal["default", "paper"] = "default"
-    """default answers best (128 atoms, exact coding, two rounds of the vote); paper is the method as
-    published (64 atoms, Adam, one round). Options of coding and vote, where given, override it."""
-    n_atoms: OptionalInteger = None
-    """Atoms in the codebook of each level (L). Default: the preset's."""
-    k: OptionalInteger = None
-    """Atoms in the code of a region (K). Default: the preset's."""
-    keep: OptionalInteger = None
-    """Atoms each Gaussian keeps after the vote; 0 keeps all. Default: the preset's."""
-    rounds: OptionalInteger = None
-    """Rounds of the vote; after the first, regions count by their cosine with the outcome of the round before.
-    Default: the preset's."""
-    solver: OptionalText = None
-    """How codes are learned: exact, or adam as in the paper, which takes minutes where exact takes a second. Default:
-    the preset's."""
-    effort: OptionalText = None
-    """How long the exact solver searches: best, or fast in half the time. Default: the preset's."""
-    epochs: OptionalInteger = None
-    """Epochs of the adam solver; fewer are faster and a little worse. Default: the preset's."""
-    tolerance: OptionalNumber = None
-    """Stop adam early once its loss falls by less than this in 100 epochs. Default: never."""
-    seed: int = 0
-    """Seed of the codebook's start; the same seed gives the same file (adam needs the same number of threads, too)."""
+    """default gives the best answers (128 atoms, exact coding, two rounds of the vote); paper is the method as
+    published (64 atoms, Adam, one round). Options of coding and vote override it."""
     weight_bits: Literal[8, 16] = 16
     """Bits of a stored code weight."""
     embed_geometry: Flag = False
-    """Put the Gaussians into the field's file, so that it stands alone."""
+    """Embed the Gaussians in the field's file, so that it needs no other file."""
 
     def settings(self, raster_preset: str) -> BuildSettings:
-        """The preset with the options given."""
-        from scoup.uplift.build_settings import build_settings
-
-        names = ("n_atoms", "k", "keep", "rounds", "solver", "effort", "epochs", "tolerance", "seed")
-        return build_settings(
-            self.preset,
-            **{name: getattr(self, name) for name in names},
-            raster_preset=raster_preset,
-        )
+        """Return the preset with the options passed."""
+        changes = {name: getattr(self, name) for name in _SETTINGS.split()}
+        return build_settings(self.preset, **changes, raster_preset=raster_preset)
 
     def given(self) -> list[str]:
-        """The options above that are not as by default, as they stand on the command line."""
+        """Return the options of this class that were passed, as written on the command line."""
         own = BuildOptions.__annotations__.keys() - {"option_groups"}
         return [
             "--" + field.name.replace("_", "-")

@@ -27,9 +27,10 @@ class Convert(WritesCommon):
     .sog, by the suffix of TARGET.
 
     A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
-    compact file a view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's three
-    numbers a region (language_features_dim3) become embeddings again.
-    An array of features, one row a Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse coding.
+    compact file per view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's
+    three numbers per region (language_features_dim3) become embeddings again.
+    An array of features, one row per Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse
+    coding.
     A checkpoint of LangSplatV2 (chkpnt10000.pth) becomes a field with its codebook and codes; of a folder NAME_1 those
     of NAME_2 and NAME_3 are taken, too.
     """
@@ -61,7 +62,7 @@ class Convert(WritesCommon):
     k: int = 4
     """Atoms of a Gaussian's code."""
     seed: int = 0
-    """Of the codebook."""
+    """Seed of the codebook."""
 
     def run(self, console: Console) -> None:
         """Convert and report."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Merge(BuildOptions):
-    """Make a language field from shards, as scoup build --shard has left them.
+    """Make a language field from shards written by scoup build --shard.
 
     Of all shards of a scene this is the field that scoup build makes in one process, byte for byte; of some of them,
     the field of their views. Nothing is rasterised, and neither photographs nor region features are needed.

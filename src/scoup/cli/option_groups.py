@@ -5,16 +5,19 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from scoup.cli.options import Common
+
+T = TypeVar("T")
+METAVARS = {int: "INT", float: "NUMBER", str: "TEXT"}
 
 
 def option_groups(verb: type) -> dict[str, list[str]]:
@@ -93,8 +96,34 @@ def attribute_texts(kind: type) -> dict[str, str]:
     for base in reversed(kind.__mro__):
         if not is_dataclass(base):
             continue
-        texts |= _own_texts(base)
+        texts |= {**_own_texts(base), **vars(base).get("borrowed_texts", {})}
     return texts
+
+
+def borrow_options(settings: Any, names: str, **presets: Any) -> Callable[[type[T]], type[T]]:
+    """Add fields of a dataclass of settings to a verb as options that are None by default, with the texts under them.
+
+    The texts end with the values in ``settings`` and in ``presets`` that differ.
+    """
+    hints, texts = get_type_hints(type(settings)), attribute_texts(type(settings))
+
+    def add(verb: type[T]) -> type[T]:
+        borrowed: dict[str, str] = {}
+        for name in names.split():
+            value, kind = getattr(settings, name), hints[name]
+            metavar = next(shown for known, shown in METAVARS.items() if known in (kind, *get_args(kind)))
+            verb.__annotations__[name] = Annotated[
+                kind | None, tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+            ]
+            setattr(verb, name, None)
+            others = {preset: getattr(other, name) for preset, other in presets.items()}
+            differing = [f"{preset}: {other}" for preset, other in others.items() if other != value]
+            default = "never" if value is None else value
+            borrowed[name] = f"{texts[name]} Default: {'; '.join([str(default), *differing])}."
+        verb.borrowed_texts = borrowed  # pyright: ignore[reportAttributeAccessIssue]
+        return verb
+
+    return add
 
 
 @cache

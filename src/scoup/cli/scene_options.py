@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions(WritesCommon):
-    """Where the views of a scene are, and at which size."""
+    """Options for the views of a scene: their files and their size."""
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "features images downscale undistort dataparser_transforms no_check_fit"
@@ -36,10 +36,10 @@ class ViewOptions(WritesCommon):
     dataparser_transforms: OptionalPath = None
     """The dataparser_transforms.json of a nerfstudio training: brings the cameras to the frame of its splat."""
     no_check_fit: Flag = False
-    """Leave out the check that small renders of the splat look like the photographs."""
+    """Skip the check that small renders of the splat match the photographs."""
 
     def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
-        """Cameras and regions of a scene, and the folder of the regions."""
+        """Return cameras and regions of a scene, and the folder of the regions."""
         from scoup.io import load_cameras, load_regions
         from scoup.io.scene_parts import find_features
 

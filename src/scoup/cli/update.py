@@ -52,15 +52,15 @@ class Update(FieldOptions, ViewOptions):
     """Name of a camera to add, or to add again; repeat it for several. all: every one with features that is not in
     the field, or whose region maps or camera have changed."""
     remove: Names = ()
-    """Name of a view to leave out; repeat it for several."""
+    """Name of a view to remove; repeat it for several."""
     new_atoms: int = 0
-    """Add at most so many atoms a level for regions of a new view that the codebook explains badly."""
+    """Most atoms to add per level for regions of a new view that the codebook explains badly."""
     sums: OptionalPath = None
     """The region sums of the field. Default: FIELD.sums."""
     edited: OptionalPath = None
     """The splat of the field after an edit: Gaussians deleted, appended or reordered, colours aside."""
     tolerance: OptionalNumber = None
-    """Match Gaussians whose centres are at most so far apart, in units of the scene, for formats that round. Default:
+    """Largest distance of matching centres, in units of the scene, for formats that round numbers. Default:
     only those whose numbers are the same."""
     out: OptionalPath = None
     """The field to write; its region sums go beside it. Default: FIELD, which needs --overwrite."""
