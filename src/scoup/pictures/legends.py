@@ -15,7 +15,7 @@ _DRAW_LABELS = ("0.5: draw with the canonical phrases", "0.5: draw", "0.5")
 
 
 def heat_legend(width: int, low: float, high: float) -> Picture:
-    """The colours of a heat map along the whole scale of relevancy, with ticks at 0, 0.5 and 1.
+    """Draw the colours of a heat map along the whole scale of relevancy, with ticks at 0, 0.5 and 1.
 
     Args:
         width: of the picture in pixels; at least 120.
@@ -49,7 +49,7 @@ def heat_legend(width: int, low: float, high: float) -> Picture:
 
 
 def scale_ends(width: int) -> tuple[int, int]:
-    """Columns of relevancy 0 and 1 in a ``heat_legend`` of this width."""
+    """Return the columns of relevancy 0 and 1 in a ``heat_legend`` of this width."""
     margin = max(8, strip_height(width) // 2)
     return margin, width - 1 - margin
 

@@ -26,7 +26,7 @@ _FONT_FILES = (
 
 @lru_cache(256)
 def font(size: float, file: str = "") -> Font:
-    """A font: Pillow's own without a file.
+    """Return a font: Pillow's own without a file.
 
     Raises:
         OSError: the system has no such file.
@@ -52,7 +52,7 @@ def lines_of(text: str, width: int, size: float, most: int = MOST_LINES) -> tupl
 
 
 def _beginning(text: str, width: int, face: Font) -> str:
-    """As much of the text as fits one line, at least one letter."""
+    """Return as much of the text as fits one line, at least one letter."""
     if text_width(text, face) <= width:
         return text
     end = 1
@@ -108,12 +108,12 @@ def _drawn(char: str, face: Font) -> tuple[tuple[int, int], bytes]:
 
 
 def strip_height(width: int) -> int:
-    """Height of a line of text under or over a picture of this width."""
+    """Return the height of a line of text under or over a picture of this width."""
     return max(22, min(40, round(width * 0.06)))
 
 
 def fits_one_line(width: int, text: str, right: str = "") -> bool:
-    """Whether both texts of a ``caption`` fit beside each other."""
+    """Return whether both texts of a ``caption`` fit beside each other."""
     height = strip_height(width)
     margin, size = max(3, height // 4), height * 0.6
     texts = [_line(text, size), _line(right, size * 0.85)]
@@ -121,7 +121,7 @@ def fits_one_line(width: int, text: str, right: str = "") -> bool:
 
 
 def caption(width: int, text: str, right: str = "", one_line: bool | None = None) -> Picture:
-    """A dark strip with ``text`` on the left and ``right``, fainter, on the right; or below each other.
+    """Draw a dark strip with ``text`` on the left and ``right``, fainter, on the right; or below each other.
 
     Args:
         width: in pixels.
@@ -153,7 +153,7 @@ def caption(width: int, text: str, right: str = "", one_line: bool | None = None
 
 
 def _line(text: str, size: float) -> int:
-    """Pixels that the whole text takes in one line."""
+    """Return the pixels that the whole text takes in one line."""
     text, file = writable(text)
     return text_width(text, font(size, file))
 
@@ -173,7 +173,7 @@ def _write(
 
 
 def captioned(image: Picture, text: str, right: str = "") -> Picture:
-    """The picture with a dark strip above it: what it shows, and a remark such as the score (see ``caption``).
+    """Put a dark strip above the picture: what it shows, and a remark such as the score (see ``caption``).
 
     Args:
         image: [H, W, 3].
@@ -189,7 +189,7 @@ def captioned(image: Picture, text: str, right: str = "") -> Picture:
 
 
 def stacked(parts: list[Picture]) -> Picture:
-    """Pictures below each other, narrower ones in the middle between dark margins."""
+    """Stack pictures below each other, narrower ones in the middle between dark margins."""
     width = max(part.shape[1] for part in parts)
     canvas = np.full((sum(part.shape[0] for part in parts), width, 3), PAPER, np.uint8)
     y = 0

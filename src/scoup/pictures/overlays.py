@@ -36,7 +36,7 @@ def heat_map(
     score: float | None = None,
     view: str = "",
 ) -> Picture:
-    """A relevancy map over the greyed colour render, with a title and a legend.
+    """Draw a relevancy map over the greyed colour render, with a title and a legend.
 
     Args:
         relevancy: [H, W], 0..1.
@@ -63,8 +63,8 @@ def heat_map(
 
 
 def heat_span(relevancy: np.ndarray) -> tuple[float, float]:
-    """Relevancy at the two ends of the colours: the median of the map, so that at least half of the picture stays
-    clear, and its maximum.
+    """Return the relevancy at the two ends of the colours: the median of the map, so that at least half of the picture
+    stays clear, and its maximum.
     """
     finite = relevancy[np.isfinite(relevancy)]
     return (float(np.median(finite)), float(finite.max())) if len(finite) else (0.0, 1.0)
@@ -73,7 +73,7 @@ def heat_span(relevancy: np.ndarray) -> tuple[float, float]:
 def heat_overlay(
     relevancy: ArrayOrTensor, rgb: ArrayOrTensor, span: tuple[float, float] | None = None
 ) -> Picture:
-    """A relevancy map over the greyed colour render, [H, W, 3] uint8, without any lettering; low relevancy is
+    """Draw a relevancy map over the greyed colour render, [H, W, 3] uint8, without any lettering; low relevancy is
     see-through.
 
     Args:
@@ -100,7 +100,7 @@ def mask_overlay(
     remark: str = "",
     color: tuple[int, int, int] = MASK_COLOR,
 ) -> Picture:
-    """A mask over the colour render: tinted, outlined, the rest darker; with a box and a cross if given.
+    """Draw a mask over the colour render: tinted, outlined, the rest darker; with a box and a cross if given.
 
     Args:
         mask: [H, W] bool.
@@ -119,7 +119,9 @@ def mask_overlay(
     inside, picture = as_array(mask).astype(bool), as_picture(rgb)
     _check_size(inside, picture, "mask")
     shown = np.where(inside[..., None], picture * 0.55 + np.array(color) * 0.45, picture * 0.72)
-    drawn = _marked(shown.astype(np.uint8), inside, np.minimum(np.array(color) * 0.75 + 64, 255), box, point)
+    drawn = _draw_marks(
+        shown.astype(np.uint8), inside, np.minimum(np.array(color) * 0.75 + 64, 255), box, point
+    )
     return captioned(drawn, label, remark) if label or remark else drawn
 
 
@@ -131,7 +133,7 @@ def answer_overlay(
     box: tuple[float, float, float, float] | None = None,
     point: tuple[float, float] | None = None,
 ) -> Picture:
-    """A relevancy map over the greyed colour render, with the outline of the mask, the box and the point; no lettering.
+    """Draw the outline of the mask, the box and the point over ``heat_overlay``; no lettering.
 
     Args:
         relevancy, rgb, span: as for ``heat_overlay``.
@@ -146,17 +148,17 @@ def answer_overlay(
     """
     inside, heat = as_array(mask).astype(bool), heat_overlay(relevancy, rgb, span)
     _check_size(inside, heat, "mask")
-    return _marked(heat, inside, np.array(POINT_COLOR), box, point)
+    return _draw_marks(heat, inside, np.array(POINT_COLOR), box, point)
 
 
-def _marked(
+def _draw_marks(
     picture: Picture,
     inside: np.ndarray,
     rim_color: np.ndarray,
     box: tuple[float, float, float, float] | None,
     point: tuple[float, float] | None,
 ) -> Picture:
-    """The picture with the outline of a mask, a box and a cross."""
+    """Draw the outline of a mask, a box and a cross."""
     width = max(1, round(picture.shape[1] / 320))
     core = np.asarray(ndimage.binary_erosion(inside, iterations=width, border_value=1), bool)
     shown = picture.copy()
@@ -172,7 +174,7 @@ def _marked(
 
 
 def region_overlay(labels: ArrayOrTensor, rgb: ArrayOrTensor, opacity: float = 0.6) -> Picture:
-    """Regions in different colours over the greyed render, with dark borders; pixels without a region stay
+    """Draw regions in different colours over the greyed render, with dark borders; pixels without a region stay
     grey.
 
     Args:
@@ -213,7 +215,7 @@ def _scored(score: float | None) -> str:
 
 
 def _cross(draw: ImageDraw.ImageDraw, point: tuple[float, float], size: int, width: int) -> None:
-    """A cross with a dark rim, so that it shows on any ground."""
+    """Draw a cross with a dark rim, so that it shows on any ground."""
     x, y = point
     for color, extra in (((0, 0, 0), 2), (POINT_COLOR, 0)):
         reach = size + extra // 2
