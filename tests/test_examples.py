@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -123,3 +124,17 @@ def test_every_example_is_run():
     here = Path(__file__)
     tests = here.read_text() + here.with_name("test_shard_examples.py").read_text()
     assert all(path.name in tests for path in EXAMPLES.glob("*.py"))
+
+
+def test_things_for_robots(scene, tmp_path):
+    field = tmp_path / "f.scoup"
+    assert run("build", scene, "--out", field, "--epochs", 20, "--n-atoms", 8)[0] == 0
+    printed = json.loads(example("12_things_for_robots.py", field, scene / "words.npz", 2, "kettle"))
+    loaded = scoup.LanguageField.load(field)
+    thing = loaded.things(loaded.question("kettle", encoder=scene / "words.npz", always=True))[0]
+    box = printed["detections"][0]["bbox"]
+    assert [*box["center"]["position"].values()] == pytest.approx((2 * thing.box.centre).tolist())
+    x, y, z, w = box["center"]["orientation"].values()
+    # The first column of the rotation of a unit quaternion is the first axis of the box.
+    first = (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
+    assert first == pytest.approx(thing.box.axes[0].tolist(), abs=1e-6)

@@ -1,0 +1,138 @@
+"""Tools for language models: the calls, and the server with the protocol's own client."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+from PIL import Image
+
+from cli_support import RUN, refused, run, write_scene
+from scoup.agent.tools import MOST_MARKED, WIDEST, SceneTools
+from scoup.base.errors import InputError, ScoupError
+from scoup.field.language_field import LanguageField
+from scoup.io import load_gaussians
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("agent")
+    write_scene(place / "scene")
+    table = place / "scene" / "words.npz"
+    options = ("--n-atoms", "8", "--effort", "fast", "--model", table)
+    code, _, err = run("build", place / "scene", *options, "--out", place / "f.scoup")
+    assert code == 0, err
+    (place / "out").mkdir()
+    return place
+
+
+@pytest.fixture(scope="module")
+def tools(folder: Path) -> SceneTools:
+    return SceneTools({"f": LanguageField.load(folder / "f.scoup")}, folder / "out", 0.5)
+
+
+def test_replies_are_those_of_the_field(tools: SceneTools):
+    field = tools.fields["f"]
+    scene = tools.list_scenes()[0]
+    assert (scene["scene"], scene["gaussians"], scene["cameras"]) == ("f", 150, 4)
+    assert [each["camera"] for each in tools.list_cameras("f")] == [
+        camera.name for camera in field.cameras or ()
+    ]
+    things = field.things()
+    listed = tools.list_things("f", limit=200)
+    assert listed["count"] == len(things) > 1
+    assert {one["thing"] for one in listed["things"]} == {thing.number for thing in things}
+    level = things[0].level
+    assert {one["level"] for one in tools.list_things("f", level)["things"]} == {level}
+    one, other = things[0], things[1]
+    assert tools.describe_thing("f", one.number or 0)["gaussians"] == one.n_gaussians
+    measured = tools.measure_distance("f", one.number or 0, other.number or 0)
+    assert measured["distance"] == pytest.approx(float((one.position - other.position).norm()), rel=1e-4)
+    assert measured["metres"] == pytest.approx(measured["distance"] / 2, rel=1e-3)
+    assert tools.find("f", "kettle")["count"] == len(field.things("kettle"))
+
+
+def test_a_view_marks_things(tools: SceneTools):
+    plain = tools.render_view("f")
+    field = tools.fields["f"]
+    assert plain.shape[:2] == (field.camera(0).height, field.camera(0).width)
+    seen = [thing.number for thing in field.things() if thing.number is not None][:MOST_MARKED]
+    assert bool((tools.render_view("f", things=seen) != plain).any())
+    assert max(plain.shape) <= WIDEST
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda tools: tools.find("nowhere", "kettle"), "no scene named 'nowhere'"),
+        (lambda tools: tools.find("f", ""), "expected 1 to"),
+        (lambda tools: tools.find("f", "x" * 100_000), "expected 1 to"),
+        (lambda tools: tools.find("f", "kettle opposite the mug"), "known relations"),
+        (lambda tools: tools.find("f", "kettle", limit=10**9), "limit"),
+        (lambda tools: tools.find("f", "kettle", seen_from="x"), "'x'"),
+        (lambda tools: tools.list_things("f", "z"), "no level"),
+        (lambda tools: tools.describe_thing("f", -1), "no thing -1"),
+        (lambda tools: tools.measure_distance("f", 0, 10**12), "no thing"),
+        (lambda tools: tools.render_view("f", things=list(range(MOST_MARKED + 1))), "at most"),
+        *(
+            (lambda tools, name=name: tools.export_selection("f", "kettle", name), "expected a plain name")
+            for name in ("../x.ply", "/etc/x", "a/b", "", ".ply", "x\0y", "C:x", "A.PLY", "x" * 300)
+        ),
+    ],
+)
+def test_hostile_arguments_are_refused(tools: SceneTools, call: Any, said: str):
+    with pytest.raises(ScoupError, match=said):
+        call(tools)
+    assert tools.export_folder is not None
+    assert not [path for path in tools.export_folder.iterdir() if path.suffix != ".ply"]
+
+
+def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
+    answer = tools.fields["f"].select("kettle or mug or wooden table")
+    if not bool(answer.mask.any()):
+        pytest.fail("the scene of this test has something to export")
+    reply = tools.export_selection("f", "kettle or mug or wooden table", "found")
+    assert len(load_gaussians(folder / "out" / reply["file"])) == reply["gaussians"] == int(answer.mask.sum())
+    with pytest.raises(InputError, match="already exists"):
+        tools.export_selection("f", "kettle or mug or wooden table", "found.ply")
+    with pytest.raises(InputError, match="writes no files"):
+        SceneTools(tools.fields).export_selection("f", "kettle", "a")
+
+
+def test_the_server_speaks_to_the_official_client(folder: Path):
+    mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
+    arguments = ["-c", RUN, "mcp", str(folder / "f.scoup")]
+    server = mcp.StdioServerParameters(command=sys.executable, args=arguments)
+
+    async def talk() -> list[Any]:
+        async with mcp.Client(server) as client:
+            names = sorted(tool.name for tool in (await client.list_tools()).tools)
+            found = await client.call_tool("find", {"scene": "f", "text": "how many kettles"})
+            wrong = await client.call_tool("find", {"scene": "f", "text": "kettle", "limit": "many"})
+            unknown = await client.call_tool("describe_thing", {"scene": "f", "thing": 99999})
+            picture = await client.call_tool("render_view", {"scene": "f"})
+            return [names, found, wrong, unknown, picture]
+
+    names, found, wrong, unknown, picture = anyio.run(talk)
+    reading = ["describe_thing", "find", "list_cameras", "list_scenes", "list_things", "measure_distance"]
+    assert names == [*reading, "render_view"]  # no exports without a folder
+    expected = LanguageField.load(folder / "f.scoup").things("how many kettles")
+    assert json.loads(found.content[0].text)["count"] == len(expected)
+    assert wrong.is_error
+    assert unknown.is_error
+    assert "list_things names those" in unknown.content[0].text
+    image = Image.open(io.BytesIO(base64.b64decode(picture.content[0].data)))
+    assert np.asarray(image).shape[2] == 3
+
+
+def test_what_cannot_be_served_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(folder)
+    assert "different names" in refused("mcp", "f.scoup", "f.scoup")
+    assert "no such folder" in refused("mcp", "f.scoup", "--out", "nowhere")

@@ -1,0 +1,75 @@
+"""scoup catalog."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from cli_support import WORDS, refused, run, run_json
+from scoup.field.language_field import LanguageField
+
+pytestmark = pytest.mark.usefixtures("here")
+
+
+def test_the_main_path():
+    code, out, err = run("catalog", "f.scoup")
+    assert (code, err) == (0, "")
+    field = LanguageField.load("f.scoup")
+    things = field.things()
+    folder = Path("f_catalog")
+    graph = json.loads((folder / "catalog.json").read_text())
+    assert graph == field.catalog(field.question(WORDS, always=True)).record()
+    assert [one["thing"] for one in graph["things"]] == [thing.number for thing in things]
+    assert f"{len(things)} things" in out
+    rows = list(csv.reader((folder / "catalog.csv").read_text().splitlines()))
+    assert len(rows) == len(things) + 1
+    assert {row[1] for row in rows[1:]} <= set(WORDS)
+    page = (folder / "index.html").read_text()
+    pictures = sorted(path.name for path in (folder / "pictures").iterdir())
+    assert pictures
+    assert all(f'src="pictures/{name}"' in page for name in pictures)
+    assert "already exists" in refused("catalog", "f.scoup")
+
+
+def test_words_of_a_list_metres_and_directions():
+    Path("words.txt").write_text("mug\n")
+    options = ("--words", "words.txt", "--out", "c", "--metres-per-unit", "2", "--up", "0", "0", "1")
+    record = run_json("catalog", "f.scoup", *options)
+    assert {one["text"] for one in record["things"]} == {"mug"}
+    one = record["things"][0]
+    assert one["position_metres"] == pytest.approx([2 * part for part in one["position"]], rel=1e-4)
+    assert record["frame"]["up"] == [0, 0, 1]
+    assert "not all 0" in refused("catalog", "f.scoup", "--out", "d", "--up", "0", "0", "0")
+
+
+def test_names_out_of_a_list_are_escaped(monkeypatch: pytest.MonkeyPatch):
+    from scoup.models.word_table import load_table, save_table
+
+    table = load_table(Path("scene/words.npz"))
+    names = ["<script>alert(1)</script>" if name == "mug" else name for name in table.names]
+    save_table(Path("odd.npz"), names, table.vectors)
+    code, _, err = run("catalog", "f.scoup", "--text", "odd.npz", "--out", "odd", "--quiet")
+    assert code == 0, err
+    assert "<script>alert" not in Path("odd/index.html").read_text()
+
+
+def test_a_field_without_things_is_refused():
+    field = LanguageField.load("f.scoup")
+    field.thing_table = None
+    field.save("bare.scoup")
+    assert "contains no things" in refused("catalog", "bare.scoup", "--out", "c")
+
+
+def test_select_takes_phrases():
+    code, out, err = run(
+        "select", "f.scoup", "largest mug", "--always", "--out", "m.ply", "--seen-from", "view_01"
+    )
+    assert code == 0, err
+    assert "largest mug" in out
+    field = LanguageField.load("f.scoup")
+    whole = field.things(field.question("mug", always=True))
+    assert f"m.ply: {max(whole, key=lambda thing: thing.size).n_gaussians} Gaussians" in out
+    assert "known relations" in refused("select", "f.scoup", "mug opposite the kettle", "--out", "n.ply")
