@@ -176,8 +176,8 @@ class _Reader:
         if token[0] == '"':
             return token[1:]
         if token[0] == "=":
-            if (
-                " between " in token
+            while (
+                token.lower().count(" between ") > token.count(" and ")
                 and self.rest[:1] == ["and"]
                 and self.rest[1:2]
                 and self.rest[1][0] == "="

@@ -63,10 +63,12 @@ def estimate_up(cameras: Sequence[Camera]) -> Tensor:
     """
     rotations = torch.stack([torch.as_tensor(camera.viewmat)[:3, :3].double().cpu() for camera in cameras])
     right, own_up = rotations[:, 0], -rotations[:, 1].mean(0)
-    own_up = own_up / own_up.norm().clamp(min=1e-9)
-    tilt = right.T @ right / len(right) - UPRIGHT * own_up[:, None] * own_up
+    image_up = own_up / own_up.norm().clamp(min=1e-9)
+    tilt = right.T @ right / len(right) - UPRIGHT * image_up[:, None] * image_up
     up = torch.linalg.eigh(tilt).eigenvectors[:, 0]
-    return up if float(up @ own_up) >= 0 else -up
+    # Cameras that look straight down have no up of their own in the scene, but look down.
+    upright = own_up - UPRIGHT * rotations[:, 2].mean(0)
+    return up if float(up @ upright) >= 0 else -up
 
 
 def scene_frame(

@@ -44,7 +44,7 @@ _UNKNOWN = frozenset(
     + ("outside", "past", "through", "touching", "toward", "towards")
 )
 _ARTICLES = ("the", "a", "an")
-_COUNTING = re.compile(r"\s*(?:how many|number of|count of|count)\s+(.*?)\s*\??\s*", re.IGNORECASE)
+_COUNTING = re.compile(r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE)
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
@@ -68,10 +68,12 @@ class Phrase:
         return self.text, *(text for anchor in self.anchors for text in texts_of(anchor))
 
     def __str__(self) -> str:
-        ordinal = "" if self.rank == 1 else ORDINALS[self.rank - 1] + " "
-        said = f"{ordinal}{self.order} {self.text}" if self.order in SIZES else self.text
-        if self.order in SIDES:
-            said = f"{ORDINALS[self.rank - 1]} {self.text} from the {self.order}"
+        ordinal = ORDINALS[self.rank - 1] if self.rank <= len(ORDINALS) else f"{self.rank}th"
+        said = self.text
+        if self.order in SIZES:
+            said = f"{self.order} {said}" if self.rank == 1 else f"{ordinal} {self.order} {said}"
+        elif self.order in SIDES:
+            said = f"{ordinal} {said} from the {self.order}"
         anchors = " and ".join(map(str, self.anchors))
         return f"{said} {self.relation} {anchors}" if self.relation else said
 
@@ -177,7 +179,7 @@ def _rank(word: str) -> int | None:
     if word in ORDINALS:
         return ORDINALS.index(word) + 1
     numbered = _NUMBERED.fullmatch(word)
-    return int(numbered[1]) if numbered and int(numbered[1]) <= len(ORDINALS) else None
+    return int(numbered[1]) if numbered else None
 
 
 def _noun(words: Sequence[str], source: str) -> str:

@@ -218,8 +218,10 @@ def things_of_question(
     found = [
         thing for each in _resolved(field, question, expression.targets, answers, frame) for thing in each
     ]
-    first = {id(thing) if thing.number is None else thing.number: thing for thing in reversed(found)}
-    return list(reversed(first.values()))
+    first: dict[int, Thing] = {}
+    for thing in found:
+        first.setdefault(id(thing) if thing.number is None else thing.number, thing)
+    return list(first.values())
 
 
 def phrase_masks(
@@ -285,7 +287,7 @@ def _related(
 
 
 def _same(one: Thing, other: Thing) -> bool:
-    return one.number is not None and one.number == other.number
+    return one is other or (one.number is not None and one.number == other.number)
 
 
 def _ordered(field: CodedScene, phrase: Phrase, things: list[Thing], frame: Frame) -> list[Thing]:

@@ -1,0 +1,116 @@
+"""Rooms of box-shaped clouds, seen by named cameras: every thing and relation in them is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from query.conftest import random_vectors
+from scoup.field.language_field import LanguageField
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.field_info import FieldInfo
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.things import NO_THING, ThingTable
+from support import unit
+
+DIM = 32
+CLUTTER = tuple(f"clutter {number}" for number in range(6))  # things like any other, far behind
+ABSENT = "unicorn"
+FRONT = Camera.look_at((0, -5, 1), (0, 0, 1), "front.png", 64, 48, 50)
+BACK = Camera.look_at((0, 5, 1), (0, 0, 1), "back.png", 64, 48, 50)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A cloud that fills a box; z is up."""
+
+    name: str
+    middle: tuple[float, float, float]
+    size: tuple[float, float, float]
+
+    def cloud(self, steps: int = 6) -> Tensor:
+        ticks = (torch.arange(steps) + 0.5) / steps - 0.5
+        grid = torch.stack(torch.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
+        return torch.tensor(self.middle) + grid * torch.tensor(self.size)
+
+
+ROOM = (
+    Box("table", (0, 0, 0.95), (4, 2, 0.1)),
+    Box("mug", (-1, -0.5, 1.1), (0.2, 0.2, 0.2)),
+    Box("mug", (1, 0.5, 1.15), (0.3, 0.3, 0.3)),
+    Box("laptop", (0, 0, 1.15), (0.4, 0.3, 0.3)),
+    Box("lamp", (0, 0, 2), (0.3, 0.3, 0.3)),
+    Box("ball", (1, 0, 0.2), (0.3, 0.3, 0.3)),
+    Box("bowl", (-1.5, 0.5, 1.15), (0.4, 0.4, 0.3)),
+    Box("apple", (-1.5, 0.5, 1.15), (0.1, 0.1, 0.1)),
+    Box("pen", (0.35, 0, 1.03), (0.06, 0.06, 0.06)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """x -> scale * turn @ x + shift."""
+
+    turn: Tensor
+    scale: float
+    shift: Tensor
+
+    def camera(self, camera: Camera) -> Camera:
+        viewmat = camera.viewmat.clone()
+        viewmat[:3, :3] = camera.viewmat[:3, :3] @ self.turn.T
+        viewmat[:3, 3] = self.scale * camera.viewmat[:3, 3] - viewmat[:3, :3] @ self.shift
+        return replace(camera, viewmat=viewmat)
+
+
+def planted_room(
+    boxes: Sequence[Box] = ROOM,
+    cameras: Sequence[Camera] = (FRONT, BACK),
+    moved: Similarity | None = None,
+    has_things: bool = True,
+) -> LanguageField:
+    """A field of boxes and clutter; thing n is box n. It knows the words for all of them, and ``ABSENT``."""
+    clutter = [Box(name, (3.0 * place - 9, 40, 1), (1, 1, 1)) for place, name in enumerate(CLUTTER)]
+    every = [*boxes, *clutter]
+    names = list(dict.fromkeys(box.name for box in every))
+    means = torch.cat([box.cloud() for box in every]).double()
+    size = len(means) // len(every)
+    if moved is not None:
+        means = moved.scale * means @ moved.turn.T + moved.shift
+        cameras = [moved.camera(camera) for camera in cameras]
+    gaussians = Gaussians(
+        means.float(),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(len(means), 1),
+        torch.full((len(means), 3), 0.01 * (moved.scale if moved else 1.0)),
+        torch.full((len(means),), 0.9),
+        torch.zeros(len(means), 1, 3),
+    )
+    common = random_vectors(1, DIM, seed=5)
+    words = [*names, ABSENT, *(f"word {number}" for number in range(30)), *CANONICAL_PHRASES]
+    vectors = unit(common + random_vectors(len(words), DIM, seed=6))
+    of_box = torch.tensor([names.index(box.name) for box in every])
+    owner = torch.arange(len(every)).repeat_interleave(size)
+    things = ThingTable(
+        owner.int()[:, None],
+        torch.zeros(len(every), dtype=torch.uint8),
+        torch.full((len(every),), NO_THING, dtype=torch.int32),
+        vectors[of_box].half(),
+        torch.full((len(every),), 0.99),
+        torch.full((len(every),), 9, dtype=torch.int32),
+        torch.ones(len(every)),
+        torch.ones(len(every)),
+    )
+    field = LanguageField(
+        of_box[owner].to(torch.uint8)[:, None, None],
+        torch.ones(len(means), 1, 1),
+        vectors[: len(names)][None],
+        FieldInfo(("m",), "", gaussians.fingerprint(), len(means)),
+        gaussians,
+        cameras=Cameras(cameras),
+        thing_table=things if has_things else None,
+    )
+    field.text_encoder(dict(zip(words, vectors, strict=True)))
+    return field

@@ -1,0 +1,104 @@
+"""Directions of a scene, from cameras that people hold and from those that look straight down."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from query.planted_room import FRONT, Box, planted_room
+from scoup.base.errors import InputError
+from scoup.query.frame import estimate_up
+from scoup.scene.cameras import Camera
+from support import examples
+
+DOWN = (
+    (1.0, 0, 0),
+    (0, -1.0, 0),
+    (0, 0, -1.0),
+)  # right, down and forward of a camera that looks at the floor
+
+
+def rolled(camera: Camera, degrees: float) -> Camera:
+    """The camera turned about its own direction of view."""
+    turn = torch.eye(4, dtype=torch.float64)
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    turn[:2, :2] = torch.tensor([[c, -s], [s, c]])
+    return Camera(camera.name, turn @ camera.viewmat, camera.K, camera.width, camera.height)
+
+
+def looking_down(name: str, degrees: float = 0.0) -> Camera:
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = torch.tensor(DOWN, dtype=torch.float64)
+    viewmat[2, 3] = 5.0
+    return rolled(Camera(name, viewmat, FRONT.K, 64, 48), degrees)
+
+
+def degrees_between(one: Tensor, other: Tensor) -> float:
+    return math.degrees(math.acos(min(1.0, float(one @ other))))
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(seed=st.integers(0, 9999), highest=st.sampled_from([0.3, 2.0, 6.0]), count=st.integers(8, 20))
+def test_level_cameras_tell_up_within_a_degree(seed, highest, count) -> None:
+    """Cameras around a scene, each held level within a degree, at any height; the world is turned anyhow."""
+    rng = np.random.default_rng(seed)
+    up = rng.normal(size=3)
+    up = up / np.linalg.norm(up)
+    side = np.linalg.qr(np.stack([up, *rng.normal(size=(2, 3))]).T)[0]
+    cameras = []
+    for place in range(count):
+        angle = 2 * np.pi * place / count + rng.uniform(0, 0.2)
+        eye = 3 * np.cos(angle) * side[:, 1] + 3 * np.sin(angle) * side[:, 2] + rng.uniform(0, highest) * up
+        camera = Camera.look_at(eye, rng.uniform(-0.2, 0.2, 3), "a.png", 64, 48, 50, up=up)
+        cameras.append(rolled(camera, rng.uniform(-1, 1)))
+    assert degrees_between(estimate_up(cameras), torch.from_numpy(up)) < 1.0
+
+
+def test_cameras_side_by_side_tell_up_by_their_images() -> None:
+    assert degrees_between(estimate_up([FRONT, FRONT]), torch.tensor([0, 0, 1.0]).double()) < 0.01
+    looking_up = Camera.look_at((0, -5, 0), (0, 0, 8), "tower.png", 64, 48, 50)
+    assert estimate_up([looking_up, Camera.look_at((5, 0, 0), (0, 0, 8), "a.png", 64, 48, 50)])[2] > 0.99
+
+
+@pytest.mark.parametrize("turned", [0, 40, 90, 215])
+def test_cameras_that_look_straight_down_look_from_above(turned) -> None:
+    cameras = [looking_down(f"{step}.png", turned + 90 * step) for step in range(4)]
+    assert float(estimate_up(cameras)[2]) > 0.999
+
+
+def test_from_above_the_top_of_the_image_is_away() -> None:
+    field = planted_room([Box("ball", (0, 0, 0), (1, 1, 1))], [looking_down("drone.png")])
+    frame = field.frame("drone.png", up=(0, 0, 2))
+    torch.testing.assert_close(frame.axes, torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]).double())
+
+
+def test_axes_are_orthonormal_and_told() -> None:
+    field = planted_room()
+    aside = Camera.look_at((4, -4, 3), (0, 0, 1), "aside.png", 64, 48, 50)
+    frame = field.frame(aside)
+    torch.testing.assert_close(frame.axes @ frame.axes.T, torch.eye(3).double())
+    expected = torch.tensor([[0.5**0.5, 0.5**0.5, 0], [0, 0, 1], [-(0.5**0.5), 0.5**0.5, 0]]).double()
+    torch.testing.assert_close(frame.axes, expected)
+    assert frame.record()["seen_from"] == "aside.png"
+    assert frame.said().startswith("left, right, front and back as seen from aside.png; up is [0, 0, 1]")
+    assert field.frame(up=(0, 0, 1)).up_source == "as given"
+
+
+def test_the_camera_that_sees_most_is_the_viewer() -> None:
+    narrow = Camera.look_at((0, -5, 1), (30, 0, 1), "narrow.png", 64, 48, 500)
+    assert planted_room(cameras=[narrow, FRONT]).frame().seen_from == FRONT.name
+    alone = planted_room()
+    alone.cameras = None
+    assert (alone.frame().seen_from, alone.frame().axes[1].tolist()) == ("", [0, 0, 1])
+
+
+@pytest.mark.parametrize("up", [(0, 0, 0), (1, 2), (math.nan, 0, 1), (math.inf, 0, 0)])
+def test_what_is_no_direction_is_refused(up) -> None:
+    with pytest.raises(InputError, match="expected three numbers"):
+        planted_room().frame(up=up)

@@ -1,0 +1,123 @@
+"""The grammar of phrases, and that what a phrase says of itself is that phrase."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scoup.base.errors import InputError
+from scoup.query.expression import parse_expression
+from scoup.query.phrases import ORDINALS, RELATIONS, SIDES, SIZES, Phrase, counted_text, parse_phrase
+
+FORMS = [(form, relation) for relation, forms in RELATIONS.items() for form in forms]
+
+
+@pytest.mark.parametrize(("form", "relation"), FORMS)
+def test_every_form_of_a_relation_is_read(form, relation) -> None:
+    anchors = ("red box", "lamp") if relation == "between" else ("red box",)
+    expected = Phrase("coffee mug", relation, anchors)
+    others = " and the ".join(anchors)
+    for text in (f"coffee mug {form} {' and '.join(anchors)}", f"The coffee mug {form.upper()} the {others}"):
+        assert parse_phrase(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("largest box", Phrase("box", order="largest")),
+        ("the biggest box", Phrase("box", order="largest")),
+        ("a second smallest box", Phrase("box", order="smallest", rank=2)),
+        ("third box from the left", Phrase("box", order="left", rank=3)),
+        ("12th box from the back", Phrase("box", order="back", rank=12)),
+        ("box from the top", Phrase("box", order="top")),
+        ("2nd mug from the right on the desk", Phrase("mug", "on", ("desk",), "right", 2)),
+        ("mug on largest box", Phrase("mug", "on", (Phrase("box", order="largest"),))),
+        ("p left of q behind r", Phrase("p", "left of", (Phrase("q", "behind", ("r",)),))),
+        ("x between p on q and r", Phrase("x", "between", (Phrase("p", "on", ("q",)), "r"))),
+        ("x between p and y between q and r", Phrase("x", "between", ("p", Phrase("y", "between", ("q", "r"))))),
+    ],
+)  # fmt: skip
+def test_orders_and_nested_phrases_are_read(text, expected) -> None:
+    assert parse_phrase(text) == expected
+    assert parse_expression([text]).root == expected
+
+
+@pytest.mark.parametrize("text", ["mug", "the mug", "first aid kit", "on switch", "left shoe"])
+def test_names_of_things_are_texts(text) -> None:
+    assert parse_phrase(text) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("mug across the desk", "unknown relation 'across'"),
+        ("mug on", "a thing is missing"),
+        ("the on desk", "a thing is missing"),
+        ("largest", "a thing is missing"),
+        ("mug between a", "needs two things"),
+        ("third mug", "does not say from which side"),
+        ("third mug from the door", "unknown side"),
+        (" on ".join("abcdefghijk"), "relations within each other"),
+    ],
+)
+def test_what_is_not_a_phrase_is_refused(text, problem) -> None:
+    with pytest.raises(InputError, match=problem) as error:
+        parse_phrase(text)
+    assert all(relation in str(error.value) for relation in RELATIONS) or "within each other" in problem
+
+
+@pytest.mark.parametrize(
+    ("words", "texts"),
+    [
+        (['"salt on pepper"'], ["salt on pepper"]),
+        (['"salt on pepper" or cup'], ["salt on pepper", "cup"]),
+        (["mug Between p and q and not cup"], ["mug", "p", "q", "cup"]),
+        (["mug between p and q", "cup"], ["mug", "p", "q", "cup"]),
+        (["(mug between p and q) or c and d"], ["mug", "p", "q", "c", "d"]),
+    ],
+)
+def test_phrases_within_expressions(words, texts) -> None:
+    found = parse_expression(words)
+    assert found.texts == tuple(texts)
+    assert len(found.phrases) == ("between" in words[0].lower())
+    assert parse_expression([str(found)]) == found
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["how many cups", "How many cups?", "count cups", "number of cups", "how many cups are there ?"],
+)
+def test_what_is_to_be_counted(text) -> None:
+    assert counted_text(text) == "cups"
+    assert counted_text("cups") is None
+
+
+texts = st.lists(st.sampled_from(["red", "coffee mug", "box", "t-shirt"]), min_size=1, max_size=3).map(
+    " ".join
+)
+orders = st.one_of(
+    st.just(("", 1)),
+    st.tuples(st.sampled_from([*SIDES, *SIZES.values()]), st.integers(1, len(ORDINALS) + 5)),
+)
+
+
+@st.composite
+def phrases(draw: st.DrawFn, depth: int = 2, between: bool = True) -> str | Phrase:
+    """Phrases that text can say: what follows "between" up to "and" has no "between" in it."""
+    order, rank = draw(orders)
+    relations = [name for name in RELATIONS if between or name != "between"]
+    relation = draw(st.sampled_from(["", *relations])) if depth else ""
+    inner: tuple[str | Phrase, ...] = ()
+    if relation == "between":
+        inner = (draw(phrases(depth - 1, False)), draw(phrases(depth - 1)))
+    elif relation:
+        inner = (draw(phrases(depth - 1, between)),)
+    text = draw(texts)
+    return Phrase(text, relation, inner, order, rank) if order or relation else text
+
+
+@given(phrases())
+def test_what_a_phrase_says_of_itself_is_that_phrase(phrase) -> None:
+    assert parse_phrase(str(phrase)) == phrase
+    assert parse_expression([str(phrase)]).root == phrase

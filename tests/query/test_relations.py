@@ -1,0 +1,143 @@
+"""Relations in a room whose boxes are known, however the room is turned, moved and scaled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.field.language_field import LanguageField
+from support import examples
+
+TABLE, LEFT, RIGHT, LAPTOP, LAMP, BALL, BOWL, APPLE, PEN = range(9)
+TRUTH: dict[str, set[int]] = {
+    "mug left of the laptop": {LEFT},
+    "mug right of the laptop": {RIGHT},
+    "mug in front of the laptop": {LEFT},
+    "mug behind the laptop": {RIGHT},
+    "mug left of mug": {LEFT},
+    "laptop between mug and mug": {LAPTOP},
+    "mug between laptop and bowl": set(),
+    "laptop between pen and mug": {LAPTOP},
+    "mug on the table": {LEFT, RIGHT},
+    "table on mug": set(),
+    "lamp on the table": set(),
+    "lamp above the table": {LAMP},
+    "mug above the table": {LEFT, RIGHT},
+    "lamp above the laptop": {LAMP},
+    "laptop above the lamp": set(),
+    "laptop under the lamp": {LAPTOP},
+    "lamp under the laptop": set(),
+    "ball under the table": {BALL},
+    "mug under the table": set(),
+    "apple inside the bowl": {APPLE},
+    "bowl inside the apple": set(),
+    "mug inside the bowl": set(),
+    "pen near the laptop": {PEN},
+    "mug near the laptop": set(),
+    "mug near mug": set(),
+    "mug nearest to the pen": {RIGHT},
+    "mug nearest to the bowl": {LEFT},
+    "laptop nearest to laptop": set(),
+    "largest mug": {RIGHT},
+    "smallest mug": {LEFT},
+    "second largest mug": {LEFT},
+    "third largest mug": set(),
+    "mug from the left": {LEFT},
+    "second mug from the left": {RIGHT},
+    "first mug from the right": {RIGHT},
+    "mug from the back": {RIGHT},
+    "mug from the front": {LEFT},
+    "mug from the top": {RIGHT},
+    "mug from the bottom": {LEFT},
+    "largest mug left of the laptop": {LEFT},  # relations first, then the order
+    "mug left of the laptop under the lamp": {LEFT},
+    "mug left of the laptop right of the lamp": set(),
+    "mug left of unicorn": set(),
+    "unicorn left of mug": set(),
+}
+
+
+@pytest.fixture(scope="module")
+def room() -> LanguageField:
+    return planted_room()
+
+
+def numbers(field: LanguageField, text: str, camera: str = FRONT.name) -> list[int | None]:
+    return [thing.number for thing in field.things(text, field.frame(camera))]
+
+
+@pytest.mark.parametrize("text", TRUTH)
+def test_relations_of_a_known_room(room, text) -> None:
+    found = numbers(room, text)
+    assert set(found) == TRUTH[text]
+    assert len(found) == len(set(found))
+    selected = room.select(text, frame=room.frame(FRONT.name)).mask
+    assert torch.equal(
+        selected, torch.isin(room.thing_table.owners[:, 0], torch.tensor(found, dtype=torch.int32))
+    )
+
+
+@pytest.mark.parametrize("text", ["left of", "right of", "in front of", "behind"])
+def test_from_behind_all_sides_change(room, text) -> None:
+    expected = {LEFT, RIGHT} - TRUTH[f"mug {text} the laptop"]
+    assert set(numbers(room, f"mug {text} laptop", BACK.name)) == expected
+    assert set(numbers(room, f"mug {text} laptop")) != expected
+
+
+@settings(max_examples=examples(12), deadline=None)
+@given(
+    seed=st.integers(0, 999),
+    scale=st.sampled_from([0.01, 0.5, 1.0, 30.0]),
+    shift=st.lists(st.floats(-20, 20), min_size=3, max_size=3),
+)
+def test_relations_stay_in_a_room_turned_scaled_and_moved(seed, scale, shift) -> None:
+    turn = torch.from_numpy(np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0])
+    turn = turn * torch.linalg.det(turn)
+    moved = planted_room(moved=Similarity(turn, scale, scale * torch.tensor(shift, dtype=torch.float64)))
+    for text, expected in TRUTH.items():
+        assert set(numbers(moved, text)) == expected, text
+
+
+@pytest.mark.parametrize(
+    "text", ["lamp above the laptop", "mug left of the laptop", "apple inside the bowl", "mug near mug"]
+)
+def test_connected_parts_have_relations_too(text) -> None:
+    bare = planted_room(has_things=False)
+    found = bare.things(text, bare.frame(FRONT.name))
+    middles = [ROOM[number].middle for number in TRUTH[text]]
+    near = sorted(thing.position.tolist() for thing in found)
+    assert len(near) == len(middles)
+    assert all(math.dist(*pair) < 0.1 for pair in zip(near, sorted(middles), strict=True))
+
+
+def test_things_of_expressions(room) -> None:
+    assert [thing.number for thing in room.things("mug or laptop or mug")] == [LEFT, RIGHT, LAPTOP]
+    assert [thing.number for thing in room.things(["laptop", "mug left of laptop"])] == [LAPTOP, LEFT]
+    with pytest.raises(InputError, match='joined by "or" only'):
+        room.things("mug and not laptop")
+    either = room.select("(mug left of laptop) or ball and not apple").mask
+    assert set(room.thing_table.owners[either, 0].tolist()) == {LEFT, BALL}
+
+
+def test_words_that_are_not_known_are_named(room) -> None:
+    with pytest.raises(InputError, match="known relations: left of"):
+        room.things("mug beyond the laptop")
+    with pytest.raises(UnknownNameError):
+        room.things("mug left of the dragon")
+
+
+@pytest.mark.parametrize("height", [0.02, 0.3])
+def test_a_thing_hangs_until_it_touches(height) -> None:
+    """Of two boxes one above the other, the upper is on the lower one only without a gap."""
+    lower = Box("desk", (0, 0, 0.95), (2, 2, 0.1))
+    upper = Box("cup", (0.2, 0.1, 1.0 + height + 0.1), (0.2, 0.2, 0.2))
+    field = planted_room([lower, upper])
+    assert numbers(field, "cup above desk") == [1]
+    assert numbers(field, "cup on desk") == ([1] if height < 0.1 else [])

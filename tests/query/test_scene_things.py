@@ -1,0 +1,182 @@
+"""Things as objects: those of a table, those of a selection, and their places against a naive loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planted_wall import COUNT, SETTINGS, planted_wall
+from query.conftest import without_things
+from query.planted_room import ABSENT, ROOM, Box, planted_room
+from scoup.field.language_field import LanguageField
+from scoup.query.thing_shapes import FARTHEST, ThingPoints
+from scoup.scene.gaussians import Gaussians
+from scoup.uplift.build import build
+from support import examples
+
+
+@pytest.fixture(scope="module")
+def room() -> LanguageField:
+    return planted_room()
+
+
+def test_every_thing_is_where_its_box_is(room) -> None:
+    found = {thing.number: thing for thing in room.things()}
+    for number, box in enumerate(ROOM):
+        thing = found[number]
+        assert (thing.text, thing.score, thing.confidence, thing.parent, thing.n_regions) == (
+            "",
+            None,
+            None,
+            None,
+            9,
+        )
+        assert thing.gaussians.tolist() == (room.thing_table.owners[:, 0] == number).nonzero()[:, 0].tolist()
+        spacing = torch.tensor(box.size).double() / 6
+        middle = torch.tensor(box.middle).double()
+        assert bool(((thing.position - middle).abs() <= 0.51 * spacing).all())
+        torch.testing.assert_close(
+            thing.box.extent.sort().values, (5 * spacing).sort().values, rtol=0.25, atol=1e-3
+        )
+        assert thing.record()["gaussians"] == thing.n_gaussians == 216
+        assert thing.record(2.0)["extent_metres"] == pytest.approx((2 * thing.box.extent).tolist(), rel=1e-4)
+        assert repr(thing).startswith(f"Thing(thing {number} at [")
+
+
+@pytest.mark.parametrize(
+    ("text", "count"), [("mug", 2), ("how many mugs", 2), ("how many laptops are there?", 1)]
+)
+def test_all_instances_are_found_and_counted(room, text, count) -> None:
+    found = room.things(text)
+    assert len(found) == count
+    for thing in found:
+        assert thing.text == ROOM[thing.number].name
+        assert thing.confidence > 0.5
+        assert thing.score is not None
+
+
+def test_what_is_absent_has_no_things(room) -> None:
+    assert room.things(ABSENT) == []
+    assert room.things(f"how many {ABSENT}s") == []
+    assert not room.select(f"largest {ABSENT}").mask.any()
+
+
+def test_what_fits_better_comes_first() -> None:
+    field = planted_room([Box("mug", (0, 0, 0), (1, 1, 1)), Box("mug", (3, 0, 0), (1, 1, 1))])
+    field.thing_table.n_regions[0] = 4  # seen less often
+    found = field.things("mug")
+    assert [thing.number for thing in found] == [1, 0]
+    assert found[0].score > found[1].score
+
+
+def test_things_of_two_levels_have_parents_that_contain_them() -> None:
+    wall = planted_wall()
+    field = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS, check_fit=False)
+    things = {thing.number: thing for thing in field.things()}
+    parts = [thing for thing in things.values() if thing.level == "s"]
+    assert len(parts) == 2 * COUNT
+    assert len(things) == 3 * COUNT
+    assert list(things) == sorted(things)
+    for part in parts:
+        whole = things[part.parent]
+        assert (whole.level, whole.parent) == ("m", None)
+        assert set(part.gaussians.tolist()) <= set(whole.gaussians.tolist())
+    texts = wall.texts
+    for number in range(COUNT):
+        (found,) = field.things(texts.one(number, level=1))
+        assert (found.text, found.level) == (texts.texts[number], "m")
+        assert (wall.thing[found.gaussians] == number).float().mean() > 0.9
+        (voted,) = without_things(field).things(texts.one(number))
+        assert (voted.number, voted.score, voted.parent) == (None, None, None)
+        assert (wall.thing[voted.gaussians] == number).float().mean() > 0.9
+
+
+def test_without_a_table_connected_parts_answer_and_strays_do_not() -> None:
+    boxes = [*ROOM, Box("mug", (0, -3, 3), (0.001, 0.001, 0.001))]
+    field = planted_room(boxes, has_things=False)
+    assert field.things() == []
+    opacities = field.gaussians.opacities
+    opacities[216 * len(ROOM) : 216 * len(boxes)] = 0.01  # light beside the others
+    found = field.things("mug")
+    assert sorted(round(float(thing.position[0])) for thing in found) == [-1, 1]
+    opacities[216 * len(ROOM) : 216 * len(boxes)] = 0.9
+    bright = planted_room(boxes, has_things=False)
+    assert len(bright.things("mug")) == 3
+
+
+def test_a_threshold_of_choice_asks_the_votes(room) -> None:
+    found = room.things(room.question("mug", threshold=0.6, always=True))
+    assert [thing.number for thing in found] == [None, None]
+
+
+def test_things_are_copies(room) -> None:
+    room.things("mug")[0].gaussians[:] = -1
+    assert int(room.things("mug")[0].gaussians.min()) >= 0
+
+
+# Places against a naive loop. Opacities are multiples of 1/16 and coordinates are whole, so that sums are exact.
+
+
+def naive_quantile(values: list[float], weights: list[float], share: float) -> float:
+    ordered = sorted(zip(values, weights, strict=True))
+    total, reached = sum(weights), 0.0
+    for value, weight in ordered:
+        reached += weight
+        if reached >= share * total:
+            return value
+    return ordered[-1][0]
+
+
+def naive_points(gaussians: Gaussians, rows: list[int]) -> list[tuple[list[float], float]]:
+    """Means and weights of one thing without strays."""
+    every = [(gaussians.means[row].tolist(), float(gaussians.opacities[row])) for row in rows]
+    there = [(mean, min(weight, 1.0)) for mean, weight in every if np.isfinite(mean).all() and weight > 0]
+    if not there:
+        return []
+    weights = [weight for _, weight in there]
+    middle = [naive_quantile([mean[axis] for mean, _ in there], weights, 0.5) for axis in range(3)]
+    distances = [float(np.linalg.norm(np.subtract(mean, middle))) for mean, _ in there]
+    usual = naive_quantile(distances, weights, 0.5)
+    return [one for one, distance in zip(there, distances, strict=True) if distance <= FARTHEST * usual]
+
+
+coordinates = st.one_of(st.integers(-6, 6).map(float), st.sampled_from([50.0, float("nan"), float("inf")]))
+opacities = st.one_of(
+    st.integers(0, 16).map(lambda part: part / 16),
+    st.sampled_from([0.0, float("nan"), float("inf"), 2.0, -1.0]),
+)
+clouds = st.lists(st.tuples(coordinates, coordinates, coordinates, opacities), max_size=25)
+
+
+@settings(max_examples=examples(200), deadline=None)
+@given(
+    cloud=clouds,
+    owners=st.lists(st.integers(0, 4), min_size=25, max_size=25),
+    share=st.sampled_from([0.25, 0.5, 1.0]),
+)
+def test_places_equal_a_naive_loop(cloud, owners, share) -> None:
+    numbers = torch.tensor(cloud, dtype=torch.float32).reshape(-1, 4)
+    count = len(cloud)
+    ones = torch.ones(count, 4)
+    gaussians = Gaussians(numbers[:, :3], ones, ones[:, :3], numbers[:, 3], torch.zeros(count, 1, 3))
+    members = [[row for row in range(count) if owners[row] == thing] for thing in range(5)]
+    points = ThingPoints.of(gaussians, [torch.tensor(rows, dtype=torch.int64) for rows in members])
+    found, boxes = points.quantiles([share]), points.boxes()
+    flipped = points.quantiles([share], -np.eye(3))
+    for thing, rows in enumerate(members):
+        expected = naive_points(gaussians, rows)
+        means, weights = points.of_one(thing)
+        assert means.tolist() == [mean for mean, _ in expected]
+        assert weights.tolist() == [weight for _, weight in expected]
+        assert (boxes[thing] is None) == (not expected)
+        for axis in range(3):
+            values = [mean[axis] for mean, _ in expected]
+            if not expected:
+                assert np.isnan(found[thing, axis, 0])
+                continue
+            kept = weights.tolist()
+            assert found[thing, axis, 0] == naive_quantile(values, kept, share)
+            assert flipped[thing, axis, 0] == naive_quantile([-value for value in values], kept, share)
