@@ -305,4 +305,6 @@ def _bytes(answer: Any) -> int:
         return answer.nbytes
     if isinstance(answer, tuple):
         return sum(map(_bytes, answer))
-    return sum(map(_bytes, vars(answer).values())) if isinstance(answer, (Location, SceneAnswer, Thing)) else 0
+    return (
+        sum(map(_bytes, vars(answer).values())) if isinstance(answer, (Location, SceneAnswer, Thing)) else 0
+    )

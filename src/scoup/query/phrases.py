@@ -28,23 +28,12 @@ SIZES = {"largest": "largest", "biggest": "largest", "smallest": "smallest"}
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 _NUMBERED = re.compile(r"([1-9][0-9]?)(?:st|nd|rd|th)")
 _UNKNOWN = frozenset(
-    (
-        "across",
-        "against",
-        "along",
-        "alongside",
-        "amid",
-        "among",
-        "around",
-        "beyond",
-        "facing",
-        "off",
-        "opposite",
-    )
-    + ("outside", "past", "through", "touching", "toward", "towards")
+    ["across", "against", "along", "alongside", "amid", "among", "around", "beyond", "facing", "off", "opposite", "outside", "past", "through", "touching", "toward", "towards"]
 )
 _ARTICLES = ("the", "a", "an")
-_COUNTING = re.compile(r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE)
+_COUNTING = re.compile(
+    r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE
+)
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
