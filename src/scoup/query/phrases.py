@@ -28,7 +28,11 @@ SIZES = {"largest": "largest", "biggest": "largest", "smallest": "smallest"}
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 _NUMBERED = re.compile(r"([1-9][0-9]?)(?:st|nd|rd|th)")
 _UNKNOWN = frozenset(
-    ["across", "against", "along", "alongside", "amid", "among", "around", "beyond", "facing", "off", "opposite", "outside", "past", "through", "touching", "toward", "towards"]
+    re.findall(
+        r"\w+",
+        "across against along alongside amid among around beyond facing off opposite outside past through touching "
+        "toward towards",
+    )
 )
 _ARTICLES = ("the", "a", "an")
 _COUNTING = re.compile(
