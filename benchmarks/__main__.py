@@ -22,6 +22,7 @@ STUDIES = Family(
         "selection": "benchmarks.selection:Selections",
         "labels": "benchmarks.labels:Labels",
         "locate": "benchmarks.locate:Locate",
+        "things": "benchmarks.things:Things",
         "coding": "benchmarks.coding:Coding",
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",

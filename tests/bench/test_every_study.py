@@ -18,6 +18,7 @@ from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
 from benchmarks.selection import RULES, Selections
 from benchmarks.study import Record, Study, run
+from benchmarks.things import PAIRS, Things
 
 from scoup.coding.exact import EFFORTS
 from scoup.query.label import NONE
@@ -104,6 +105,16 @@ def test_glass_changes_the_opacity_of_the_thing_alone() -> None:
     ratio = changed.opacities / demo.gaussians.opacities
     torch.testing.assert_close(ratio, torch.where(chosen, 0.1, 1.0))
     assert changed.means is demo.gaussians.means
+
+
+@pytest.mark.slow
+def test_things_and_relations() -> None:
+    (row,) = ran(Things(scenes=("table-0",), n_gaussians=6000, most=2, desk=False))["rows"]
+    assert 0 < row["iou"] <= 1
+    assert row["ap"]["0.25"] >= row["ap"]["0.5"] >= row["ap"]["0.75"]
+    assert sum(row["counts"]["one"][1:] + row["counts"]["several"][1:]) >= row["objects"] > 20
+    assert set(row["relations"]) == {*PAIRS, "between"}
+    assert row["relations"]["left of"][0] == 2
 
 
 @pytest.mark.slow

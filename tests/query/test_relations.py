@@ -141,3 +141,9 @@ def test_a_thing_hangs_until_it_touches(height) -> None:
     field = planted_room([lower, upper])
     assert numbers(field, "cup above desk") == [1]
     assert numbers(field, "cup on desk") == ([1] if height < 0.1 else [])
+
+
+@pytest.mark.parametrize(("shift", "is_above"), [(0.1, True), (0.5, True), (0.9, False), (1.1, False)])
+def test_above_needs_a_quarter_of_a_footprint(shift, is_above) -> None:
+    field = planted_room([Box("desk", (0, 0, 1), (1, 1, 0.1)), Box("lamp", (shift, 0, 2), (1, 1, 0.3))])
+    assert bool(numbers(field, "lamp above desk")) == bool(numbers(field, "desk under lamp")) == is_above

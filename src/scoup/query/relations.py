@@ -27,7 +27,9 @@ RIGHT, UP, AWAY = range(3)
 CLEAR = 0.5
 """One thing is left of another if its middle lies beyond this share of half the other's extent."""
 OVER = 0.5
-"""Share of a thing's footprint that must lie over another for it to be on, above or inside it."""
+"""Share of a thing's footprint that must lie over another for it to be on or inside it."""
+OVER_PART = 0.25
+"""Share of one of two footprints that must lie over the other for the upper thing to be above the lower."""
 CONTACT = 0.35
 """Largest gap between the bottom of a thing and what it is on, in units of its height."""
 SECTORS, SURROUNDED = 8, 0.75
@@ -122,7 +124,7 @@ def _above(shapes: _Shapes, one: int, others: tuple[int, ...]) -> bool:
     over = max(shapes.overlap(one, other), shapes.overlap(other, one))
     height = shapes.extent(one)[UP]
     clear = shapes.spans[one, UP, 0] >= shapes.spans[other, UP, 1] - CONTACT * height
-    return bool(over >= OVER and (clear or _on(shapes, one, others)))
+    return bool(over >= OVER_PART and (clear or _on(shapes, one, others)))
 
 
 def _under(shapes: _Shapes, one: int, others: tuple[int, ...]) -> bool:

@@ -1,0 +1,250 @@
+"""Things of fields against the truth: instances, counts and relations."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import scoup
+from benchmarks.data import data_folder
+from benchmarks.desk import Desk
+from benchmarks.scenes import find_layout
+from benchmarks.study import Record, Study
+from benchmarks.things_truth import LEAST, Instances, is_between, is_true
+from scoup_lab.bench import markdown
+from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
+
+PAIRS = ("left of", "right of", "in front of", "behind", "on", "above", "under", "near", "inside")
+IOUS = (0.25, 0.5, 0.75)
+VIEWER = "input_0002.jpg"
+FACTS = {
+    "kettle left of the laptop computer": "kettle right of the laptop computer",
+    "penguin right of the laptop computer": "penguin left of the laptop computer",
+    "extension cord left of the penguin": "extension cord right of the penguin",
+    "mouse on the mousepad": "mousepad on the mouse",
+    "mousepad under the mouse": "mouse under the mousepad",
+    "laptop computer on the desk": "desk on the laptop computer",
+    "kettle on the desk": "desk on the kettle",
+    "penguin on the desk": "desk on the penguin",
+    "lamp above the desk": "desk above the lamp",
+    "box above the kettle": "kettle above the box",
+    "computer keyboard in front of the monitor": "computer keyboard behind the monitor",
+    "laptop computer between the kettle and the penguin": "kettle between the laptop computer and the penguin",
+}
+"""What is true of desk as seen from ``VIEWER``, each with what is not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Things(Study):
+    """Compare `field.things` with the true objects of synthetic scenes, and with known facts of a real one.
+
+    Instances: IoU of Gaussians, weighted by opacity, of each true object with the best thing, and average precision of
+    the things of level m, ranked by their number of regions. Counts: instances of each name against the things that
+    answer it. Relations: phrases over pairs of names (for "between", triples) that are clearly true or clearly false by
+    their meshes' boxes, as many of one as of the other where there are; a phrase counts as found if any thing
+    answers. Desk: facts listed by hand, and their converses, which nothing may answer.
+    """
+
+    scenes: tuple[str, ...] = ("table-4", "shelves-2", "hall-3", "yard-3")
+    """Layouts of benchmarks.scenes with a seed."""
+    n_gaussians: int = 60_000
+    """Of each scene."""
+    most: int = 30
+    """True and false phrases of each relation that are asked at most."""
+    desk: bool = True
+    """Ask the real scene too."""
+    data: Path = field(default_factory=data_folder)
+    """Folder that contains desk/."""
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        for name in self.scenes:
+            if name not in known:
+                layout, _, seed = name.rpartition("-")
+                scene = make_demo_scene(int(seed), self.n_gaussians, layout=find_layout(layout))
+                built = scoup.build(scene.gaussians, scene.building, scene.regions)
+                built.text_encoder(
+                    dict(zip(scene.words.texts, scene.text_vectors(scene.words.texts), strict=True))
+                )
+                yield name, of_scene(scene, built, self.most)
+        if self.desk and "desk" not in known:
+            yield "desk", of_desk(self.data)
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        return {"rows": [{"scene": name, **figures} for name, figures in rows.items()]}
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return one column per scene."""
+        rows = record["rows"]
+        lines: list[tuple[str, Callable[[Record], str]]] = [
+            ("true objects", lambda row: str(row["objects"])),
+            ("mean IoU with the best thing", lambda row: f"{row['iou']:.3f}"),
+            *(
+                (f"AP at IoU {each:g}", lambda row, each=each: f"{row['ap'][f'{each:g}']:.3f}")
+                for each in IOUS
+            ),
+            ("names counted right, one instance", lambda row: _share(row["counts"]["one"])),
+            ("names counted right, several", lambda row: _share(row["counts"]["several"])),
+            ("mean count error", lambda row: f"{row['counts']['error']:.2f}"),
+            *(
+                (f"{name}: precision / recall", lambda row, name=name: _quality(row["relations"][name]))
+                for name in (*PAIRS, "between")
+            ),
+            ("facts found", lambda row: _share(row["facts"])),
+            ("converses found", lambda row: _share(row["converses"])),
+            ("ms per text", lambda row: f"{row['text_ms']:.0f}"),
+            ("ms for all things", lambda row: f"{row['all_ms']:.0f}"),
+        ]
+        body = []
+        for title, cell in lines:
+            cells = []
+            for row in rows:
+                try:
+                    cells.append(cell(row))
+                except KeyError:
+                    cells.append("")
+            body.append([title, *cells])
+        return markdown(["", *(row["scene"] for row in rows)], body)
+
+
+def of_scene(scene: DemoScene, built: scoup.LanguageField, most: int) -> Record:
+    """Return all figures of a synthetic scene."""
+    truth = Instances.of(scene)
+    names = [name for name in dict.fromkeys(truth.names) if truth.counts[name]]
+    times, errors = [], {}
+    for name in names:
+        started = time.perf_counter()
+        errors[name] = abs(len(built.things(name)) - truth.counts[name])
+        times.append(time.perf_counter() - started)
+    several = [name for name in names if truth.counts[name] > 1]
+    exact = {
+        "one": [sum(not errors[name] for name in names if name not in several), len(names) - len(several)],
+        "several": [sum(not errors[name] for name in several), len(several)],
+        "error": mean(errors.values()),
+    }
+    return {
+        **instances(scene, built, truth),
+        "counts": exact,
+        "relations": relations(built, truth, most),
+        "text_ms": 1e3 * mean(times),
+        "all_ms": _all_ms(built),
+    }
+
+
+def instances(scene: DemoScene, built: scoup.LanguageField, truth: Instances) -> Record:
+    """Return IoU and average precision of the things against the true objects."""
+    weights = scene.gaussians.opacities.double().numpy()
+    of_truth = np.bincount(truth.of_gaussian + 1, weights, len(truth.names) + 1)[1:]
+    sizes = np.bincount(truth.of_gaussian + 1, minlength=len(truth.names) + 1)[1:]
+    things = built.things()
+    overlaps = np.zeros((len(things), len(truth.names)))
+    for row, thing in enumerate(things):
+        mine = thing.gaussians.numpy()
+        both = np.bincount(truth.of_gaussian[mine] + 1, weights[mine], len(truth.names) + 1)[1:]
+        overlaps[row] = both / (of_truth + weights[mine].sum() - both).clip(1e-9)
+    overlaps = overlaps[:, sizes >= LEAST]
+    middle = [row for row, thing in enumerate(things) if thing.level == "m"]
+    ranked = sorted(middle, key=lambda row: -(things[row].n_regions or 0))
+    return {
+        "objects": overlaps.shape[1],
+        "iou": float(overlaps.max(0).mean()),
+        "ap": {f"{least:g}": average_precision(overlaps[ranked], least) for least in IOUS},
+    }
+
+
+def average_precision(overlaps: NDArray[np.float64], least: float) -> float:
+    """Return the area below precision over recall of ranked things [T, O]; each object is found once."""
+    free = np.ones(overlaps.shape[1], bool)
+    hits = []
+    for row in overlaps:
+        best = int(np.where(free, row, -1).argmax())
+        hits.append(bool(free[best] and row[best] >= least))
+        free[best] &= not hits[-1]
+    precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
+    highest = np.maximum.accumulate(precision[::-1])[::-1]
+    return float(highest[np.array(hits, bool)].sum() / overlaps.shape[1])
+
+
+def relations(built: scoup.LanguageField, truth: Instances, most: int) -> dict[str, list[int]]:
+    """Return phrases per relation: true and found, true and missed, false and found, false and not found."""
+    frame = built.frame()
+    boxes = truth.boxes(built.camera(frame.seen_from))
+    names, rng = list(boxes), np.random.default_rng(0)
+    cases: dict[str, list[tuple[bool | None, str]]] = {
+        relation: [
+            (is_true(relation, boxes[one], boxes[other], other), f"{one} {relation} {other}")
+            for one in names
+            for other in names
+            if one != other
+        ]
+        for relation in PAIRS
+    }
+    triples = (rng.choice(len(names), 3, replace=False).tolist() for _ in range(2000))
+    cases["between"] = [
+        (
+            is_between(*(boxes[names[i]] for i in (one, a, b))),
+            f"{names[one]} between {names[a]} and {names[b]}",
+        )
+        for one, a, b in triples
+    ]
+    found = {}
+    for relation, of in cases.items():
+        tally = []
+        for wanted in (True, False):
+            clear = [phrase for holds, phrase in of if holds is wanted]
+            asked = [clear[place] for place in rng.permutation(len(clear))[:most]]
+            answered = sum(bool(built.things(phrase, frame)) for phrase in asked)
+            tally += [answered, len(asked) - answered]
+        found[relation] = tally
+    return found
+
+
+def of_desk(data: Path) -> Record:
+    """Return how many facts of the real scene are found."""
+    desk = Desk.open("desk", data)
+    gaussians = scoup.load_gaussians(data / "desk" / "point_cloud.splat")
+    built = scoup.build(gaussians, desk.cameras, desk.regions)
+    built.text_encoder(data / "desk" / "desk_words.npz")
+    frame = built.frame(VIEWER)
+    texts = sorted({label for labelled, _ in desk.frames for label in labelled.labels})
+    started = time.perf_counter()
+    for text in texts:
+        built.things(text)
+    seconds = (time.perf_counter() - started) / len(texts)
+    missed = [fact for fact in FACTS if not built.things(fact, frame)]
+    wrong = [converse for converse in FACTS.values() if built.things(converse, frame)]
+    return {
+        "facts": [len(FACTS) - len(missed), len(FACTS)],
+        "converses": [len(wrong), len(FACTS)],
+        "missed": missed,
+        "wrong": wrong,
+        "text_ms": 1e3 * seconds,
+        "all_ms": _all_ms(built),
+    }
+
+
+def _all_ms(built: scoup.LanguageField) -> float:
+    fresh = built[np.arange(len(built))]  # which keeps no answers
+    started = time.perf_counter()
+    fresh.things()
+    return 1e3 * (time.perf_counter() - started)
+
+
+def _share(of: list[int]) -> str:
+    return f"{of[0]} of {of[1]}" if of[1] else ""
+
+
+def _quality(tally: list[int]) -> str:
+    """Precision and recall, with how many phrases are true and false."""
+    hits, missed, false, quiet = tally
+    if not hits + missed:
+        return f"- ({false} of {false + quiet} false ones found)"
+    precision = f"{hits / (hits + false):.2f}" if hits + false else "-"
+    return f"{precision} / {hits / (hits + missed):.2f} ({hits + missed}, {false + quiet})"
