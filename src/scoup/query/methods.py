@@ -174,8 +174,8 @@ class FieldQueries(AskedScene):
             InputError, UnknownNameError: as ``question``, or a relation is not known.
 
         Example:
-            >>> [thing.text for thing in field.things(field.question("kettle", always=True))]
-            ['kettle']
+            >>> field.things(field.question("kettle", always=True))[0].text
+            'kettle'
         """
         if question is None:
             return self._recent(("things",), lambda: all_things(self))
