@@ -16,7 +16,7 @@ def test_tensors_are_said_by_type_and_shape():
     selection = Selection(torch.zeros(9, dtype=torch.bool), torch.zeros(9), 1, 0.5, 0.25)
     assert (
         repr(selection)
-        == "Selection(mask=bool [9], relevancy=float32 [9], level=1, score=0.5, threshold=0.25)"
+        == "Selection(mask=bool [9], relevancy=float32 [9], level=1, score=0.5, threshold=0.25, of_levels=None)"
     )
 
 

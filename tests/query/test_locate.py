@@ -22,6 +22,7 @@ class Placed:
     """As much of a field as ``location`` looks at."""
 
     gaussians: Gaussians
+    thing_table: None = None
 
 
 def gaussians_at(means: Tensor, opacities: Tensor | None = None) -> Gaussians:

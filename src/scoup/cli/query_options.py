@@ -153,9 +153,10 @@ class TextOptions(FieldOptions):
         if not self.text and not field.embedding_model:
             raise InputError(f"{self.field}: names no embedding model; pass a table or model with --text")
         try:
-            return field.text_encoder(self.text or field.encoder_source)
+            encoder = self.text or field.encoder_source
         except MissingFileError as error:
             raise MissingFileError(error.path, error.problem, "pass its new path with --text") from error
+        return field.text_encoder(encoder)
 
     def question(self, field: LanguageField, texts: Sequence[str] | Expression, **options: Any) -> Question:
         """The question that ``field.question`` makes of texts and options.
