@@ -15,7 +15,7 @@ from scoup.base.records import rounded_vector
 from scoup.query.coded_scene import CodedScene
 from scoup.scene.cameras import Camera
 
-UPRIGHT = 0.1
+UPRIGHT = 0.01
 """How much the cameras' own up counts beside their right sides being level."""
 
 
