@@ -35,6 +35,7 @@ from benchmarks.query import Query
 from benchmarks.selection import Selections
 from benchmarks.server_load import ServerLoad
 from benchmarks.study import Study
+from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
 from scoup.extract.registry import EMBEDDERS, SEGMENTERS, Choice
 from scoup_lab.bench import markdown
@@ -179,6 +180,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "selections": (Selections, "selection"),
     "labels": (Labels, "labels"),
     "locate": (Locate, "locate"),
+    "things": (Things, "things"),
     "absence": (Absence, "absence"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "coding, compared": (Coding, "coding"),
