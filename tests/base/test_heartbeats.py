@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -44,6 +45,14 @@ def other(part: Path) -> None:
     with locked_output(part, overwrite=True) as lock, heartbeats(lock):
         part.write_text("a part")
         wait_until_taken(lock, part, lock_path(WHOLE))
+
+
+def written(lock: Path) -> dict[str, object]:
+    """The record of a lock file; empty where there is none yet, or it is being written."""
+    try:
+        return read_record(lock) or {}
+    except ValueError:
+        return {}
 
 
 def at_once(*work: Callable[[], None]) -> list[BaseException | None]:
@@ -90,13 +99,10 @@ def test_if_the_first_fails_the_others_end_and_leave_it_to_the_first_to_say_so()
 def test_if_another_fails_the_first_says_so() -> None:
     def fails() -> None:
         with locked_output(PARTS[1]) as lock, heartbeats(lock):
-            while not str((read_record(lock_path(PARTS[0])) or {}).get("ready_for", "")):
-                pass  # until the first has begun, which looks at both
-            while read_record(lock_path(WHOLE)) == begun:
-                pass
+            # Two heartbeats of the first: by then it has looked at both parts, again and again.
+            while int(str(written(lock_path(WHOLE)).get("beat", 0))) < 2:
+                time.sleep(0.01)
 
-    with locked_output(WHOLE):
-        begun = read_record(lock_path(WHOLE))
     found = at_once(lambda: other(PARTS[0]), fails, first)
     assert [type(error) for error in found] == [ProcessLostError, type(None), ProcessLostError]
     assert "a.2.sums.lock was given up" in str(found[2])
