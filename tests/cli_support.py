@@ -23,6 +23,13 @@ from support import HANGS, small_scene, unit
 WORDS = ("kettle", "mug", "wooden table")
 QUICK = ("--n-atoms", "8", "--effort", "fast")
 """Options that make a build quick."""
+BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
+ASK = {
+    "query": ("query", "f.scoup", "kettle", "--out", "answers"),
+    "select": ("select", "f.scoup", "kettle", "--out", "a.ply"),
+    "render": ("render", "f.scoup", "--what", "relevancy", "--query", "kettle", "--out", "answers"),
+}
+"""Arguments of verbs that ask a field."""
 RUN = "from scoup.cli.app import entry; entry()"
 """The command line as a program."""
 

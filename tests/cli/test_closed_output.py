@@ -13,10 +13,9 @@ import pytest
 
 from cli.test_no_space import VERBS, entries
 from cli.test_no_space import original as original  # the fixture: a scene, fields, shards
-from cli_support import QUICK, RUN, run
+from cli_support import BUILD, RUN, run
 from scoup.cli import main
 
-BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 pytestmark = pytest.mark.usefixtures("here")
 unix = pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
 

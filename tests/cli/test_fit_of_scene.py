@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import QUICK, refused, run, run_json, write_scene
+from cli_support import BUILD, refused, run, run_json, write_scene
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
 from scoup.io.splats.formats import READERS
 from scoup.io.splats.ply import read_ply
@@ -17,7 +17,6 @@ from scoup.raster import render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 
-BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 RANDOM = pytest.mark.filterwarnings("ignore:.*badly explained")  # the regions are random
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import QUICK, refused, run, run_json, snapshot
+from cli_support import BUILD, QUICK, refused, run, run_json, snapshot
 from scoup.base.locks import locked_folder, locked_output
 from scoup.base.shares import Share
 from scoup.io import save_png
@@ -21,7 +21,6 @@ from support import HANGS
 
 pytestmark = pytest.mark.usefixtures("here")
 
-BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
 # A build in a process of its own that rasterises no third view: it waits, once two are in the file.
