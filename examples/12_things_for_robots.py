@@ -6,10 +6,10 @@ For a map in another frame, replace ROTATION and TRANSLATION: map = METRES_PER_U
 """
 
 import json
-import math
 import sys
 
 import torch
+from scipy.spatial.transform import Rotation
 
 import scoup
 
@@ -19,26 +19,8 @@ TRANSLATION = torch.zeros(3, dtype=torch.float64)
 
 def quaternion(axes: torch.Tensor) -> dict[str, float]:
     """The rotation whose columns are the axes [3, 3] of a box, one per row, as x, y, z, w."""
-    m = axes.T
-    values, vectors = torch.linalg.eigh(
-        torch.stack(
-            [
-                torch.stack(
-                    [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]]
-                ),
-                torch.stack(
-                    [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]]
-                ),
-                torch.stack(
-                    [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]]
-                ),
-                torch.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m.trace()]),
-            ]
-        )
-    )
-    x, y, z, w = vectors[:, int(values.argmax())].tolist()
-    sign = math.copysign(1, w)
-    return {"x": sign * x, "y": sign * y, "z": sign * z, "w": sign * w}
+    turn = Rotation.from_matrix(axes.T.numpy()).as_quat(canonical=True)
+    return dict(zip("xyzw", turn.tolist(), strict=True))
 
 
 def point(vector: torch.Tensor) -> dict[str, float]:
@@ -47,7 +29,8 @@ def point(vector: torch.Tensor) -> dict[str, float]:
 
 path, table, metres_per_unit, phrase = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4]
 field = scoup.LanguageField.load(path)
-things = field.things(field.question(phrase, encoder=table, always=True) if phrase.isalpha() else phrase)
+field.text_encoder(table)
+things = field.things(phrase)
 detections = [
     {
         "id": str(thing.number),

@@ -166,10 +166,10 @@ def test_places_equal_a_naive_loop(cloud, owners, share) -> None:
     members = [[row for row in range(count) if owners[row] == thing] for thing in range(5)]
     points = ThingPoints.of(gaussians, [torch.tensor(rows, dtype=torch.int64) for rows in members])
     found, boxes = points.quantiles([share]), points.boxes()
-    flipped = points.quantiles([share], -np.eye(3))
+    flipped = points.quantiles([share], np.broadcast_to(-np.eye(3), (5, 3, 3)))
     for thing, rows in enumerate(members):
         expected = naive_points(gaussians, rows)
-        means, weights = points.of_one(thing)
+        means, weights = points.of_one(thing), points.weights[points.owners == thing]
         assert means.tolist() == [mean for mean, _ in expected]
         assert weights.tolist() == [weight for _, weight in expected]
         assert (boxes[thing] is None) == (not expected)

@@ -94,16 +94,15 @@ class SceneTools:
 
     def describe_thing(self, scene: str, thing: int) -> dict[str, Any]:
         """Describe one thing by its number: place, box, what it is a part of, and its own parts."""
-        field = self._field(scene)
-        every = {each.number: each for each in field.things()}
-        one = self._thing(every, thing)
+        every = self._things(scene)
+        one = _numbered_thing(every, thing)
         parts = [number for number, each in every.items() if each.parent == thing]
         return {**one.record(self.metres_per_unit), "parts": parts}
 
     def measure_distance(self, scene: str, thing: int, other: int) -> dict[str, Any]:
         """Measure the distance between the positions of two things."""
-        every = {each.number: each for each in self._field(scene).things()}
-        one, two = self._thing(every, thing), self._thing(every, other)
+        every = self._things(scene)
+        one, two = _numbered_thing(every, thing), _numbered_thing(every, other)
         distance = float((one.position - two.position).norm())
         metres = {} if self.metres_per_unit is None else {"metres": round(distance * self.metres_per_unit, 4)}
         return {"thing": thing, "other": other, "distance": float(f"{distance:.6g}"), **metres}
@@ -113,8 +112,8 @@ class SceneTools:
         field = self._field(scene)
         if things and len(things) > MOST_MARKED:
             raise InputError(f"things: at most {MOST_MARKED} in one picture, got {len(things)}")
-        every = {each.number: each for each in field.things()} if things else {}
-        marked = [self._thing(every, number) for number in things or ()]
+        every = self._things(scene) if things else {}
+        marked = [_numbered_thing(every, number) for number in things or ()]
         view = field.camera(0 if camera is None else camera)
         if max(view.width, view.height) > WIDEST:
             view = Cameras([view]).scaled(WIDEST / max(view.width, view.height))[0]
@@ -157,16 +156,20 @@ class SceneTools:
     def _field(self, scene: str) -> FieldQueries:
         return looked_up("scene", scene, self.fields)
 
-    def _thing(self, every: Mapping[int | None, Thing], number: int) -> Thing:
-        if number not in every:
-            raise InputError(f"there is no thing {number}; list_things names those of the scene")
-        return every[number]
+    def _things(self, scene: str) -> dict[int | None, Thing]:
+        return {thing.number: thing for thing in self._field(scene).things()}
 
     def _reply(self, things: list[Thing], limit: int) -> dict[str, Any]:
         if not 1 <= limit <= MOST_LISTED:
             raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
         records = [thing.record(self.metres_per_unit) for thing in things[:limit]]
         return {"count": len(things), "things": records}
+
+
+def _numbered_thing(things: Mapping[int | None, Thing], number: int) -> Thing:
+    if number not in things:
+        raise InputError(f"there is no thing {number}; list_things names those of the scene")
+    return things[number]
 
 
 def _bounded(text: str) -> str:

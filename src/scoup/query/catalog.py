@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
@@ -87,27 +86,24 @@ def make_catalog(field: CodedScene, question: Question, frame: Frame | None = No
         )
     frame = scene_frame(field) if frame is None else frame
     things = all_things(field)
-    numbers = torch.tensor([thing.number for thing in things], dtype=torch.int64)
-    embeddings = table.embeddings.float().cpu()[numbers]
+    embeddings = table.embeddings.float().cpu()[[thing.number or 0 for thing in things]]
     cosines, canonical = embeddings @ question.queries.cpu().T, embeddings @ question.canonical.cpu().T
-    best = _scaled(cosines).topk(min(NAMES, len(question.texts)), dim=1).indices
-    sure = (
-        relevancy(cosines, canonical)[torch.arange(len(things)), best[:, 0]] if len(things) else cosines[:, 0]
-    )
-    named = tuple(
-        replace(thing, text=question.texts[int(row[0])], confidence=float(confidence))
-        for thing, row, confidence in zip(things, best, sure, strict=True)
-    )
+    best = best_words(cosines)
+    sure = relevancy(cosines, canonical).gather(1, best)[:, 0]
     names = tuple(tuple(question.texts[word] for word in row) for row in best.tolist())
+    named = tuple(
+        replace(thing, text=own[0], confidence=confidence)
+        for thing, own, confidence in zip(things, names, sure.tolist(), strict=True)
+    )
     return Catalog(named, names, tuple(related_pairs(field, named, frame)), frame)
 
 
-def _scaled(cosines: Tensor) -> Tensor:
-    """Cosines [T, Q] of things and words without what a word reaches with any thing."""
-    if not len(cosines):
-        return cosines
-    hubs = cosines.topk(min(HUB_THINGS, len(cosines)), dim=0).values.mean(0)
-    return cosines - HUB_SHARE * hubs
+def best_words(cosines: Tensor) -> Tensor:
+    """Return the up to ``NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
+    hubs = cosines.topk(min(HUB_THINGS, len(cosines)), dim=0).values.sum(0) / max(
+        1, min(HUB_THINGS, len(cosines))
+    )
+    return (cosines - HUB_SHARE * hubs).topk(min(NAMES, cosines.shape[1]), dim=1).indices
 
 
 def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list[list[Any]]:

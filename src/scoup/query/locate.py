@@ -113,14 +113,8 @@ class Location:
 
     def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """Return the location as plain JSON values, rounded; in metres, too, if the length of the unit is known."""
-        metres = {}
-        if metres_per_unit is not None and self.position is not None and self.box is not None:
-            metres = {
-                "position_metres": _rounded(self.position * metres_per_unit),
-                "extent_metres": _rounded(self.box.extent * metres_per_unit),
-            }
         return {
-            **metres,
+            **metres_record(self.position, self.box, metres_per_unit),
             "position": None if self.position is None else _rounded(self.position),
             "box": None if self.box is None else self.box.record(),
             "confidence": round(self.confidence, 4),
@@ -154,13 +148,29 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
     box = oriented_box(means[own], weights[own])
     position = torch.stack([weighted_quantiles(axis, weights[own], [0.5])[0] for axis in means[own].T])
     confidence = float((relevancy[own] * weights[own]).sum() / weights[own].sum())
-    return Location(position, box, confidence, members[own], answer, _things(field, answer))
+    things = answering_things(field, answer)
+    numbers = () if things is None else tuple(things.tolist())
+    return Location(position, box, confidence, members[own], answer, numbers)
 
 
-def _things(field: CodedScene, answer: SceneAnswer) -> tuple[int, ...]:
+def answering_things(field: CodedScene, answer: SceneAnswer) -> Tensor | None:
+    """Return the numbers [M] int64 of the things that an answer of ``answer_scene`` consists of; None where the votes
+    answer, or the field has no things."""
     if field.thing_table is None or answer.threshold is not None:
-        return ()
-    return tuple(things_in_mask(field.thing_table, answer.mask, field.levels.index(answer.level)).tolist())
+        return None
+    return things_in_mask(field.thing_table, answer.mask, field.levels.index(answer.level))
+
+
+def metres_record(
+    position: Tensor | None, box: OrientedBox | None, metres_per_unit: float | None
+) -> dict[str, Any]:
+    """Return a place in metres as plain JSON values; nothing if it, or the length of the scene's unit, is not known."""
+    if position is None or box is None or metres_per_unit is None:
+        return {}
+    return {
+        "position_metres": _rounded(position * metres_per_unit),
+        "extent_metres": _rounded(box.extent * metres_per_unit),
+    }
 
 
 def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:

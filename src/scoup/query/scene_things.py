@@ -14,12 +14,12 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
 from scoup.query.coded_scene import CodedScene
-from scoup.query.locate import OrientedBox, connected_parts
+from scoup.query.locate import OrientedBox, answering_things, connected_parts, metres_record
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import Question
 from scoup.query.select import true_rows
 from scoup.query.thing_shapes import ThingPoints
-from scoup.query.things import ThingFits, things_in_mask
+from scoup.query.things import ThingFits
 
 LEAST_SHARE = 0.1
 """Where the votes answer, connected parts with less than this share of the weight of the largest are strays."""
@@ -88,12 +88,6 @@ class Thing:
         Args:
             metres_per_unit: length of the scene's unit; with it, position and extent are given in metres, too.
         """
-        metres = {}
-        if metres_per_unit is not None:
-            metres = {
-                "position_metres": rounded_vector((self.position * metres_per_unit).tolist()),
-                "extent_metres": rounded_vector((self.box.extent * metres_per_unit).tolist()),
-            }
         return {
             "thing": self.number,
             "text": self.text,
@@ -103,7 +97,7 @@ class Thing:
             "confidence": None if self.confidence is None else round(self.confidence, 4),
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.record(),
-            **metres,
+            **metres_record(self.position, self.box, metres_per_unit),
             "gaussians": self.n_gaussians,
             "regions": self.n_regions,
         }
@@ -117,9 +111,7 @@ def all_things(field: CodedScene) -> list[Thing]:
     table = field.thing_table
     if table is None:
         return []
-    counts = torch.zeros(len(table), dtype=torch.int64)
-    for owners in table.owners.cpu().T:
-        counts += torch.bincount(owners.long() + 1, minlength=len(table) + 1)[1:]
+    counts = table.sums(torch.ones(len(table.owners)))
     numbers = (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist()
     return _things_of_table(field, numbers)
 
@@ -138,12 +130,11 @@ def things_of_answer(field: CodedScene, question: Question, number: int, answer:
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
-    table = field.thing_table
-    if table is None or answer.threshold is not None:
+    table, numbers = field.thing_table, answering_things(field, answer)
+    if table is None or numbers is None:
         return _connected_things(field, answer)
-    numbers = things_in_mask(table, answer.mask, field.levels.index(answer.level))
     fits = ThingFits.of(table, question.one(number)).fits[:, 0]
-    ranked = numbers[fits[numbers.long()].argsort(descending=True, stable=True)].tolist()
+    ranked = numbers[fits[numbers].argsort(descending=True, stable=True)].tolist()
     return [
         replace(
             thing,
@@ -169,28 +160,26 @@ def _things_of_table(field: CodedScene, numbers: Sequence[int]) -> list[Thing]:
         for number, part in zip(of_thing.tolist(), rows[order].split(counts.tolist()), strict=True):
             members[number] = part
     parents, n_regions = table.parents.tolist(), table.n_regions.tolist()
-    made = [
-        (number, field.levels[int(table.levels[number])], None if parents[number] < 0 else parents[number])
-        for number in numbers
-    ]
-    return _shaped(field, made, members, [n_regions[number] for number in numbers])
-
-
-def _shaped(
-    field: CodedScene,
-    made: Sequence[tuple[int | None, str, int | None]],
-    members: Sequence[Tensor],
-    n_regions: Sequence[int | None],
-) -> list[Thing]:
-    """Things of (number, level, parent) with their Gaussians; without those that have no usable Gaussian."""
-    points = ThingPoints.of(field.gaussians, members)
-    boxes, positions = points.boxes(), points.medians()
     return [
-        Thing(
-            *which, "", None, None, torch.from_numpy(positions[row].copy()), box, members[row], n_regions[row]
+        replace(
+            thing,
+            number=number,
+            level=field.levels[int(table.levels[number])],
+            parent=None if parents[number] < 0 else parents[number],
+            n_regions=n_regions[number],
         )
-        for row, (which, box) in enumerate(zip(made, boxes, strict=True))
-        if box is not None
+        for number, thing in zip(numbers, _parts(field, members, ""), strict=True)
+        if thing is not None
+    ]
+
+
+def _parts(field: CodedScene, members: Sequence[Tensor], level: str) -> list[Thing | None]:
+    """Parts of a selection from the Gaussians of each; None for those without a usable Gaussian."""
+    points = ThingPoints.of(field.gaussians, members)
+    shapes = zip(points.medians(), points.boxes(), members, strict=True)
+    return [
+        box and Thing(None, level, None, "", None, None, torch.from_numpy(position.copy()), box, own, None)
+        for position, box, own in shapes
     ]
 
 
@@ -212,8 +201,8 @@ def _connected_things(field: CodedScene, answer: SceneAnswer) -> list[Thing]:
         if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= LEAST_SHARE * weights.max()
     ]
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
-    things = _shaped(field, [(None, answer.level, None)] * len(members), members, [None] * len(members))
     return [
         replace(thing, text=answer.text, confidence=float(answer.relevancy[thing.gaussians].mean()))
-        for thing in things
+        for thing in _parts(field, members, answer.level)
+        if thing is not None
     ]

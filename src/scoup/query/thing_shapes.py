@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -40,35 +41,33 @@ class ThingPoints:
         weights = np.where(np.isfinite(means).all(1) & np.isfinite(weights), weights, 0.0)
         means = np.where(weights[:, None] > 0, means, 0.0)
         every = cls(means, weights, starts)
-        distance = np.linalg.norm(means - every._spread(every.medians()), axis=1)
+        distance = np.linalg.norm(means - every.medians()[every.owners], axis=1)
         usual = cls(distance[:, None], weights, starts).quantiles([0.5])[:, 0, 0]
-        near = (distance <= FARTHEST * every._spread(usual)) & (weights > 0)
+        near = (distance <= FARTHEST * usual[every.owners]) & (weights > 0)
         kept = np.concatenate([[0], np.cumsum(near)])[starts]
         return cls(means[near], weights[near], kept)
 
     def __len__(self) -> int:
         return len(self.starts) - 1
 
-    @property
+    @cached_property
     def owners(self) -> NDArray[np.int64]:
         """[M] the thing of each Gaussian."""
         return np.repeat(np.arange(len(self)), np.diff(self.starts))
 
-    def of_one(self, number: int) -> tuple[Array, Array]:
-        """Means and weights of one thing."""
-        rows = slice(self.starts[number], self.starts[number + 1])
-        return self.means[rows], self.weights[rows]
+    def of_one(self, number: int) -> Array:
+        """Means of one thing."""
+        return self.means[self.starts[number] : self.starts[number + 1]]
 
     def medians(self) -> Array:
         """[T, 3] weighted median along each axis; NaN for things without Gaussians."""
         return self.quantiles([0.5])[..., 0]
 
     def quantiles(self, shares: Sequence[float], axes: Array | None = None) -> Array:
-        """[T, A, Q] values below which shares of each thing's weight lie, along axes [A, 3] or [T, A, 3]."""
+        """[T, A, Q] values below which shares of each thing's weight lie, along axes [T, A, 3] of each."""
         values = self.means
         if axes is not None:
-            each = axes[self.owners] if axes.ndim == 3 else np.broadcast_to(axes, (len(values), *axes.shape))
-            values = np.einsum("mad,md->ma", each, values)
+            values = np.einsum("mad,md->ma", axes[self.owners], values)
         found = np.full((len(self), values.shape[1], len(shares)), np.nan)
         filled = np.flatnonzero(np.diff(self.starts))
         owners = self.owners
@@ -82,9 +81,9 @@ class ThingPoints:
                 found[filled, axis, place] = values[order[rows], axis]
         return found
 
-    def spans(self, axes: Tensor) -> Array:
-        """[T, 3, 2] lower and upper end along each of the directions [3, 3]; NaN without Gaussians."""
-        return self.quantiles([(1 - SPAN) / 2, (1 + SPAN) / 2], axes.numpy())
+    def spans(self) -> Array:
+        """[T, 3, 2] lower and upper end along each axis; NaN without Gaussians."""
+        return self.quantiles([(1 - SPAN) / 2, (1 + SPAN) / 2])
 
     def boxes(self) -> list[OrientedBox | None]:
         """The box along the principal axes of each thing; None without Gaussians."""
@@ -112,7 +111,3 @@ class ThingPoints:
 
     def _sums(self, values: Array) -> Array:
         return np.bincount(self.owners, values, len(self)).astype(np.float64)
-
-    def _spread(self, of_thing: Array) -> Array:
-        """A value per thing, for each Gaussian."""
-        return of_thing[self.owners]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from scoup.query.catalog import best_words
 from scoup.query.methods import FieldQueries
 from scoup.query.question import Question
 from scoup.query.things import ThingFits
@@ -21,7 +22,7 @@ def page_things(field: FieldQueries, vocabulary: Question | None) -> list[dict[s
         return []
     words: list[int] = []
     if vocabulary is not None:
-        words = ThingFits.of(table, vocabulary).cosines.argmax(1).tolist()
+        words = best_words(ThingFits.of(table, vocabulary).cosines)[:, 0].tolist()
     found = []
     for thing in field.things():
         record, number = thing.record(), thing.number or 0

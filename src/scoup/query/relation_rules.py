@@ -1,0 +1,165 @@
+"""When a relation between things holds, measured along the directions of a frame.
+
+Spans along right, up and away (``ThingPoints.spans``) stand for things; contact for "on" is measured from the
+Gaussians below. The rules are ours; `python -m benchmarks things` measures them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scoup.query.coded_scene import CodedScene
+from scoup.query.frame import Frame
+from scoup.query.scene_things import Thing
+from scoup.query.thing_shapes import ThingPoints
+
+RIGHT, UP, AWAY = range(3)
+CLEAR = 0.5
+"""One thing is left of another if its middle lies beyond this share of half the other's extent."""
+OVER = 0.5
+"""Share of a thing's footprint that must lie over another for it to be on or inside it."""
+OVER_PART = 0.25
+"""Share of one of two footprints that must lie over the other for the upper thing to be above the lower."""
+CONTACT = 0.35
+"""Largest gap between the bottom of a thing and what it is on, in units of its height."""
+SECTORS, SURROUNDED = 8, 0.75
+"""A thing contains another only if it has Gaussians in this share of so many directions around it."""
+NEAR = 0.5
+"""Things are near each other if the gap between them is at most this share of the larger one's diagonal."""
+BETWEEN = (0.15, 0.85, 0.5)
+"""A thing is between two others if its place along the line between them lies within the first two, and its distance
+from that line is at most this share of their distance."""
+
+Array = NDArray[np.float64]
+Condition = Callable[["Shapes", int, tuple[int, ...]], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Things along the axes of a frame: right, up, away."""
+
+    things: Sequence[Thing]
+    points: ThingPoints  # in the frame's axes
+    spans: Array  # [T, 3, 2]
+
+    @classmethod
+    def of(cls, field: CodedScene, things: Sequence[Thing], frame: Frame) -> Shapes:
+        points = ThingPoints.of(field.gaussians, [thing.gaussians for thing in things])
+        points = replace(points, means=points.means @ frame.axes.numpy().T)
+        return cls(things, points, points.spans())
+
+    def middle(self, number: int) -> Array:
+        return self.spans[number].mean(1)
+
+    def extent(self, number: int) -> Array:
+        return self.spans[number, :, 1] - self.spans[number, :, 0]
+
+    def gap(self, one: int, other: int) -> float:
+        """Distance between the spans of two things; 0 where they overlap."""
+        low = np.maximum(self.spans[one, :, 0], self.spans[other, :, 0])
+        high = np.minimum(self.spans[one, :, 1], self.spans[other, :, 1])
+        return float(np.linalg.norm((low - high).clip(min=0)))
+
+    def overlap(self, one: int, other: int) -> float:
+        """The share of one thing's footprint that lies over another's."""
+        share = 1.0
+        for axis in (RIGHT, AWAY):
+            low = max(self.spans[one, axis, 0], self.spans[other, axis, 0])
+            high = min(self.spans[one, axis, 1], self.spans[other, axis, 1])
+            share *= max(0.0, high - low) / max(self.spans[one, axis, 1] - self.spans[one, axis, 0], 1e-9)
+        return share
+
+    def top_below(self, one: int, other: int) -> float:
+        """How high another thing reaches around the footprint of one, not above its middle; minus infinity if it is
+        not there."""
+        means = self.points.of_one(other)
+        margin = 0.5 * self.extent(one)
+        around = np.ones(len(means), bool)
+        for axis in (RIGHT, AWAY):
+            low, high = self.spans[one, axis, 0] - margin[axis], self.spans[one, axis, 1] + margin[axis]
+            around &= (means[:, axis] >= low) & (means[:, axis] <= high)
+        heights = means[around, UP]
+        heights = heights[heights <= self.middle(one)[UP]]
+        return float(np.quantile(heights, 0.9)) if len(heights) else -np.inf
+
+    def surrounds(self, one: int, other: int) -> bool:
+        """Whether a thing has Gaussians on nearly all sides of another, at the heights of the other."""
+        means = self.points.of_one(one)
+        low, high = self.spans[other, UP]
+        away = means[(means[:, UP] >= low) & (means[:, UP] <= high)] - self.middle(other)
+        sectors = np.floor((np.arctan2(away[:, AWAY], away[:, RIGHT]) / np.pi + 1) / 2 * SECTORS).astype(int)
+        counts = np.bincount(sectors.clip(0, SECTORS - 1), minlength=SECTORS)
+        return bool((counts > 0).mean() >= SURROUNDED)
+
+
+def _beyond(axis: int, sign: int) -> Condition:
+    """Whether the middle of one lies clearly on one side of another along an axis."""
+
+    def holds(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+        offset = sign * (shapes.middle(one)[axis] - shapes.middle(others[0])[axis])
+        return bool(offset > CLEAR * 0.5 * shapes.extent(others[0])[axis])
+
+    return holds
+
+
+def _on(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+    if shapes.overlap(one, others[0]) < OVER:
+        return False
+    gap = shapes.spans[one, UP, 0] - shapes.top_below(one, others[0])
+    return bool(abs(gap) <= CONTACT * shapes.extent(one)[UP])
+
+
+def _above(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+    other = others[0]
+    over = max(shapes.overlap(one, other), shapes.overlap(other, one))
+    height = shapes.extent(one)[UP]
+    clear = shapes.spans[one, UP, 0] >= shapes.spans[other, UP, 1] - CONTACT * height
+    return bool(over >= OVER_PART and (clear or _on(shapes, one, others)))
+
+
+def _under(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+    return _above(shapes, others[0], (one,))
+
+
+def _inside(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+    other = others[0]
+    if shapes.overlap(one, other) < OVER or shapes.extent(one).prod() >= shapes.extent(other).prod():
+        return False
+    low, high = shapes.spans[one, UP]
+    within = min(high, shapes.spans[other, UP, 1]) - max(low, shapes.spans[other, UP, 0])
+    return bool(within > CONTACT * (high - low) and shapes.surrounds(other, one))
+
+
+def _near(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+    larger = max(np.linalg.norm(shapes.extent(one)), np.linalg.norm(shapes.extent(others[0])))
+    return bool(shapes.gap(one, others[0]) <= NEAR * larger)
+
+
+def _between(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+    start, end = shapes.middle(others[0]), shapes.middle(others[1])
+    line, own = end - start, shapes.middle(one) - start
+    length = float(np.linalg.norm(line))
+    if length <= 0:
+        return False
+    place = float(own @ line) / length**2
+    low, high, aside = BETWEEN
+    return bool(low <= place <= high and np.linalg.norm(own - place * line) <= aside * length)
+
+
+CONDITIONS: Mapping[str, Condition] = {
+    "left of": _beyond(RIGHT, -1),
+    "right of": _beyond(RIGHT, 1),
+    "in front of": _beyond(AWAY, -1),
+    "behind": _beyond(AWAY, 1),
+    "on": _on,
+    "above": _above,
+    "under": _under,
+    "between": _between,
+    "near": _near,
+    "inside": _inside,
+}
+"""Every relation but "nearest to", which compares the things with each other."""
