@@ -25,6 +25,7 @@ _HOMES = {
     "load_image": "scoup.io",
     "Codebook": "scoup.coding",
     "fit_codes": "scoup.coding",
+    "choose_cameras": "scoup.extract.own_views",
     "project": "scoup.raster",
     "RegionSums": "scoup.uplift.region_sums",
     "region_sums": "scoup.uplift.rasterise",
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from scoup.base.errors import ScoupWarning as ScoupWarning
     from scoup.coding import Codebook as Codebook
     from scoup.coding import fit_codes as fit_codes
+    from scoup.extract.own_views import choose_cameras as choose_cameras
     from scoup.field.language_field import LanguageField as LanguageField
     from scoup.io import load_cameras as load_cameras
     from scoup.io import load_gaussians as load_gaussians

@@ -1,0 +1,161 @@
+"""Cameras that may be chosen for a bare splat: around it, and in the free space within."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+
+OPAQUE = 0.3  # opacity from which a Gaussian counts as matter
+LEAST_SHARE = 0.25  # of the Gaussians are matter, however transparent the splat is
+ANGLE_OF_VIEW = math.radians(65)  # across the image
+ELEVATIONS = (8.0, 25.0, 50.0)  # degrees, of the circles around the scene
+AZIMUTHS = 12
+DISTANCES = (0.65, 1.0)  # of that from which the whole scene fills the image
+PLACES = 28  # in free space
+HEADINGS = 8
+PITCHES = (-5.0, -25.0)  # degrees
+CELLS = 48  # along the longest side of the grid of free space
+
+
+@dataclass(frozen=True, eq=False)
+class Matter:
+    """The Gaussians that views are to show, and the frame in which they are looked at."""
+
+    rows: Tensor
+    """[M] int64, the Gaussians that count: opaque, of sensible size and with neighbours."""
+    means: Tensor
+    """[M, 3] float64, their centres."""
+    axes: Tensor
+    """[3, 3] float64, rows: two horizontal directions and up."""
+    low: Tensor
+    """[3] float64, the lower corner of the box of nearly all of them, along ``axes``."""
+    high: Tensor
+    """[3] float64, its upper corner."""
+
+    @property
+    def radius(self) -> float:
+        """Half the diagonal of the box."""
+        return float((self.high - self.low).norm()) / 2
+
+
+def find_matter(gaussians: Gaussians) -> Tensor:
+    """Return [M] int64: the Gaussians that are opaque, no larger than things are, and near others.
+
+    Raises:
+        InputError: none is.
+    """
+    usable = gaussians.finite() & (gaussians.opacities > 1 / 255)
+    if not len(gaussians) or not bool(usable.any()):
+        raise InputError("gaussians: nothing can be seen (no Gaussian is finite and opaque)")
+    level = min(OPAQUE, float(np.quantile(gaussians.opacities[usable].numpy(), 1 - LEAST_SHARE)))
+    rows = (usable & (gaussians.opacities >= level)).nonzero().flatten()
+    means, largest = gaussians.means[rows].double(), gaussians.scales[rows].amax(1).double()
+    middle = means.median(0).values
+    extent = float((means - middle).norm(dim=1).quantile(0.8)) if len(rows) < 2**24 else 0.0
+    kept = rows[(largest <= 0.5 * extent) & ((means - middle).norm(dim=1) <= 4 * extent)]
+    kept = kept[_with_neighbours(gaussians.means[kept].double(), extent / 12)]
+    if len(kept) < 2 or not extent > 0:
+        raise InputError(f"gaussians: nothing to look at ({len(rows)} opaque Gaussians at one place)")
+    return kept
+
+
+def _with_neighbours(means: Tensor, side: float) -> Tensor:
+    """Return [M] bool: whether the cubes of a grid around a point contain a fair number of the others."""
+    if not len(means) or not side > 0:
+        return torch.ones(len(means), dtype=torch.bool)
+    cells = ((means - means.amin(0)) / side).floor().long()
+    cells = cells.clamp(max=2**20)
+    keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    _, number, counts = torch.unique(keys, return_inverse=True, return_counts=True)
+    return counts[number] >= min(4, max(1, len(means) // 200))
+
+
+def measure_matter(gaussians: Gaussians, rows: Tensor, up: Tensor) -> Matter:
+    """Return the matter of ``rows`` in the frame in which ``up`` [3] is up."""
+    axis = torch.eye(3, dtype=torch.float64)[int(up.abs().argmin())]
+    first = torch.linalg.cross(up, axis)
+    first = first / first.norm()
+    axes = torch.stack([first, torch.linalg.cross(up, first), up])
+    means = gaussians.means[rows].double()
+    along = means[:: max(1, len(means) // 200_000)] @ axes.T
+    ends = torch.quantile(along, torch.tensor([0.02, 0.98], dtype=torch.float64), dim=0)
+    return Matter(rows, means, axes, ends[0], ends[1])
+
+
+def candidate_cameras(matter: Matter, width: int, height: int) -> list[Camera]:
+    """Return cameras on circles around the matter, and in all directions from places in its free space."""
+    focal = width / (2 * math.tan(ANGLE_OF_VIEW / 2))
+    poses = [*_around(matter, min(width, height) / focal), *_within(matter)]
+    return [
+        camera
+        for number, (eye, aim) in enumerate(poses)
+        if (camera := look(eye, aim, matter, f"{number}", width, height, focal)) is not None
+    ]
+
+
+def look(
+    eye: Tensor, aim: Tensor, matter: Matter, name: str, width: int, height: int, focal: float
+) -> Camera | None:
+    """Return the camera at ``eye`` that shows ``aim``, both along the axes of the matter; None if it looks straight
+    up or down.
+    """
+    way = aim - eye
+    if float(way[:2].norm()) < 0.05 * float(way.norm()):
+        return None
+    places = (matter.axes.T @ eye, matter.axes.T @ aim)
+    return Camera.look_at(places[0], places[1], name, width, height, focal, matter.axes[2])
+
+
+def _around(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]:
+    along = matter.means[:: max(1, len(matter.means) // 50_000)] @ matter.axes.T
+    centre = (along.clamp(matter.low, matter.high)).mean(0)
+    full = matter.radius / (opening / 2) * 0.9
+    poses = []
+    for row, elevation in enumerate(ELEVATIONS):
+        for distance in DISTANCES:
+            for step in range(AZIMUTHS):
+                angle = 2 * math.pi * (step + 0.5 * (row % 2)) / AZIMUTHS
+                level = math.radians(elevation)
+                way = (
+                    math.cos(angle) * math.cos(level),
+                    math.sin(angle) * math.cos(level),
+                    math.sin(level),
+                )
+                poses.append((centre + distance * full * torch.tensor(way, dtype=torch.float64), centre))
+    return poses
+
+
+def _within(matter: Matter) -> list[tuple[Tensor, Tensor]]:
+    """Return poses at places that are spread over the free space in and around the box."""
+    from scipy import ndimage
+    from scipy.stats import qmc
+
+    margin = 0.25 * (matter.high - matter.low) + 0.05 * matter.radius
+    low, high = matter.low - margin, matter.high + margin
+    side = float((high - low).max()) / CELLS
+    shape = ((high - low) / side).ceil().long().clamp(min=1)
+    cells = ((matter.means @ matter.axes.T - low) / side).floor().long()
+    inside = ((cells >= 0) & (cells < shape)).all(1)
+    counts = np.zeros(tuple(shape.tolist()), np.int64)
+    np.add.at(counts, tuple(cells[inside].T.numpy()), 1)
+    room = np.asarray(ndimage.distance_transform_edt(counts < 2)) * side
+    drawn = torch.from_numpy(qmc.Halton(3, scramble=False).random(2000)[1:]) * (high - low) + low
+    found = ((drawn - low) / side).floor().long().clamp(min=0)
+    found = torch.minimum(found, shape - 1)
+    free = torch.from_numpy(room[tuple(found.T.numpy())]) >= 0.1 * matter.radius
+    poses = []
+    for number, place in enumerate(drawn[free][:PLACES]):
+        for step in range(HEADINGS):
+            angle = 2 * math.pi * (step + 0.37 * number) / HEADINGS
+            level = math.radians(PITCHES[(step + number) % 2])
+            way = (math.cos(angle) * math.cos(level), math.sin(angle) * math.cos(level), math.sin(level))
+            poses.append((place, place + torch.tensor(way, dtype=torch.float64)))
+    return poses
