@@ -134,6 +134,24 @@ def test_imports_go_down(package: Path, room: str) -> None:
     assert not {path: lines for path, lines in found.items() if lines}
 
 
+def test_library_messages_name_no_option_of_the_command_line() -> None:
+    """They name arguments, which ``cli/console.py`` translates."""
+    others = {
+        "base/native.py": {"--install", "--force-reinstall", "--no-deps", "--no-cache-dir"},
+        "io/langsplatv2.py": {"--include_feature"},
+        "models/hub.py": {"--local-dir"},
+        "view/viewed_field.py": {"--text"},  # in the command that opens a page again
+    }
+    found = {
+        (path, option)
+        for path, source in sources(PRODUCT).items()
+        for node in ast.walk(ast.parse(source))
+        if not path.startswith("cli/") and isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for option in re.findall(r"(?<![\w-])--[a-z][\w-]*", node.value)
+    }
+    assert found == {(path, option) for path, options in others.items() for option in options}
+
+
 def test_the_product_never_imports_the_laboratory() -> None:
     """But for the table of verbs, which names modules by string."""
     found = {

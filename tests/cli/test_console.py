@@ -115,6 +115,23 @@ def test_a_warning_is_told_once(capsys):
 
 
 @pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ("a: exists; pass `overwrite=True`", "a: exists; pass --overwrite"),
+        ("to continue anyway, pass `check_fit=False`", "to continue anyway, pass --no-check-fit"),
+        ("add atoms (`new_atoms=8`)", "add atoms (--new-atoms 8)"),
+        ("name it with `gaussians`; or `distorted='undistort'`", "name it with --gaussians; or --undistort"),
+        ("pass `segmenter='felzenszwalb'`", "pass --segmenter felzenszwalb"),
+        ("run `scoup view`; a`b.ply", "run `scoup view`; a`b.ply"),
+    ],
+)
+def test_messages_name_options_in_place_of_arguments(capsys, message: str, said: str):
+    Console(Common()).warn(message)
+    Console(Common()).fail(message, 2)
+    assert capsys.readouterr().err == f"warning: {said}\nerror: {said}\n"
+
+
+@pytest.mark.parametrize(
     ("error", "code", "said"),
     [
         (InputError("a.ply: is\nodd"), 2, "a.ply: is odd"),

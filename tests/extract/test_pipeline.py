@@ -153,7 +153,9 @@ def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
     before = snapshot(out)
     changes = {"bits": Output(bits=32), "max_height": Output(max_height=10), "layout": Output("langsplat")}
     for name, change in changes.items():
-        with pytest.raises(InputError, match=rf"{name.replace('_', '.')}: .*another folder.*--overwrite"):
+        with pytest.raises(
+            InputError, match=rf"{name.replace('_', '.')}: .*another folder.*`overwrite=True`"
+        ):
             extract(photographs, out, Blocks(), PlainColors(), change)
     with pytest.raises(InputError, match=r"side: 16, not 8"):
         extract(photographs, out, Blocks(16), PlainColors())

@@ -107,7 +107,7 @@ class OutputExistsError(ScoupError, FileExistsError):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        super().__init__(f"{path}: already exists; pass --overwrite (overwrite=True in Python) to replace it")
+        super().__init__(f"{path}: already exists; pass `overwrite=True` to replace it")
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.path,)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
-
-from scoup.base.errors import InputError
 
 _MOST_BYTES = 80  # of a name: leaves space for suffixes and for the marks of temporary files
 
@@ -29,11 +26,3 @@ def unique_slugs(texts: Iterable[str]) -> list[str]:
             candidate = f"{name}-{number}"
         names.append(candidate)
     return names
-
-
-def check_folder(folder: Path) -> None:
-    """Refuse a name that is meant for a file where a folder is written."""
-    if folder.is_file():
-        raise InputError(f"{folder}: is a file; give the name of a folder to write the results into")
-    if folder.suffix.lower() in (".png", ".jpg", ".jpeg", ".json", ".mp4") and not folder.is_dir():
-        raise InputError(f"{folder}: the results are several files; give the name of a folder with --out")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 from scoup.base.counts import counted
-from scoup.base.file_names import check_folder
-from scoup.base.staging import check_outputs, staged
+from scoup.base.staging import staged
 from scoup.cli.console import Console
 from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
 from scoup.cli.query_options import FrameOptions, TextOptions, check_metres
@@ -37,8 +35,7 @@ class MakeCatalog(TextOptions, FrameOptions):
         from scoup.view.vocabulary import everyday_vocabulary, read_words
 
         check_metres(self.metres_per_unit)
-        out = self.out or Path(f"{self.field.stem}_catalog")
-        check_folder(out)
+        out = self.output_folder(self.out, "catalog")
         field = self.open_field()
         if self.words is None:
             words = everyday_vocabulary(self.text_encoder(field))
@@ -47,7 +44,6 @@ class MakeCatalog(TextOptions, FrameOptions):
         catalog = field.catalog(self.question(field, words, always=True), self.open_frame(field))
         cameras = list(field.cameras or ())
         files = catalog_files(catalog, cameras)
-        check_outputs(out, files, self.overwrite)
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
             save_catalog(field, catalog, hidden, cameras, self.metres_per_unit, progress)
         largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]

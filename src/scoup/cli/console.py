@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -18,16 +19,10 @@ from scoup.cli.options import Common
 
 _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
 """Control characters, which names out of files may hold, and which could change what a terminal shows."""
-_OPTIONS = {
-    "check_fit=False": "--no-check-fit",
-    "new_atoms=8": "--new-atoms 8",
-    "pass dataparser_transforms)": "pass --dataparser-transforms)",
-    "a tolerance)": "--tolerance)",
-    "pass a tolerance": "pass --tolerance",
-    "its sums kept": "--keep-sums",
-    "raster_preset,": "--raster-preset,",
-}
-"""Arguments that messages of the library name -> options of verbs."""
+_ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
+"""How messages of the library name an argument, alone or with a value."""
+_OPTIONS = {"distorted": "--undistort", "sums": "--keep-sums"}
+"""Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 
 
@@ -177,9 +172,18 @@ def kept(done: int, total: int, what: str, also: str = "") -> str:
 
 
 def _with_options(message: str) -> str:
-    for argument, option in _OPTIONS.items():
-        message = message.replace(argument, option)
-    return message
+    """The message with options in place of arguments: `check_fit=False` becomes --no-check-fit."""
+    return _ARGUMENT.sub(_option, message)
+
+
+def _option(argument: re.Match[str]) -> str:
+    name, value = argument.groups()
+    dashed = name.replace("_", "-")
+    if name in _OPTIONS:
+        return _OPTIONS[name]
+    if value in ("True", "False"):
+        return f"--{dashed}" if value == "True" else f"--no-{dashed}"
+    return f"--{dashed}" if value is None else f"--{dashed} {value.strip(chr(39))}"
 
 
 def silence(stream: TextIO) -> None:

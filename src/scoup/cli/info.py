@@ -37,6 +37,8 @@ class Info(Common):
             raise FileFormatError(self.path, problem, remedy)
         is_scene = self.path.is_dir() and suffix != ".sums"
         record = (_folder if is_scene else _KINDS[suffix])(self.path)
+        if "distorted" in record:
+            record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
             console.say(line)
         console.result(record)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.base.file_names import check_folder, unique_slugs
-from scoup.base.staging import check_outputs, staged
+from scoup.base.file_names import unique_slugs
+from scoup.base.staging import staged
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionGroups
 from scoup.cli.query_options import CameraOptions, TextOptions, check_texts
@@ -68,8 +68,7 @@ class Label(TextOptions, CameraOptions):
         from scoup.query.label_files import label_files, save_label_views, save_labels
 
         words = self._words()
-        out = self.out or Path(f"{self.field.stem}_labels")
-        check_folder(out)
+        out = self.output_folder(self.out, "labels")
         field = self.open_field()
         cameras = self._cameras(field)
         outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
@@ -79,9 +78,8 @@ class Label(TextOptions, CameraOptions):
         # Only the words decide the names of files, so that what cannot be written is known before the work.
         stems = unique_slugs(camera.stem for camera in cameras)
         files = label_files(words, outputs, stems)
-        check_outputs(out, files, self.overwrite)
-        labels = field.label(question)
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
+            labels = field.label(question)
             save_labels(field, labels, hidden, outputs, self.gaussians)
             views = dict(zip(stems, cameras, strict=True))
             blind = save_label_views(field, labels, views, hidden, outputs, progress)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.base.counts import counted
-from scoup.base.file_names import check_folder, unique_slugs
+from scoup.base.file_names import unique_slugs
 from scoup.base.progress import Progress, reported
 from scoup.base.staging import check_outputs, staged
 from scoup.cli.console import Console
@@ -25,6 +25,7 @@ from scoup.cli.query_options import (
     CameraOptions,
     TextOptions,
     absence_message,
+    check_frame_rate,
     check_metres,
     check_texts,
 )
@@ -106,7 +107,6 @@ class Query(TextOptions, CameraOptions):
         self._check_options()
         preset = query_preset(self.rule, threshold=self.threshold)
         out = self._out()
-        check_folder(out)
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
@@ -145,13 +145,12 @@ class Query(TextOptions, CameraOptions):
         check_metres(self.metres_per_unit)
         if not 1 <= self.frames <= MOST_FRAMES:
             raise InputError(f"--frames must be 1 to {MOST_FRAMES:,}, got {self.frames}")
-        if not 0.1 <= self.frames_per_second <= 100:
-            raise InputError(f"--frames-per-second must be 0.1 to 100, got {self.frames_per_second}")
+        check_frame_rate(self.frames_per_second)
         if self.video != "none":
             check_video_writer()
 
     def _out(self) -> Path:
-        return self.out or Path(f"{self.field.stem}_queries")
+        return self.output_folder(self.out, "queries")
 
     def _write_views(
         self,

@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
@@ -63,6 +64,17 @@ class FieldOptions(WritesCommon):
                 problem = f"is not there, and {self.field} was built on it"
                 raise MissingFileError(error.path, problem, "say where it is now with --gaussians") from error
         return field.to(self.device)
+
+    def output_folder(self, out: Path | None, ending: str) -> Path:
+        """The folder to write results into, by default <name of FIELD>_<ending> here."""
+        from scoup.base.errors import InputError
+
+        folder = out or Path(f"{self.field.stem}_{ending}")
+        if folder.is_file():
+            raise InputError(f"{folder}: is a file; name a folder to write the results into with --out")
+        if folder.suffix.lower() in (".png", ".jpg", ".jpeg", ".json", ".mp4") and not folder.is_dir():
+            raise InputError(f"{folder}: the results are several files; name a folder with --out")
+        return folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +206,14 @@ def check_texts(texts: tuple[str, ...]) -> None:
 
     if not texts:
         raise InputError('name at least one text to look for, for example "kettle"')
+
+
+def check_frame_rate(frames_per_second: float) -> None:
+    """Refuse a speed that no player has."""
+    from scoup.base.errors import InputError
+
+    if not 0.1 <= frames_per_second <= 100:
+        raise InputError(f"--frames-per-second must be 0.1 to 100, got {frames_per_second}")
 
 
 def check_metres(metres_per_unit: float | None) -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.base.counts import counted
-from scoup.base.file_names import check_folder, unique_slugs
+from scoup.base.file_names import unique_slugs
 from scoup.base.staging import staged
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
-from scoup.cli.query_options import CameraOptions, TextOptions
+from scoup.cli.query_options import CameraOptions, TextOptions, check_frame_rate
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -49,13 +49,11 @@ class Render(TextOptions, CameraOptions):
         from scoup.io import save_png
         from scoup.pictures.animation import save_animation
 
-        out = self.out or Path(f"{self.field.stem}_{self.what}")
-        kind = out.suffix.lower()
+        kind = "" if self.out is None else self.out.suffix.lower()
         animation = kind in ANIMATIONS
         one_file = animation or kind == ".png"
         self._check_options()
-        if not one_file:
-            check_folder(out)
+        out = self.out if self.out and one_file else self.output_folder(self.out, self.what)
         field = self.open_field()
         draw = self._drawing(field)
         cameras = self.open_cameras(field)
@@ -87,8 +85,7 @@ class Render(TextOptions, CameraOptions):
 
         if (self.what == "relevancy") != (self.query is not None):
             raise InputError("--what relevancy and --query TEXT belong together; give both or neither")
-        if not 0.1 <= self.frames_per_second <= 100:
-            raise InputError(f"--frames-per-second must be 0.1 to 100, got {self.frames_per_second}")
+        check_frame_rate(self.frames_per_second)
 
     def _drawing(self, field: LanguageField) -> Draw:
         """The function that draws one view."""

@@ -139,8 +139,8 @@ def _resized_to_image(
         raise FileFormatError(
             path,
             f"is a single pixel, but its camera has {camera.width} x {camera.height}: a stand-in, not the photograph",
-            "put the photographs in its place, name their folder (--images; images=FOLDER in Python), or remove the "
-            "folder to use the cameras alone",
+            "put the photographs in its place, name their folder with `images`, or remove the folder to use the "
+            "cameras alone",
         )
     expected = camera.height * width / camera.width
     if abs(height - expected) > max(ASPECT_TOLERANCE * expected, _ROUNDING * max(1.0, width / camera.width)):

@@ -45,7 +45,7 @@ def describe_cameras(cameras: Cameras) -> dict[str, Any]:
         "with_image": sum(camera.image_path is not None for camera in cameras),
         "first": cameras.names[0] if len(cameras) else None,
         "last": cameras.names[-1] if len(cameras) else None,
-        **({"distorted": f"{distorted} (scoup build needs --undistort)"} if distorted else {}),
+        **({"distorted": distorted} if distorted else {}),
     }
 
 

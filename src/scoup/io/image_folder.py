@@ -73,8 +73,8 @@ def warn_of_outside(source: Path, folder: Path, names: Iterable[str]) -> None:
     if outside:
         warnings.warn(
             f"{source}: names {counted(len(outside), 'image')} outside of the scene's folder ({listed(outside)}); only "
-            "those in it are opened, found by their names: put the images into its folder images, or name their folder "
-            "(--images; images=FOLDER in Python)",
+            "those in it are opened, found by their names; put the images into its folder images, or name their folder "
+            "with `images`",
             ScoupWarning,
             stacklevel=4,
         )

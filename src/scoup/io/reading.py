@@ -22,10 +22,7 @@ Distorted = Literal["refuse", "undistort"]
 MAX_IMAGE_SIDE = 100_000  # a longer side is a damaged number, not a photograph
 MAX_IMAGE_PIXELS = 1 << 29
 
-_UNDISTORT_REMEDY = (
-    "undistort the images first (colmap image_undistorter), or have it done here: --undistort "
-    "(distorted='undistort' in Python)"
-)
+_UNDISTORT_REMEDY = "undistort the images first (colmap image_undistorter), or pass `distorted='undistort'`"
 
 
 def existing_file(path: str | Path, what: str, remedy: str = "check the path") -> Path:

@@ -22,7 +22,7 @@ def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
         if scene.is_dir():
             find_cameras(scene)  # a folder without cameras either is no scene; this says which may be meant
         problem = error.problem if scene.is_dir() else "is not a splat, and none is named"
-        raise FileFormatError(error.path, problem, "name the trained splat with --gaussians") from error
+        raise FileFormatError(error.path, problem, "name the trained splat with `gaussians`") from error
 
 
 def find_features(scene: Path, features: Path | None = None) -> Path:
@@ -32,7 +32,7 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
     folder = usual_features(scene)
     if not folder.is_dir():
         problem = "there is no such folder (the region features were expected here)"
-        raise MissingFileError(folder, problem, "say where they are with --features")
+        raise MissingFileError(folder, problem, "name their folder with `features`")
     return folder
 
 

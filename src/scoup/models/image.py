@@ -14,7 +14,7 @@ from scoup.models.hub import OPEN_CLIP, ModelRequest, Pretrained, load_open_clip
 from scoup.models.normalization import CLIP, Normalization
 from scoup.models.towers import Tower, load_tower, normalization_of
 
-WITHOUT_MODEL = "use the embedder 'colors', which needs no model"
+WITHOUT_MODEL = "pass `embedder='colors'`, which needs no model"
 
 
 @dataclass(eq=False)

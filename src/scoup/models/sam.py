@@ -34,7 +34,7 @@ SHORT_NAMES = {
     "sam3": "facebook/sam3",
 }
 NAMES = (MOBILE_SAM, *SHORT_NAMES)
-WITHOUT_MODEL = "use the segmenter 'felzenszwalb', which needs no model"
+WITHOUT_MODEL = "pass `segmenter='felzenszwalb'`, which needs no model"
 _CLASSES = {"sam3": "Sam3TrackerModel", "sam2": "Sam2Model", "sam": "SamModel"}
 
 

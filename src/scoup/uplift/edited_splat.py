@@ -140,7 +140,7 @@ def follow(
 
 def _check_matching(matching: Matching, source: str, tolerant: bool) -> None:
     if not matching.n_matched:
-        remedy = "" if tolerant else " (if its format rounds, with a tolerance)"
+        remedy = "" if tolerant else " (if its format rounds, with `tolerance`)"
         raise InputError(
             f"{source}: shares no Gaussian with the field; use the field's own splat after an edit{remedy}, or build "
             "the field again"
@@ -148,7 +148,7 @@ def _check_matching(matching: Matching, source: str, tolerant: bool) -> None:
     if not tolerant and min(matching.n_appended, matching.n_deleted) > MANY * matching.n_before:
         warnings.warn(
             f"{source}: {matching.n_deleted:,} Gaussians of the field are not in it, and {matching.n_appended:,} of "
-            "its own are not in the field; if its format rounds numbers, pass a tolerance",
+            "its own are not in the field; if its format rounds numbers, pass `tolerance`",
             ScoupWarning,
             stacklevel=3,
         )

@@ -33,10 +33,10 @@ MOST = 0.75  # share of blind views from which a scene is hopeless
 FEW_CODED = 0.01  # share of coded Gaussians below which a build is doubtful
 ENOUGH = 4  # views, compared or blind, from which photographs may make a scene hopeless
 
-OVERRIDE = "to continue anyway, pass check_fit=False"
+OVERRIDE = "to continue anyway, pass `check_fit=False`"
 _SAME_SCENE = (
     "use splat and folder of one scene, in the same frame (trainers often normalise the world; for "
-    "nerfstudio's pass dataparser_transforms)"
+    "nerfstudio's pass `dataparser_transforms`)"
 )
 _SAME_NAMES = "check that each photograph has the name of its own camera"
 _FOCAL = "check the focal lengths"

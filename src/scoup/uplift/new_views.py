@@ -70,7 +70,7 @@ def code_view(
     if thresholds is None and new_atoms:
         raise InputError(
             "this field does not record how well its codebook explains regions (provenance), so none counts as badly "
-            "explained; build it again, or add the view with new_atoms=0"
+            "explained; build it again, or add the view with `new_atoms=0`"
         )
     rows = [normalise_embeddings(of_level) for of_level in embeddings]
     least = [0.0] * len(rows) if thresholds is None else thresholds

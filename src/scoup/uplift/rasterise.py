@@ -195,7 +195,7 @@ def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_
     if wrong:
         raise InputError(
             f"{sums.path or 'the region sums'}: made with other {' and '.join(wrong)}; make them from the same splat, "
-            "region features and raster_preset, or omit them"
+            "region features and `raster_preset`, or omit them"
         )
 
 

@@ -188,13 +188,13 @@ def field_codes(field: LanguageField, sums: RegionSums) -> RegionCodes:
         raise InputError(f"{sums.path or 'the region sums'}: are of another scene than the field")
     if coded is None or not torch.equal(coded.codebook, field.codebook.cpu()):
         raise InputError(
-            f"{sums.path or 'the region sums'}: contain no codes of this field; build it with its sums kept, and use "
+            f"{sums.path or 'the region sums'}: contain no codes of this field; build it with kept `sums`, and use "
             "those"
         )
     if sorted(field.info.provenance.get("views", coded.rows[0])) != sorted(coded.rows[0]):
         raise InputError(
             f"{sums.path or 'the region sums'}: contain other views than the field, one of the two is older; use the "
-            "sums written beside it, or build the field again with its sums kept"
+            "sums written beside it, or build the field again with kept `sums`"
         )
     return coded
 
@@ -204,7 +204,7 @@ def _warn_of_badly_explained(view_name: str, coded: CodedView, new_atoms: int) -
     if not new_atoms and share > MANY:
         warnings.warn(
             f"{share:.0%} of the regions of {view_name!r} are badly explained by the field's codebook; add atoms for "
-            "them (new_atoms=8), or build again with this view",
+            "them (`new_atoms=8`), or build again with this view",
             ScoupWarning,
             stacklevel=4,
         )

@@ -184,7 +184,7 @@ def _bound(host: str, port: int | None) -> socket.socket:
             refusal = error.strerror or str(error)
         else:
             return found
-    raise InputError(f"{host}, port {port}: {refusal}; give another --port, or 0 for any that is free")
+    raise InputError(f"{host}, port {port}: {refusal}; pass another `port`, or 0 for any that is free")
 
 
 def _shown_host(host: str) -> str:

@@ -37,10 +37,7 @@ def nerfstudio_data(run: Path) -> tuple[Path, bool]:
     """Return the data of a run of nerfstudio, and whether its cameras were read from COLMAP's model."""
     config = run / "config.yml"
     text = read_text(config)
-    remedy = (
-        "give the scene folder with its cameras (--scene SCENE where the splat is given) and "
-        f"--dataparser-transforms {run / TRAINED_FRAME}"
-    )
+    remedy = f"use the scene folder with its cameras, and pass `dataparser_transforms={run / TRAINED_FRAME}`"
     named = _named_path(text)
     if named is None:
         raise MissingFileError(config, "does not say where the data of the training are", remedy)

@@ -79,7 +79,7 @@ class RegionStore:
             listed = "; ".join(manifest.differences(there))
             raise InputError(
                 f"{folder}: holds region features made with other settings ({listed}); use the same settings, choose "
-                "another folder, or pass --overwrite (overwrite=True in Python) to make everything anew"
+                "another folder, or pass `overwrite=True` to make everything again"
             )
         check_output(folder / MANIFEST, overwrite=True)
         return there
