@@ -108,7 +108,9 @@ def test_cameras_of_a_run_fit_its_splat(tmp_path: Path, parser: str, absolute: b
 def test_what_a_run_lacks_is_named_with_the_remedy(tmp_path: Path) -> None:
     run = tmp_path / "run"
     save_run(run, "/nowhere/my-kitchen")
-    with pytest.raises(MissingFileError, match=r"trained on /nowhere/my-kitchen, which .*`dataparser_transforms="):
+    with pytest.raises(
+        MissingFileError, match=r"trained on /nowhere/my-kitchen, which .*`dataparser_transforms="
+    ):
         load_cameras(run)
     (run / "config.yml").write_text("method_name: splatfacto\n")
     with pytest.raises(MissingFileError, match="does not say where the data"):

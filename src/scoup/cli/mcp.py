@@ -35,10 +35,10 @@ class ServeAgents(Common):
 
     def run(self, console: Console) -> None:
         """Open the fields and serve them until the client leaves."""
-        from scoup.agent.server import make_server
-        from scoup.agent.tools import SceneTools
         from scoup.base.errors import InputError, MissingFileError
         from scoup.field.language_field import LanguageField
+        from scoup.view.mcp_server import make_server
+        from scoup.view.scene_tools import SceneTools
 
         check_metres(self.metres_per_unit)
         names = [path.stem for path in self.fields]

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from PIL import Image as Pictures
 
-from scoup.agent.tools import SceneTools
 from scoup.base.errors import ScoupError
 from scoup.base.version import VERSION
 from scoup.pictures.colors import Picture
+from scoup.view.scene_tools import SceneTools
 
 INSTRUCTIONS = (
     "3D scenes whose objects can be found by text. Begin with list_scenes. Things have numbers that stay the same; "

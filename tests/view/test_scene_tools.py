@@ -15,10 +15,10 @@ import pytest
 from PIL import Image
 
 from cli_support import RUN, refused, run, write_scene
-from scoup.agent.tools import MOST_MARKED, WIDEST, SceneTools
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
+from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
 
 
 @pytest.fixture(scope="module")

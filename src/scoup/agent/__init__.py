@@ -1,1 +1,0 @@
-"""Fields for language models: tools of the Model Context Protocol."""
