@@ -129,7 +129,7 @@ def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
         for level in [demo.level_of(label)]
     }
     texts = Texts(demo.canonical, words, demo.text_vectors(words), DISTRACTORS)
-    return _prepared(name, demo.gaussians, demo.building, demo.regions, frames, texts, members)
+    return prepared(name, demo.gaussians, demo.building, demo.regions, frames, texts, members)
 
 
 def _kitchen(data: Path, scale: float) -> AnswerScene:
@@ -144,23 +144,21 @@ def _kitchen(data: Path, scale: float) -> AnswerScene:
         regions = scoup.load_regions(make_features(kitchen, Path(folder)), cameras)
         truth = Truth.open(data, scale)
         members = truth.members(_labels(frames))
-        return _prepared("kitchen", gaussians, cameras, regions, frames, _texts(data, truth), members)
+        return prepared("kitchen", gaussians, cameras, regions, frames, texts_of(data, truth), members)
 
 
 def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
     truth = Truth.open(data, scale)
     draw = make_draw(truth, name.seed, name.noise, KINDS[name.kind] if name.kind else None)
-    texts = _texts(data, truth)
-    return _prepared(
-        str(name), truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members
-    )
+    texts = texts_of(data, truth)
+    return prepared(str(name), truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members)
 
 
 def _desk(name: str, data: Path) -> AnswerScene:
     desk = Desk.open(name, data)
     gaussians = scoup.load_gaussians(data / "desk" / "point_cloud.splat")
     texts = Texts(desk.canonical, desk.words, desk.everyday, desk.absent)
-    return _prepared(name, gaussians, desk.cameras, desk.regions, desk.frames, texts, {})
+    return prepared(name, gaussians, desk.cameras, desk.regions, desk.frames, texts, {})
 
 
 class Texts(NamedTuple):
@@ -172,13 +170,14 @@ class Texts(NamedTuple):
     absent: tuple[str, ...]
 
 
-def _texts(data: Path, truth: Truth) -> Texts:
+def texts_of(data: Path, truth: Truth) -> Texts:
+    """Return the text vectors of the kitchen."""
     encoder = scoup.TextEncoder.open(data / "clip" / "text_vit_b16_laion2b.npz")
     words = tuple(name for name in encoder.names or () if name not in CANONICAL_PHRASES)
     return Texts(encoder.canonical(), words, encoder.encode(words), truth.absent(words))
 
 
-def _prepared(
+def prepared(
     name: str,
     gaussians: Gaussians,
     cameras: Cameras,
@@ -187,6 +186,7 @@ def _prepared(
     texts: Texts,
     members: dict[str, Tensor],
 ) -> AnswerScene:
+    """Return a scene with the region sums of its cameras."""
     levels = level_sums(region_sums(gaussians, cameras, regions), regions)
     everyday = torch.nn.functional.normalize(texts.everyday, dim=1)
     return AnswerScene(
