@@ -1,7 +1,8 @@
-"""The truth of `python -m benchmarks things`: instances of synthetic scenes, and relations of their meshes' boxes.
+"""The truth of `python -m benchmarks things`: instances of scenes, and relations of their boxes.
 
-The rules here are independent of ``scoup.query.relations``: they know whole meshes and the true up, and keep only
-clear cases. What is neither clearly true nor clearly false is None.
+The rules here are independent of ``scoup.query.relations``: they know whole meshes and the true up (for the kitchen,
+the Gaussians that were labelled by hand), and keep only clear cases. What is neither clearly true nor clearly false is
+None.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from benchmarks.kitchen_draws import NOT_ASKED, Truth
 from scoup.scene.cameras import Camera
 from scoup_lab.synthetic.scene import DemoScene
 
@@ -25,6 +27,7 @@ TOUCHING, APART = (
 )  # metres between the bottom of a thing and the top of what it is on, or clearly not on
 MOSTLY = 0.9  # share of a footprint or a volume
 NEAR, FAR = 0.25, 1.0  # gap in diagonals of the larger thing
+STRAYS = 0.02  # share of a hand-labelled object's Gaussians beyond each end of its box
 CONTAINERS = ("bowl", "basket", "bookcase", "shelves")
 
 Floats = NDArray[np.float64]
@@ -38,6 +41,19 @@ class Instances:
     of_gaussian: NDArray[np.int64]  # [N], -1 for haze
     vertices: list[Floats]  # [V, 3] of each
     shell: tuple[bool, ...]  # walls and the like, which enclose the scene
+    strays: float = 0.0  # share of the vertices beyond each end of a box
+
+    @classmethod
+    def of_kitchen(cls, truth: Truth) -> Instances:
+        """The objects of the kitchen; those that nobody asks for are named "" and have no relations."""
+        asked = [number for number, name in truth.names.items() if name and name not in NOT_ASKED]
+        names = tuple((truth.names[number] or "") if number in asked else "" for number in truth.names)
+        of_gaussian = np.full(len(truth.ids), -1)
+        for place, number in enumerate(truth.names):
+            of_gaussian[truth.ids == number] = place
+        means = truth.gaussians.means.double().numpy()
+        vertices = [means[of_gaussian == place] for place in range(len(names))]
+        return cls(names, of_gaussian, vertices, tuple(name in ("", "wall") for name in names), STRAYS)
 
     @classmethod
     def of(cls, scene: DemoScene) -> Instances:
@@ -69,16 +85,21 @@ class Instances:
         sizes = np.bincount(self.of_gaussian + 1, minlength=len(self.names) + 1)[1:]
         return Counter(name for name, size in zip(self.names, sizes, strict=True) if size >= LEAST)
 
-    def boxes(self, camera: Camera) -> dict[str, Floats]:
-        """Return the spans [3, 2] along right, up and away of names with one instance that is not of the shell."""
-        away = torch.as_tensor(camera.viewmat)[2, :3].double().numpy() * [1, 1, 0]
-        away = away / np.linalg.norm(away)
-        axes = np.stack([np.cross(away, [0, 0, 1]), [0, 0, 1], away])
+    def boxes(self, axes: Floats) -> dict[str, Floats]:
+        """Return the spans [3, 2] along axes [3, 3] of names with one instance that is not of the shell."""
+        ends = [self.strays, 1 - self.strays]
         return {
-            name: np.stack([(points @ axes.T).min(0), (points @ axes.T).max(0)], 1)
+            name: np.quantile(points @ axes.T, ends, axis=0).T
             for name, points, shell in zip(self.names, self.vertices, self.shell, strict=True)
             if self.counts[name] == 1 and self.names.count(name) == 1 and not shell
         }
+
+
+def true_axes(camera: Camera) -> Floats:
+    """Return right, up and away as seen from a camera in a scene whose third axis points up."""
+    away = torch.as_tensor(camera.viewmat)[2, :3].double().numpy() * [1, 1, 0]
+    away = away / np.linalg.norm(away)
+    return np.stack([np.cross(away, [0, 0, 1]), [0, 0, 1], away])
 
 
 def is_true(relation: str, one: Floats, other: Floats, other_name: str) -> bool | None:
