@@ -185,12 +185,3 @@ def test_make(here: Path) -> None:
     assert launched(*make, *options).count("scoup build") == 1
     assert is_whole()
     assert Path("g.scoup").stat().st_mtime_ns > made.st_mtime_ns
-
-
-def test_every_script_is_run() -> None:
-    tests = Path(__file__).read_text()
-    scripts = [path for path in (EXAMPLES / "slurm").iterdir() if path.name != "shard.sbatch"]
-    assert len(scripts) == 3
-    assert all(f"slurm/{path.name}" in tests for path in scripts)
-    assert (EXAMPLES / "slurm/shard.sbatch").is_file()
-    assert "/shard.sbatch" in (EXAMPLES / "slurm/submit.sh").read_text()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -390,14 +389,6 @@ def wait_for(child: int, seconds: float) -> int:
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     pytest.fail("the child hangs")
-
-
-@has_fork
-@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_a_pool_of_forked_processes_renders_the_same():
-    expected = [image_in_child(seed) for seed in range(4)]
-    with multiprocessing.get_context("fork").Pool(2) as pool:
-        assert pool.map_async(image_in_child, range(4)).get(timeout=30) == expected
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system does not tell resident memory")

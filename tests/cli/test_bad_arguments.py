@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from cli_support import ASK, BUILD, WORDS, refused
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
+from cli_support import ASK, BUILD, refused
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -24,22 +20,6 @@ def test_a_word_that_is_not_in_the_table():
         assert message.startswith("scene/words.npz: no text embedding named 'ketle'; nearest names: 'kettle'")
     assert "no text embedding named 'ketle'" in refused(
         "render", "f.scoup", "--what", "relevancy", "--query", "ketle"
-    )
-
-
-def test_a_table_of_another_dimension():
-    names = [*WORDS, *CANONICAL_PHRASES]
-    save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 24)))
-    for arguments in ASK.values():
-        message = refused(*arguments, "--text", "wide.npz")
-        assert "wide.npz: has vectors of 24 dimensions, but the field contains embeddings of 16" in message
-
-
-def test_a_table_without_the_canonical_phrases():
-    save_table("bare.npz", WORDS, np.random.default_rng(0).normal(size=(len(WORDS), 16)))
-    message = refused(*ASK["query"], "--text", "bare.npz")
-    assert message.startswith(
-        "bare.npz: lacks 'object', but relevancy compares every text with the phrases object, things"
     )
 
 
@@ -57,16 +37,6 @@ def test_models_that_are_not_there(monkeypatch):
     assert "ARCHITECTURE/PRETRAINED" in refused(*ASK["query"], "--text", "open_clip:ViT")
     monkeypatch.setitem(sys.modules, "transformers", None)
     assert "pip install 'scoup[models]'" in refused(*ASK["query"], "--text", "some/model")
-
-
-def test_a_model_that_cannot_be_fetched(monkeypatch):
-    pytest.importorskip("transformers")
-    from huggingface_hub import constants
-
-    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
-    message = refused(*ASK["query"], "--text", "nobody/has-this-model")
-    assert "text model 'nobody/has-this-model' cannot be loaded" in message
-    assert "use a table file" in message
 
 
 # ---- options
@@ -132,19 +102,3 @@ def test_outputs_that_cannot_be():
     assert "file: is a file" in refused("query", "f.scoup", "kettle", "--out", "file", "--overwrite")
     assert "file: is a file" in refused("render", "f.scoup", "--out", "file", "--overwrite")
     assert "several files" in refused("query", "f.scoup", "kettle", "--out", "a.json")
-
-
-def test_folders_that_may_not_be_written_to(monkeypatch):
-    Path("locked").mkdir()
-    locked = Path("locked").absolute()
-    access = os.access  # the tests may run as root, who may write everywhere
-    monkeypatch.setattr(
-        os, "access", lambda path, mode, **rest: Path(path) != locked and access(path, mode, **rest)
-    )
-    for arguments in (
-        (*BUILD, "--out", "locked/a.scoup"),
-        ("query", "f.scoup", "kettle", "--out", "locked/deep"),
-        ("select", "f.scoup", "kettle", "--out", "locked/a.ply"),
-        ("render", "f.scoup", "--out", "locked"),
-    ):
-        assert "is read-only for you; choose another folder" in refused(*arguments)

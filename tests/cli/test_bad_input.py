@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import pickle
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +16,6 @@ from cli_support import ASK, BUILD, QUICK, WORDS, refused, run, run_json, write_
 from scoup.io import (
     load_cameras,
     save_gaussians,
-    save_png,
     write_colmap,
     write_inria_cameras,
     write_transforms,
@@ -59,40 +56,12 @@ DAMAGES = (cut, emptied, text)
 # ---- files that are damaged
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("file", [PLY, CAMERAS, IMAGES, LABELS, ROWS, PHOTO])
-def test_damaged_inputs_of_build(file, damage):
-    damage(file)
-    if file == PHOTO:  # build looks only at the size, which stands at the start
-        code, out, err = run(*BUILD)
-        assert code == 0
-        assert ("1 of 4 photographs cannot be read, their cameras are skipped" in err) == (damage is not cut)
-        assert f"{4 if damage is cut else 3} views with regions" in out
-        return
-    message = refused(*BUILD)
-    assert Path(file).name in message
-    assert ";" in message  # the remedy
-
-
 @pytest.mark.parametrize("damage", [*DAMAGES, a_folder])
 @pytest.mark.parametrize("verb", ASK)
 def test_damaged_inputs_of_verbs_that_ask(verb, damage):
     for file in (TABLE, PLY, FIELD):
         damage(file)
         assert Path(file).name in refused(*ASK[verb])
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("file", [FIELD, PLY, TABLE, CAMERAS])
-def test_damaged_inputs_of_info(file, damage):
-    damage(file)
-    assert Path(file).name in refused("info", file)
-
-
-@pytest.mark.parametrize("file", [PLY, CAMERAS, IMAGES])
-def test_folders_where_files_are_needed(file):
-    a_folder(file)
-    assert "scene" in refused(*BUILD)
 
 
 def test_a_build_checkpoint_that_is_damaged_costs_only_time():
@@ -148,37 +117,11 @@ def test_the_field_given_where_the_splat_belongs_and_the_reverse():
     )
 
 
-def test_a_scene_with_several_splats():
-    shutil.copy(PLY, "scene/other.ply")
-    assert "holds 2 splats (other.ply, point_cloud.ply); name the trained splat with --gaussians" in refused(
-        *BUILD
-    )
-
-
 # ---- files of another scene
 
 
 def rewrite(file: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     np.save(file, change(np.load(file)))
-
-
-def test_features_of_other_photographs():
-    rewrite(LABELS, lambda labels: labels[:, :, :20])
-    assert (
-        "view_01_s.npy: is 20 x 30, of another shape than its image (40 x 30); these are features of"
-        in refused(*BUILD)
-    )
-
-
-def test_features_of_another_size_and_the_same_shape_are_resampled():
-    for number in range(4):
-        rewrite(f"scene/language_features/view_0{number}_s.npy", lambda labels: labels[:, ::2, ::2])
-    assert run(*BUILD)[0] == 0
-
-
-def test_features_of_several_models():
-    rewrite(ROWS, lambda rows: rows[:, :8])
-    assert "view_01_f.npy: has 8 dimensions, but view_00_f.npy has 16" in refused(*BUILD)
 
 
 def test_features_of_another_model_than_the_table():
@@ -194,45 +137,10 @@ def test_features_of_another_model_than_the_table():
     assert "scene/words.npz: has vectors of 16 dimensions, but the field contains embeddings of 8" in message
 
 
-@pytest.mark.parametrize(
-    ("file", "change", "said"),
-    [
-        (ROWS, lambda rows: rows * np.nan, "not finite"),
-        (ROWS, lambda rows: rows[:3], "belong together"),
-        (ROWS, lambda rows: rows[0], "expected floating point [regions, dimensions]"),
-        (ROWS, lambda rows: rows.astype(np.int32), "expected floating point"),
-        (LABELS, lambda labels: labels * np.nan, "not whole numbers"),
-        (LABELS, lambda labels: labels + 0.5, "not whole numbers"),
-        (LABELS, lambda labels: labels + 1000, "belong together"),
-        (LABELS, lambda labels: labels[0], "expected [4, height, width]"),
-        (LABELS, lambda labels: labels[:3], "expected [4, height, width]"),
-        (LABELS, lambda labels: labels[:, :0], "expected [4, height, width]"),
-    ],
-)
-def test_features_of_wrong_values_and_shapes(file, change, said):
-    rewrite(file, change)
-    message = refused(*BUILD)
-    assert Path(file).name in message
-    assert said in message
-
-
-def test_features_of_other_names():
-    for path in list(Path("scene/language_features").iterdir()):
-        path.rename(path.with_name("frame_" + path.name))
-    message = refused(*BUILD)
-    assert "scene/language_features: has features of none of the 4 cameras: expected view_00_s.npy" in message
-    assert "it has frame_view_00_s.npy" in message
-
-
 def test_views_without_any_region():
     for number in range(4):
         rewrite(f"scene/language_features/view_0{number}_s.npy", lambda labels: np.full_like(labels, -1))
     assert "region" in refused(*BUILD)
-
-
-def test_photographs_of_another_shape():
-    save_png(torch.zeros(40, 30, 3, dtype=torch.uint8), PHOTO, overwrite=True)
-    assert "view_01.png: is 30 x 40 pixels, another shape than its camera (40 x 30)" in refused(*BUILD)
 
 
 def test_a_splat_without_finite_values():
@@ -360,27 +268,6 @@ def test_formats_that_are_not_read(name, said):
     Path(name).write_bytes(b"x")
     for arguments in (("info", name), (*BUILD, "--gaussians", name)):
         assert f"{name}: {said}" in refused(*arguments)
-
-
-class Bomb:
-    """Makes a file when it is unpickled."""
-
-    def __reduce__(self):
-        return os.mkdir, ("exploded",)
-
-
-def test_a_checkpoint_with_code_in_it():
-    torch.save({"step": 1, "splats": {"means": torch.zeros(2, 3)}, "extra": Bomb()}, "a.pt")
-    for arguments in (("info", "a.pt"), (*BUILD, "--gaussians", "a.pt")):
-        message = refused(*arguments)
-        assert (
-            "a.pt: holds Python objects other than tensors; it was not opened, because that could run code"
-            in message
-        )
-        assert "torch.save({'splats': {name: tensor}}, path)" in message
-    Path("b.pt").write_bytes(pickle.dumps(Bomb()))
-    assert "b.pt: is a bare Python pickle, which is not opened" in refused("info", "b.pt")
-    assert not Path("exploded").exists()
 
 
 @pytest.mark.parametrize(

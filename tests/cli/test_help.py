@@ -51,8 +51,10 @@ def test_every_option_is_shown_once_in_its_group(verb, monkeypatch):
     named = [name for names in groups.values() for name in names]
     assert len(named) == len(set(named))
     assert set(named) <= {field.name for field in dataclasses.fields(kind)}
-    shown = boxes(help_of(verb, monkeypatch))
+    text = help_of(verb, monkeypatch)
+    shown = boxes(text)
     options = [option for group in shown.values() for option in group]
+    assert "None" not in text
     assert len(options) == len(set(options))
     assert [title for title in shown if title not in ("positional arguments", "options")] == [
         f"{title} options" for title in groups

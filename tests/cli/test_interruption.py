@@ -16,7 +16,6 @@ from scoup.base.locks import locked_folder, locked_output
 from scoup.base.shares import Share
 from scoup.io import save_png
 from scoup.io.regions.store import RegionStore
-from scoup.uplift.region_sums import RegionSums
 from support import HANGS
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -164,19 +163,6 @@ def test_where_nothing_is_kept_nothing_is_left(verb, inside: str, monkeypatch: p
     assert (code, err) == (130, "error: interrupted; nothing was written\n")
     assert not Path("new").exists()
     assert {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()} == before
-
-
-def test_codes_are_kept_before_there_is_any_view(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(RegionSums, "append", interrupt)
-        code, _, err = run(*BUILD)
-    assert (code, err) == (
-        130, "error: interrupted; the codes are kept, run the same command again to continue\n"
-    )  # fmt: skip
-    assert "0 of 4 views are there, the codes are kept" in run(*BUILD)[1]
 
 
 def test_of_several_processes_none_extracts_into_a_folder_in_use(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from cli_support import RUN, run, write_scene
 
+pytestmark = pytest.mark.usefixtures("quick_python")
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "many_scenes.md"
 RECIPES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```$", PAGE.read_text(), re.M | re.S))
 
@@ -26,7 +27,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "fields").mkdir()
     (tmp_path / "bin").mkdir()
     program = tmp_path / "bin" / "scoup"
-    program.write_text(f"#!{sys.executable}\n{RUN}\n")
+    program.write_text(f"#!/bin/sh\nexec '{sys.executable}' -c '{RUN}' \"$@\"\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", os.pathsep.join([str(program.parent), os.environ["PATH"]]))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))

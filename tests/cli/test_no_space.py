@@ -36,7 +36,6 @@ from scoup.models.word_table import save_table
 from scoup.raster import ViewSums
 from scoup.uplift.build import build
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_sums import RegionSums
 from support import small_scene
 
 resource = pytest.importorskip("resource")
@@ -252,23 +251,6 @@ def test_folders_that_may_not_be_written_to(here: Path, verb: str, monkeypatch: 
     assert snapshot(here) == before
 
 
-def test_a_process_of_its_own(here: Path) -> None:
-    """As a user's shell limits it (ulimit -f)."""
-    build = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", *VERBS["build"]]
-    before = entries(here)
-    done = subprocess.run(
-        build,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 2
-    assert done.stderr == (
-        "error: new/a.scoup: cannot be written (File too large); free some space, or choose another place\n"
-    )
-    assert entries(here) == before
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 @pytest.mark.usefixtures("here")
 def test_standard_output_that_is_full() -> None:
@@ -319,18 +301,6 @@ def test_every_writer_of_the_library(path: str, tmp_path: Path, monkeypatch: pyt
     named = re.escape(path) + (r"/\S+\.safetensors" if path.endswith(".sums") else "")
     assert re.match(rf"{named}: cannot be written \(File too large\); ", str(caught.value))
     assert snapshot(tmp_path) == before
-
-
-def test_region_sums_go_on_where_there_was_no_space(tmp_path: Path) -> None:
-    gaussians, cameras, regions = small_scene(count=40, views=3)
-    region_sums(gaussians, cameras, regions, path=tmp_path / "whole.sums")
-    largest = max(file.stat().st_size for file in (tmp_path / "whole.sums").iterdir())
-    assert largest > min(file.stat().st_size for file in (tmp_path / "whole.sums").iterdir())
-    with largest_file(largest - 1), pytest.raises(WriteError):
-        region_sums(gaussians, cameras, regions, path=tmp_path / "a.sums")
-    assert 0 <= len(RegionSums.open(tmp_path / "a.sums")) < 3
-    region_sums(gaussians, cameras, regions, path=tmp_path / "a.sums")
-    assert snapshot(tmp_path / "a.sums") == snapshot(tmp_path / "whole.sums")
 
 
 def test_an_input_that_cannot_be_read_is_not_mistaken_for_the_output(tmp_path: Path) -> None:

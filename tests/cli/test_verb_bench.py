@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import torch
 from cli_support import refused, run, run_json
 from scoup import raster
 from scoup_lab.bench import STAGES
-from scoup_lab.cli.bench import Bench
 
 TINY = ("bench", "--n-gaussians", "120", "--width", "24", "--height", "16", "--repeats", "1")
 
@@ -26,17 +24,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def only_reference(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(raster, "BACKENDS", {"reference": raster.BACKENDS["reference"]})
-
-
-def test_help_names_every_option_and_stage():
-    code, out, err = run("bench", "--help")
-    assert (code, err) == (0, "")
-    for field in dataclasses.fields(Bench):
-        name = {"as_json": "json"}.get(field.name, field.name.replace("_", "-"))
-        assert f"--{name} " in out, name
-    assert "None" not in out
-    words = " ".join(out.replace("│", " ").split())
-    assert f"among {', '.join(STAGES)}. Default: all." in words
 
 
 def test_the_table():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ import scoup
 from cli_support import QUICK, refused, run, run_json, snapshot
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, save_png, write_colmap
-from scoup.io.splats.ply import read_ply_table, write_ply_table
 from scoup.scene.cameras import Cameras
 from scoup.uplift.storage.paths import folder_bytes
 
@@ -86,20 +84,6 @@ def test_settings_reach_the_field():
         0.5,
     ]
     assert field.code_indices.shape == (150, 3, 3)
-
-
-def test_same_inputs_same_bytes():
-    for name in ("a.scoup", "b.scoup"):
-        run_json("build", "scene", *QUICK, "--out", name)
-    assert Path("a.scoup").read_bytes() == Path("b.scoup").read_bytes()
-
-
-def test_eight_bit_weights_make_a_smaller_file():
-    big = run_json("build", "scene", *QUICK, "--out", "a.scoup")["bytes"]
-    small = run_json("build", "scene", *QUICK, "--out", "b.scoup", "--weight-bits", "8")["bytes"]
-    assert big - small >= 150 * 3 * 4
-    first, second = LanguageField.load("a.scoup"), LanguageField.load("b.scoup")
-    assert torch.allclose(first.code_weights.float(), second.code_weights.float(), atol=0.01)
 
 
 def test_embedded_geometry_stands_alone():
@@ -239,19 +223,6 @@ def test_an_interrupted_build_goes_on_where_it_stopped(monkeypatch, views, at):
     assert not Path("a.scoup.partial").exists()
 
 
-def test_python_opens_what_the_command_wrote():
-    run_json("build", "scene", *QUICK, "--out", "a.scoup")
-    field = LanguageField.load("a.scoup")
-    text = scoup.TextEncoder.open("scene/words.npz")
-    assert field.select(field.question(text.encode(["kettle"]), encoder=text)).mask.shape == (150,)
-
-
-def test_same_permissions_as_any_other_file():
-    run_json("build", "scene", *QUICK, "--out", "a.scoup")
-    Path("plain").write_text("x")
-    assert Path("a.scoup").stat().st_mode == Path("plain").stat().st_mode
-
-
 def test_one_is_said_in_the_singular():
     for name in ("view_01", "view_02", "view_03"):
         for end in ("s", "f"):
@@ -353,17 +324,3 @@ def test_absurd_gaussians_are_counted(name, value, rows, said):
     scoup.save_gaussians(gaussians, "odd.ply")
     assert said in run_json("info", "odd.ply")["warnings"][0]
     assert said in run("build", "scene", *QUICK, "--gaussians", "odd.ply", "--out", "a.scoup")[2]
-
-
-def test_gaussians_without_a_rotation():
-    table = read_ply_table("scene/point_cloud.ply")
-    rows = table.rows.copy()
-    for axis in range(4):
-        rows[f"rot_{axis}"][:9] = 0
-    write_ply_table(replace(table, rows=rows), "odd.ply")
-    record = run_json("info", "odd.ply")
-    assert record["gaussians"] == 141
-    assert (
-        "odd.ply: dropped 9 of 150 Gaussians with values that are not finite, or without"
-        in record["warnings"][0]
-    )

@@ -209,19 +209,3 @@ def test_synthetic_data_sets(tmp_path: Path) -> None:
     assert json.loads(out)["scenes"] == ["table_3", "table_4"]
     assert PROTOCOL.find(tmp_path / "lerf-ovs") == ["table_3", "table_4"]
     assert "--overwrite" in refused(*command, "--seed", 3, folder=tmp_path / "lerf-ovs")
-
-
-def test_help() -> None:
-    code, out, _ = run("eval", "--help")
-    assert code == 0
-    for name in (
-        "lerf-ovs",
-        "3d-ovs",
-        "mipnerf360",
-        "baselines",
-        "ablations",
-        "curves",
-        "consistency",
-        "synthetic",
-    ):
-        assert name in out

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from cli_support import QUICK, refused, run, run_json, snapshot, write_scene
-from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.paths import folder_bytes, view_file
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -52,32 +51,6 @@ def test_sums_that_are_kept_serve_updates():
     assert "already exists" in refused("merge", *paths, *QUICK, "--keep-sums", "--out", "g.scoup")
 
 
-def test_an_interrupted_shard_goes_on(monkeypatch):
-    whole = shards(1)[0]
-    undisturbed = snapshot(whole)
-    shutil.rmtree(whole)
-    append = RegionSums.append
-
-    def fails(self, name, *rest):
-        if name == "view_02.png":
-            raise KeyboardInterrupt
-        append(self, name, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(RegionSums, "append", fails)
-        code, _, err = run("build", *SCENE, "--out", "g.scoup", "--shard", "1/1")
-    assert code == 130
-    assert "2 of 4 views" in err
-    assert not whole.exists()
-    sums = RegionSums.open(Path("g.scoup.1-of-1.sums.partial"))
-    assert len(sums) == 2
-    code, out, _ = run("build", *SCENE, "--out", "g.scoup", "--shard", "1/1")
-    assert code == 0
-    assert "continues an interrupted build: 2 of 4 views are there" in out
-    assert snapshot(whole) == undisturbed
-    assert not Path("g.scoup.1-of-1.sums.partial").exists()
-
-
 def test_shards_move_to_another_folder():
     """The splat and the word table are named relative to where the field is."""
     for path in shards(2):
@@ -114,12 +87,6 @@ def test_refusals(here):
     }  # fmt: skip
     for arguments, said in cases.items():
         assert said in refused(*arguments), arguments
-
-
-def test_torchrun_and_shards_do_not_go_together(monkeypatch):
-    monkeypatch.setenv("RANK", "0")
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    assert "which shares out views itself; not both" in refused("build", *SCENE, "--shard", "1/4")
 
 
 def test_info_of_shards_and_sums():

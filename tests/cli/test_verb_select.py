@@ -128,6 +128,7 @@ def test_the_threshold_is_said_and_without_one_is_the_most_stable():
 
 def test_nothing_to_write():
     message = refused("select", "f.scoup", "kettle", "--out", "a.ply", "--absolute", "--threshold", "1")
+    assert "name at least one text" in refused("select", "f.scoup", "--out", "a.ply")
     assert message == "a.ply: nothing to write, 0 of 150 Gaussians answer; try a lower --threshold"
 
 
@@ -138,14 +139,6 @@ def test_the_splat_itself_is_never_replaced():
     assert "already exists; pass --overwrite" in refused(
         "select", "f.scoup", "kettle", "--out", "scene/point_cloud.ply"
     )
-
-
-def test_bad_options():
-    ask = ("select", "f.scoup", "kettle", "--out")
-    assert "use one of .ply" in refused(*ask, "a.obj")
-    assert "--threshold must be 0 to 1" in refused(*ask, "a.ply", "--threshold", "nan")
-    assert "--neighbours must be 0 or more" in refused(*ask, "a.ply", "--neighbours", "-1")
-    assert "name at least one text" in refused("select", "f.scoup", "--out", "a.ply")
 
 
 def test_a_level_of_ones_own():
@@ -205,11 +198,6 @@ def test_selections_are_reshaped(text, options, wanted):
     assert field.select(text).mask.sum() == len(chosen)
     out = run("select", "f.scoup", text, *options, "--out", "b.ply")[1].splitlines()
     assert any(line.endswith(f": {len(found)}") for line in out)
-
-
-def test_steps_and_distances_are_not_negative():
-    for option in ("--grow", "--shrink", "--within"):
-        assert option[2:] in refused("select", "f.scoup", "kettle", option, "-1", "--out", "c.ply")
 
 
 def test_recoloured_and_faded_scenes_differ_where_they_should():
@@ -274,6 +262,9 @@ def test_a_picture_shows_before_and_after():
         (["--out", "a.ply", "--edit", "ids", "--grow", "1"], "numbers texts"),
         (["-", "mug", "--out", "a.ply", "--edit", "ids"], "numbers texts"),
         (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
+        (["--out", "a.ply", "--threshold", "nan"], "--threshold must be 0 to 1"),
+        (["--out", "a.ply", "--neighbours", "-1"], "--neighbours must be 0 or more"),
+        *((["--out", "a.ply", option, "-1"], option[2:]) for option in ("--grow", "--shrink", "--within")),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, said):

@@ -183,19 +183,3 @@ def test_edits_that_cannot_be_followed_change_nothing():
         assert message in err
         assert "Traceback" not in err
     assert snapshot(Path()) == before
-
-
-def test_an_interrupted_update_leaves_both_files(monkeypatch):
-    arrive()
-    before = snapshot(Path())
-
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("scoup.field.language_field.LanguageField.save", interrupt)
-    code, _, _ = run("update", "a.scoup", "--scene", "scene", "--add", "all", "--overwrite")
-    assert code == 130
-    after = snapshot(Path())
-    assert len(RegionSums.open("a.scoup.update.partial")) == 4  # for the same command to continue
-    assert {name: after[name] for name in before} == before
-    assert all(name.startswith("a.scoup.update.partial/") for name in after.keys() - before.keys())

@@ -219,21 +219,6 @@ def test_langsplat_to_compact_and_back_is_lossless(tmp_path: Path) -> None:
         assert (rows == np.load(source / f"{stem}_f.npy").astype(np.float16)).all()
 
 
-def test_conversion_keeps_what_is_read(tmp_path: Path) -> None:
-    cameras = some_cameras(2)
-    regions = some_regions(cameras)
-    save_regions(regions, tmp_path / "a")
-    convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
-    convert_regions(tmp_path / "b", tmp_path / "c", layout="compact", bits=16)
-    for folder, tolerance in (("a", 1e-7), ("b", 1e-7), ("c", 1e-3)):
-        again = load_regions(tmp_path / folder, cameras)
-        for name in cameras.names:
-            for level in LEVELS:
-                one, other = regions.load(name, level), again.load(name, level)
-                assert torch.equal(one.labels, other.labels)
-                torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=tolerance)
-
-
 def test_conversions_that_are_refused(tmp_path: Path) -> None:
     cameras = some_cameras(2)
     save_regions(some_regions(cameras), tmp_path / "a")

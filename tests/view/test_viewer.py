@@ -7,7 +7,6 @@ import socket
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -50,14 +49,6 @@ def test_it_answers_until_it_is_closed(viewer: Viewer) -> None:
     with pytest.raises(urllib.error.URLError):
         ask(viewer, "api/query", {"texts": ["thing 1"]})
     viewer.close()  # once more does nothing
-
-
-def test_several_visitors_at_once_get_their_own_answers(viewer: Viewer) -> None:
-    texts = [f"thing {number % 20}" for number in range(60)]
-    with ThreadPoolExecutor(12) as pool:
-        answers = list(pool.map(lambda text: ask(viewer, "api/query", {"texts": [text]}), texts))
-    assert [answer["answers"][0]["text"] for answer in answers] == texts
-    assert answers[:20] == answers[20:40]
 
 
 def test_a_port_in_use_is_named_or_another_is_taken() -> None:
