@@ -41,22 +41,6 @@ def test_paths_exist(name: str) -> None:
 KINDS_OF_FILES = {"regions.json", ".venv/installed-dev"}
 
 
-def test_a_path_that_is_not_there_is_found() -> None:
-    assert paths_in("`src/scoup/none.py` and `native/`, `CHANGELOG.md`, `x.y()`, `FOLDER/NAME`") == {
-        "src/scoup/none.py",
-        "CHANGELOG.md",
-    }
-
-
-def test_every_recipe_names_tests() -> None:
-    recipes = (
-        (ROOT / "CONTRIBUTING.md").read_text().split("## Recipes")[1].split("\n## ")[0].split("\n### ")[1:]
-    )
-    assert len(recipes) == 5
-    for recipe in recipes:
-        assert re.search(r"^\d\. Tests: .*`tests/", recipe, re.MULTILINE), recipe.splitlines()[0]
-
-
 def community_files() -> list[Path]:
     found = [
         ROOT / "CITATION.cff",
@@ -88,29 +72,6 @@ def test_the_citation_is_of_this_version_and_names_no_author_of_the_paper() -> N
     (paper,) = citation["references"]
     assert [list(author) for author in paper["authors"]] == [["name"]]
     assert "2605.13600" in paper["url"]
-
-
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("[0-9]*.yml")), ids=lambda path: path.stem
-)
-def test_forms_have_what_they_need(path: Path) -> None:
-    form = yaml.safe_load(path.read_text())
-    assert {"name", "description", "body"} <= form.keys()
-    names = [item["id"] for item in form["body"] if item["type"] != "markdown"]
-    assert len(set(names)) == len(names)
-    assert any(item.get("validations", {}).get("required") for item in form["body"])
-
-
-def test_hooks_are_those_of_make_lint() -> None:
-    hooks = [
-        hook
-        for repo in yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
-        for hook in repo["hooks"]
-    ]
-    lint = (ROOT / "Makefile").read_text().split("\nlint:")[1].split("\n\n")[0]
-    for tool in ("ruff check", "ruff format", "codespell", "pyright"):
-        assert f"$(BIN)/{tool}" in lint
-        assert any(hook["entry"].startswith(f".venv/bin/{tool}") for hook in hooks), tool
 
 
 def test_the_sentence_of_refusal_is_the_real_one() -> None:

@@ -34,15 +34,6 @@ def is_sent(path: str) -> bool:
     return sent
 
 
-def test_what_is_sent() -> None:
-    assert is_sent("src/scoup/__init__.py")
-    assert is_sent("viewer/src/panel.ts")
-    assert not is_sent("tests/support.py")
-    assert not is_sent("src/scoup/_native.so")
-    assert not is_sent("src/scoup/view/page/index.html")
-    assert not is_sent("viewer/node_modules/a.js")
-
-
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.name)
 def test_what_is_copied_is_there(path: Path) -> None:
     copied = [
@@ -81,13 +72,6 @@ def test_it_runs_scoup_as_nobody_in_particular(path: Path) -> None:
     assert last["USER"] not in ("root", "0", "0:0")
     assert last["EXPOSE"] == str(PORT)
     assert last["VOLUME"] == '["/data", "/cache"]'
-
-
-def test_both_build_the_same_wheel() -> None:
-    assert len(RECIPES) == 2
-    first, second = (lines(path)[: [word for word, _ in lines(path)].index("FROM", 1)] for path in RECIPES)
-    assert first == second
-    assert "NEVER BUILT" in (ROOT / "docker" / "Dockerfile.cuda").read_text().splitlines()[0]
 
 
 def test_the_document_names_what_exists() -> None:

@@ -153,12 +153,6 @@ def test_every_view_has_its_turn(scene: RasterisedScene) -> None:
         assert first[0] < first[1] < first[2]
 
 
-def test_a_scene_with_one_view() -> None:
-    found = learned(RasterisedScene(*small_scene(count=40, views=1)))
-    assert found.weights.any()
-    assert all(of_level[-1] < of_level[0] for of_level in found.losses)
-
-
 def test_gaussians_that_paint_no_region_have_no_code() -> None:
     gaussians, cameras, regions = small_scene(count=60, views=2)
     means = gaussians.means.clone()

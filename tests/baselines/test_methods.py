@@ -20,7 +20,7 @@ from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines
 from scoup_lab.baselines.joint_codes import JointSettings
 from scoup_lab.baselines.method import Method, MethodSettings
-from scoup_lab.baselines.methods import COMPARED, METHODS, SLOW, find_method
+from scoup_lab.baselines.methods import METHODS, find_method
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.baselines.trained import AutoencodedUplift, QuantisedUplift
 from support import small_scene, unit
@@ -192,16 +192,6 @@ def test_parts_of_a_quantised_feature(scene: RasterisedScene) -> None:
 def test_unknown_method() -> None:
     with pytest.raises(UnknownNameError, match="dense"):
         find_method("dens")
-
-
-def test_what_tables_and_documents_rely_on() -> None:
-    assert next(iter(METHODS)) == COMPARED[0] == "sparse"
-    systems = {method.system for method in METHODS.values()}
-    assert systems >= {"LUDVIG", "Occam's LGS", "VALA", "Dr. Splat", "LangSplat"}
-    assert any("LangSplatV2" in system for system in systems)
-    assert "paper" in COMPARED
-    assert set(METHODS) - set(COMPARED) == {"sparse-all", "autoencoder-lerf", "joint-codes"}
-    assert set(METHODS) >= SLOW
 
 
 def test_the_table_of_methods_names_each_once() -> None:

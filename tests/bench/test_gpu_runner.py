@@ -17,7 +17,7 @@ import torch
 from benchmarks.gpu import ROOT, runner
 from benchmarks.gpu.__main__ import main, parse
 from benchmarks.gpu.runner import Runner, merge_rows
-from benchmarks.gpu.stage import LOST, NO_TIME, TINY, Row, Stage, Unavailable, add_ratios, reason
+from benchmarks.gpu.stage import LOST, NO_TIME, TINY, Row, Stage, Unavailable, add_ratios
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
 
@@ -229,13 +229,6 @@ def test_ratios_are_to_the_fastest_of_the_other() -> None:
     add_ratios(rows, {"other": ["b", "c"], "unknown": ["d"]})
     assert rows[0]["over"] == {"other": 3.0}
     assert "over" not in rows[1]
-
-
-def test_of_a_compilers_output_the_errors_are_told() -> None:
-    output = "\n".join(["[1/9] nvcc ..."] * 9 + ["x.cu(3): error: no such thing"] + ["ninja: stopped"] * 3)
-    assert reason(RuntimeError(output)) == "RuntimeError: x.cu(3): error: no such thing"
-    assert reason(Unavailable("a\n b")) == "a b"
-    assert len(reason(ValueError("x" * 999))) < 430
 
 
 def run_tiny(out: Path, launch: Any, *words: str) -> Path:

@@ -125,16 +125,6 @@ def test_published_figures_agree_with_themselves(protocol: str) -> None:
             assert mean == pytest.approx(overall, abs=0.06), (protocol, row.system)
 
 
-def test_newer_systems_are_marked_with_their_protocol() -> None:
-    newer = {
-        row.system for rows in PUBLISHED.values() for row in rows if row.protocol.startswith("newer system; ")
-    }
-    assert newer == {"OpenGaFF", "ReLaGS", "LightSplat"}
-    for rows in PUBLISHED.values():
-        for row in rows:
-            assert row.system not in newer or row.protocol
-
-
 def test_queries_worst_first() -> None:
     records = query_records(scene("ramen", {"pot": [0.9], "cup": [0.2, 0.4]}))
     assert [record["query"] for record in records] == ["cup", "pot"]

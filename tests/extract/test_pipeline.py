@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
 import tracemalloc
 from pathlib import Path
 
@@ -282,57 +278,6 @@ def test_shards_make_together_what_one_makes_alone(tmp_path: Path) -> None:
         report = extract(photographs, tmp_path / "three", Blocks(), PlainColors(), share=Share(rank, 3))
         assert report.made == [item.name for item in photographs[rank::3]]
     assert snapshot(tmp_path / "one") == snapshot(tmp_path / "three")
-
-
-WORKER = """
-import sys
-from pathlib import Path
-sys.path[:0] = [{tests!r}, {own!r}]
-from test_pipeline import Blocks
-from scoup.extract import extract, find_photographs
-from scoup.base.shares import Share
-from scoup.extract.plain_colors import PlainColors
-
-class Hangs(Blocks):
-    def segment(self, image):
-        if self.calls == 1:
-            print("hangs", flush=True)
-            sys.stdin.read()  # until it is killed
-        return super().segment(image)
-
-kind = Hangs if Share.of_environment().number else Blocks
-extract(find_photographs({scene!r}), Path({out!r}), kind(), PlainColors(), share=Share.of_environment())
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_process_loses_only_its_view(tmp_path: Path) -> None:
-    """Two processes on one folder at once; one is killed outright. The next run does the rest, and only that."""
-    folder, _ = scene(tmp_path, 8)
-    photographs, out = find_photographs(folder), tmp_path / "out"
-    extract(photographs, tmp_path / "one", Blocks(), PlainColors())
-    own = Path(__file__).parent
-    code = WORKER.format(tests=str(own.parent), own=str(own), scene=str(folder), out=str(out))
-    first, second = (
-        subprocess.Popen(
-            [sys.executable, "-c", code],
-            env={**os.environ, "RANK": str(rank), "WORLD_SIZE": "2"},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
-        for rank in range(2)
-    )
-    with first, second:
-        assert second.stdout is not None
-        assert second.stdout.readline() == b"hangs\n"
-        second.send_signal(signal.SIGKILL)
-        assert first.wait() == 0
-    made = {path.stem for path in out.glob("*.regions") if not path.name.startswith(".")}
-    assert made == {"0", "2", "4", "6", "1"}
-    report = extract(photographs, out, Blocks(), PlainColors())
-    assert (report.kept, len(report.made)) == (5, 3)
-    there = {name: data for name, data in snapshot(out).items() if not name.startswith(".")}
-    assert there == snapshot(tmp_path / "one")
 
 
 def test_tiny_models_from_end_to_end(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ from torch.nn import functional
 
 from mask_samples import smooth_image
 from scoup.base.errors import ScoupError
-from scoup.models.normalization import IMAGENET
-from scoup.models.sam import SHORT_NAMES, Sam, open_sam
+from scoup.models.sam import open_sam
 from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
 
 SIZES = [(48, 60), (90, 40), (64, 64), (33, 7)]
@@ -98,22 +97,6 @@ def test_trimmed_masks_show_the_image_alone(loaded) -> None:
     assert torch.equal(trimmed, logits.flatten(0, 1)[:, : trimmed.shape[1], : trimmed.shape[2]])
 
 
-def test_preprocessing_is_that_of_transformers() -> None:
-    """Its own Pillow processor gives the same pixels."""
-    pil = pytest.importorskip("transformers.models.sam.image_processing_pil_sam")
-    processor = pil.SamImageProcessorPil(
-        size={"longest_edge": 64}, pad_size={"height": 64, "width": 64}, mask_size={"longest_edge": 16}
-    )
-    image = smooth_image(40, 100)
-    wanted = processor(image, return_tensors="pt")["pixel_values"][0]
-    seen: list[torch.Tensor] = []
-    model = tiny_sam()
-    original = model.get_image_embeddings
-    model.get_image_embeddings = lambda pixels: (seen.append(pixels[0]), original(pixels))[1]
-    Sam(model, "tiny", "", 64, False, IMAGENET).encode(image)
-    torch.testing.assert_close(seen[0], wanted, atol=1e-5, rtol=1e-5)
-
-
 def test_normalization_comes_with_the_model(tmp_path: Path) -> None:
     image = smooth_image(20, 30)
     plain = open_sam(str(saved(tiny_sam(), tmp_path / "plain")))
@@ -163,7 +146,3 @@ def test_incomplete_models_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ScoupError, match="lacks weights such as 'mask_decoder"):
         open_sam(str(folder))
     shutil.rmtree(folder)
-
-
-def test_short_names_are_hub_ids() -> None:
-    assert all(name.startswith("facebook/sam") for name in SHORT_NAMES.values())

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from scoup.base.errors import (
     FileFormatError,
@@ -21,7 +19,6 @@ from scoup.base.errors import (
 )
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import load_table, save_table
-from support import examples
 
 NAMES = ["apple", "Dark Cup", "chair"]
 VECTORS = np.array([[3.0, 0, 4], [0, 2, 0], [1, 1, 1]], dtype=np.float32)
@@ -155,28 +152,6 @@ def test_a_claim_of_endless_data_takes_no_memory(tmp_path: Path) -> None:
         archive.writestr("names.npy", member)
     with pytest.raises(FileFormatError, match="cut short"):
         load_table(path)
-
-
-@settings(
-    max_examples=examples(120),
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
-@given(st.sampled_from(FORMS), st.data())
-def test_damaged_tables_never_crash(tmp_path: Path, form: str, data: st.DataObject) -> None:
-    path = tmp_path / f"damaged.{form.split('-')[0]}"
-    path.unlink(missing_ok=True)
-    raw = bytearray(write_table(path, form).read_bytes())
-    for _ in range(data.draw(st.integers(0, 3))):
-        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
-    if data.draw(st.booleans()):
-        raw = raw[: data.draw(st.integers(0, len(raw)))]
-    path.write_bytes(bytes(raw))
-    try:
-        table = load_table(path)
-    except FileFormatError:
-        return
-    assert table.vectors.shape[0] == len(table.names)
-    assert np.isfinite(table.vectors).all()
 
 
 def test_everyday_words_of_a_table_are_its_other_names(tmp_path: Path) -> None:

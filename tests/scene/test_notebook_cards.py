@@ -110,17 +110,6 @@ def test_previews_of_ugly_scenes() -> None:
         assert shown - 5 <= marks.sum() <= shown  # some hide others, or lie outside
 
 
-def test_gaussians_are_drawn_in_their_colours() -> None:
-    gaussians = random_gaussians(400, 0)
-    gaussians.sh[:] = 0
-    gaussians.sh[:, 0, 0] = 10.0  # red, saturated
-    (drawn,) = pictures(gaussians._repr_html_())
-    colored = drawn[(drawn != 245).any(2)]
-    assert len(colored) > 50
-    assert (colored[:, 0] == 255).all()
-    assert (colored[:, 1] == 128).all()
-
-
 def test_cameras_are_drawn_where_they_are() -> None:
     ring = [
         Camera.look_at((3 * np.cos(a), 3 * np.sin(a), 1.0), (0, 0, 1.0), f"{a}.png", 40, 30, 36)

@@ -253,15 +253,6 @@ def test_a_view_that_is_given_again_as_it_was_changes_nothing(wall: Wall) -> Non
     assert float((again.code_weights - field.code_weights).abs().max()) < 2e-3
 
 
-def test_a_view_that_goes_again_leaves_no_trace(wall: Wall) -> None:
-    field, sums = built(wall)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScoupWarning)
-        grown = grow(wall, (field, sums), new_atoms=0)
-    assert_same(update(grown, sums, remove=["late_0.png"]), field)
-    assert "late_0.png" not in sums
-
-
 def test_what_is_explained_now_brings_no_more_atoms(wall: Wall) -> None:
     for new_atoms in (0, 4):
         field, sums = built(wall)
