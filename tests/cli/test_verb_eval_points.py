@@ -8,17 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from cli.test_verb_eval import QUICK
+from cli.test_verb_eval import original as original  # the fixture: a version of each data set
 from cli_support import refused, run, run_json
 
 pytestmark = pytest.mark.slow
-
-QUICK = ("--n-atoms", 16)
-
-
-@pytest.fixture(scope="session")
-def original(synthetic_data_sets: Path) -> Path:
-    """A folder with a synthetic version of each data set; nobody writes into it."""
-    return synthetic_data_sets
 
 
 def test_scannet(here: Path) -> None:

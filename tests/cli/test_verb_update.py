@@ -75,21 +75,26 @@ def test_new_atoms():
     assert record["atoms"] in (8, 9, 10)
 
 
-def test_refusals_change_nothing():
+def check_refused(*cases: tuple[tuple[str, ...], str]) -> None:
+    """Each says why, and changes nothing."""
     before = snapshot(Path())
-    for arguments, message in (
+    for arguments, message in cases:
+        code, _, err = run("update", "a.scoup", *arguments)
+        assert code == 2, err
+        assert message in err
+        assert "Traceback" not in err
+    assert snapshot(Path()) == before
+
+
+def test_refusals_change_nothing():
+    check_refused(
         ((), "say what to do"),
         (("--remove", "view_00.png"), "--overwrite"),
         (("--remove", "view_09.png", "--overwrite"), "'view_09.png' is not in the field"),
         (("--add", "all", "--overwrite"), "--scene"),
         (("--add", "view_9", "--scene", "scene", "--overwrite"), "view_9"),
         (("--remove", "view_00.png", "--out", "b.scoup", "--sums", "no.sums"), "no.sums: is not there"),
-    ):
-        code, _, err = run("update", "a.scoup", *arguments)
-        assert code == 2, err
-        assert message in err
-        assert "Traceback" not in err
-    assert snapshot(Path()) == before
+    )
 
 
 def edited_splat(kept: slice = slice(5, None), path: str = "edited.ply") -> Gaussians:
@@ -168,8 +173,7 @@ def test_edits_that_cannot_be_followed_change_nothing():
     edited_splat()
     save_gaussians(random_gaussians(9, 5), "other.ply")
     Path("a.scoup.sums").rename("elsewhere.sums")
-    before = snapshot(Path())
-    for arguments, message in (
+    check_refused(
         (("--edited", "edited.ply"), "--overwrite"),
         (("--edited", "edited.ply", "--remove", "view_00.png", "--out", "b.scoup"), "of its own"),
         (("--edited", "no.ply", "--out", "b.scoup"), "no.ply"),
@@ -177,9 +181,4 @@ def test_edits_that_cannot_be_followed_change_nothing():
         (("--edited", "edited.ply", "--scene", "scene", "--out", "b.scoup"), "a.scoup.sums: is not there"),
         (("--edited", "edited.ply", "--tolerance", "-1", "--out", "b.scoup"), "positive distance"),
         (("--tolerance", "1", "--remove", "view_00.png", "--out", "b.scoup"), "--edited"),
-    ):
-        code, _, err = run("update", "a.scoup", *arguments)
-        assert code == 2, err
-        assert message in err
-        assert "Traceback" not in err
-    assert snapshot(Path()) == before
+    )

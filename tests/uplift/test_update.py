@@ -364,7 +364,7 @@ def test_refusals(wall: Wall, kept: Kept) -> None:
         update(field, sums, remove=wall.early.names)
     with pytest.raises(InputError, match="another scene"):
         update(field, RegionSums.empty(small_scene()[0], LEVELS), remove=["early_0.png"])
-    with pytest.raises(InputError, match="with its sums kept"):
+    with pytest.raises(InputError, match="build it with kept `sums`"):
         update(field, RegionSums.empty(wall.gaussians, LEVELS), remove=["early_0.png"])
     assert list(sums.views) == list(wall.early.names)  # nothing was changed
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from browser_support import need_browser
+from browser_support import need_browser, saved_field
 from tools.chromium import chromium
+
+from scoup.field.language_field import LanguageField
+from scoup.scene.cameras import Camera
+from scoup.view.viewed_field import ViewedField
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -26,3 +31,30 @@ def browser() -> Iterator[Browser]:
 def built_page() -> None:
     """The page of this checkout; skips where it is not built."""
     need_browser()
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A field file, with ``words.npz`` beside it."""
+    return saved_field(tmp_path_factory.mktemp("viewer"))
+
+
+@pytest.fixture(scope="module")
+def viewed(saved: Path) -> ViewedField:
+    return ViewedField(LanguageField.load(saved), str(saved.with_name("words.npz")))
+
+
+@pytest.fixture(scope="module")
+def camera(viewed: ViewedField) -> Camera:
+    """That the page opens with, in the size of its picture."""
+    assert viewed.field.cameras is not None
+    return viewed.field.cameras[0].resized(400, 300)
+
+
+@pytest.fixture(scope="module")
+def live(viewed: ViewedField) -> Iterator[str]:
+    """Address of a server's page."""
+    from scoup.view.viewer import Viewer
+
+    with Viewer(viewed, port=0) as viewer:
+        yield viewer.address

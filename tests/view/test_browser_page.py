@@ -22,7 +22,6 @@ from browser_support import (
     difference,
     patches,
     places_in,
-    saved_field,
     visiting,
 )
 from PIL import Image
@@ -45,37 +44,11 @@ KINDS = ("live", "exported")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("viewer")
-
-
-@pytest.fixture(scope="module")
-def viewed(folder: Path) -> ViewedField:
-    path = saved_field(folder)
-    return ViewedField(scoup.LanguageField.load(path), str(folder / "words.npz"))
-
-
-@pytest.fixture(scope="module")
-def camera(viewed: ViewedField) -> Camera:
-    """That the page opens with, in the size of its picture."""
-    assert viewed.field.cameras is not None
-    return viewed.field.cameras[0].resized(400, 300)
-
-
-@pytest.fixture(scope="module")
-def live(viewed: ViewedField) -> Iterator[str]:
-    """Address of a server's page."""
-    from scoup.view.viewer import Viewer
-
-    with Viewer(viewed, port=0) as viewer:
-        yield viewer.address
-
-
-@pytest.fixture(scope="module")
-def exported(viewed: ViewedField, folder: Path) -> str:
+def exported(viewed: ViewedField, tmp_path_factory: pytest.TempPathFactory) -> str:
     """Address of a page that needs no server."""
-    export_page(viewed, folder / "scene.html")
-    return (folder / "scene.html").as_uri()
+    page = tmp_path_factory.mktemp("exported") / "scene.html"
+    export_page(viewed, page)
+    return page.as_uri()
 
 
 both_pages = pytest.mark.parametrize("visit", KINDS, indirect=True)

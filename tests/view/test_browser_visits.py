@@ -8,7 +8,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,6 @@ from browser_support import (
     difference,
     patches,
     places_in,
-    saved_field,
     splat,
     table,
     things_field,
@@ -46,31 +44,6 @@ if TYPE_CHECKING:
 
 pytest.importorskip("uvicorn")
 pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
-
-
-@pytest.fixture(scope="module")
-def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A field file, with ``words.npz`` beside it."""
-    return saved_field(tmp_path_factory.mktemp("viewer"))
-
-
-@pytest.fixture(scope="module")
-def viewed(field: Path) -> ViewedField:
-    return ViewedField(scoup.LanguageField.load(field), str(field.with_name("words.npz")))
-
-
-@pytest.fixture(scope="module")
-def camera(viewed: ViewedField) -> Camera:
-    """That the page opens with, in the size of its picture."""
-    assert viewed.field.cameras is not None
-    return viewed.field.cameras[0].resized(400, 300)
-
-
-@pytest.fixture(scope="module")
-def live(viewed: ViewedField) -> Iterator[str]:
-    """Address of a server's page."""
-    with opened(viewed) as viewer:
-        yield viewer.address
 
 
 def opened(viewed: ViewedField, **options: Any) -> Viewer:
@@ -364,7 +337,8 @@ entry()
 """
 
 
-def test_from_the_command_line_to_its_end(browser: Browser, field: Path):
+def test_from_the_command_line_to_its_end(browser: Browser, saved: Path):
+    field = saved
     words = str(field.with_name("words.npz"))
     command = [sys.executable, "-c", PROGRAM, "view", str(field), "--text", words, "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)

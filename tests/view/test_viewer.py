@@ -56,7 +56,7 @@ def test_a_port_in_use_is_named_or_another_is_taken() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(InputError, match=rf"port {port}: .*in use.*--port"):
+        with pytest.raises(InputError, match=rf"port {port}: .*in use.*another `port`"):
             Viewer(viewed_field(), port=port)
     with Viewer(viewed_field()) as first, Viewer(viewed_field()) as second:
         assert first.address != second.address
