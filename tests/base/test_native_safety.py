@@ -295,7 +295,7 @@ def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
     def count():
         round_of(vote, 50_000, {threads})
     for call in (render, count):
-        for delay in (0.02, 0.2, 0.4, 0.6):
+        for delay in (0.02, 0.3):
             sent = []
             def send():
                 sent.append(time.process_time())
@@ -312,7 +312,7 @@ def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable(threads):
     done = run_script(script)
     assert done.returncode == 0, done.stderr
     late = [float(line) for line in done.stdout.split()]
-    assert len(late) == 8
+    assert len(late) == 4
     assert max(late) < 1, late  # processor seconds: a busy machine makes nothing late
 
 

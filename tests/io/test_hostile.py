@@ -72,7 +72,7 @@ def test_no_reader_misbehaves(samples: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_what_readers_do_is_found(planted: Path, name: str) -> None:
-    trial = planted_trial(name, planted, 2, planted.parent / "failures", processor=1.0)
+    trial = planted_trial(name, planted, 2, planted.parent / "failures", processor=0.5)
     # Damage may leave a file as it was, by chance; with this seed it does not.
     assert dict(trial.outcomes) == {EXPECTED[name]: 2}
     saved = sorted(path.name for path in planted.parent.glob("failures/*/*.planted"))
@@ -82,7 +82,7 @@ def test_what_readers_do_is_found(planted: Path, name: str) -> None:
 
 
 def test_a_process_without_a_word_is_ended(planted: Path) -> None:
-    assert dict(planted_trial("sleep", planted, 2, wall=2.0).outcomes) == {"hang": 2}
+    assert dict(planted_trial("sleep", planted, 1, wall=1.0).outcomes) == {"hang": 1}
 
 
 def test_what_is_kept_of_a_failure_is_the_file(planted: Path) -> None:

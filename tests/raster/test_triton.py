@@ -107,9 +107,8 @@ def test_atoms_that_a_code_has_twice(interpreted):
     interpreted(gpu_checks.check_repeated_atoms)
 
 
-@pytest.mark.parametrize("rounds", [1, 2])
-def test_a_build_agrees_with_the_reference(interpreted, rounds):
-    interpreted(gpu_checks.check_build, rounds)
+def test_a_build_agrees_with_the_reference(interpreted):
+    interpreted(gpu_checks.check_build, 2)
 
 
 @pytest.mark.parametrize(

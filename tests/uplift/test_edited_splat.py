@@ -211,7 +211,7 @@ def test_views_of_very_many_combinations(scene, monkeypatch):
 def test_rounded_gaussians_keep_their_codes_and_are_rasterised_again(scene):
     finite = scene.gaussians.finite()
     edited = replace(scene.gaussians, means=scene.gaussians.means + 1e-5)
-    with pytest.raises(InputError, match=r"shares no Gaussian.*with a tolerance"):
+    with pytest.raises(InputError, match=r"shares no Gaussian.*with `tolerance`"):
         follow(scene.field, edited.select(finite))
     found = follow(scene.field, edited.select(finite), tolerance=Tolerance(1e-3))
     assert found.matching.n_rounded == int(finite.sum())
@@ -224,7 +224,7 @@ def test_formats_that_round_some_numbers_only_are_named(scene):
     means = scene.gaussians.means.clone()
     means[::3] += 1e-5
     edited = replace(scene.gaussians, means=means)
-    with pytest.warns(ScoupWarning, match=r"Gaussians of the field are not in it.*pass a tolerance"):
+    with pytest.warns(ScoupWarning, match=r"Gaussians of the field are not in it.*pass `tolerance`"):
         follow(scene.field, edited)
     follow(scene.field, edited, tolerance=Tolerance(1e-3))  # without a warning
 
