@@ -90,11 +90,6 @@ def test_a_release_is_complete_or_not() -> None:
     assert list(incomplete([*names, too_many])) == [f"{too_many} is not expected"]
 
 
-def test_an_empty_folder_is_no_release(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert check_distributions.main([str(tmp_path)]) == 1
-    assert "has neither wheels nor an sdist" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("tag", "stated", "message"),
     [

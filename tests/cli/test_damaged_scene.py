@@ -90,38 +90,20 @@ def check(folder: Path, *arguments: object) -> None:
     assert not list(folder.rglob(".scoup-*"))
 
 
-@pytest.mark.parametrize("target", BUILT_FROM)
+@pytest.mark.parametrize(
+    ("verb", "target"), [*(("build", of) for of in BUILT_FROM), *(("query", of) for of in ASKED_FROM)]
+)
 @many
 @given(damage=damages())
-def test_build(sound, tmp_path, target, damage):
+def test_verbs(sound, tmp_path, verb, target, damage):
     scene = tmp_path / "scene"
     shutil.copytree(sound, scene, dirs_exist_ok=True)
-    file = scene / BUILT_FROM[target]
+    file = scene / (BUILT_FROM if verb == "build" else ASKED_FROM)[target]
     file.write_bytes(damage(file.read_bytes()))
-    check(tmp_path, "build", scene, *BUILD, "--out", tmp_path / "a.scoup", "--model", scene / "words.npz")
-
-
-@pytest.mark.parametrize("target", ASKED_FROM)
-@many
-@given(damage=damages())
-def test_query(sound, tmp_path, target, damage):
-    scene = tmp_path / "scene"
-    shutil.copytree(sound, scene, dirs_exist_ok=True)
-    file = scene / ASKED_FROM[target]
-    file.write_bytes(damage(file.read_bytes()))
+    if verb == "build":
+        check(tmp_path, "build", scene, *BUILD, "--out", tmp_path / "a.scoup", "--model", scene / "words.npz")
+        return
     # The field has its geometry embedded, so the splat is read only where it is named.
     given = ("--gaussians", file) if target == "splat" else ()
-    out = tmp_path / "answers"
-    check(
-        tmp_path,
-        "query",
-        scene / "f.scoup",
-        "kettle",
-        "--out",
-        out,
-        *given,
-        "--quiet",
-        "--overwrite",
-        "--scale",
-        "0.5",
-    )
+    ask = ("query", scene / "f.scoup", "kettle", "--out", tmp_path / "answers", *given)
+    check(tmp_path, *ask, "--quiet", "--overwrite", "--scale", "0.5")

@@ -179,14 +179,6 @@ def test_geometry_that_moved_is_named():
     assert run_json("query", "f.scoup", "kettle", "--gaussians", "elsewhere.ply")["answers"]
 
 
-def test_words_that_look_alike_or_strange_get_files_of_their_own():
-    texts = ("Kettle", "kettle", "KETTLE ")
-    answers = run_json("query", "f.scoup", *texts, "--pictures", "all")["answers"]
-    files = [file for answer in answers for file in answer["files"].values()]
-    assert len(set(files)) == 9
-    assert all(Path(file).is_file() for file in files)
-
-
 def test_nothing_is_replaced_without_overwrite():
     run_json("query", "f.scoup", "kettle", "--pictures", "all")
     Path("f_queries/query.json").unlink()  # as if only pictures were left

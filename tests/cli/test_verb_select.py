@@ -226,14 +226,6 @@ def test_recoloured_and_faded_scenes_differ_where_they_should():
     assert opacities[1] == pytest.approx(opacities[0] * 0.15, rel=1e-4)
 
 
-def test_edited_fields_are_fields():
-    run_json("select", "f.scoup", "kettle", "--edit", "fade", "--out", "faded.scoup")
-    field, faded = LanguageField.load("f.scoup"), LanguageField.load("faded.scoup")
-    assert faded.code_indices.equal(field.code_indices)
-    assert faded.fingerprint != field.fingerprint
-    assert run_json("query", "faded.scoup", "mug", "--out", "answers")["answers"]
-
-
 def test_a_picture_shows_before_and_after():
     record = run_json(
         "select", "f.scoup", "kettle", "--edit", "remove", "--out", "a.splat", "--picture", "a.png",

@@ -19,7 +19,7 @@ from scoup.scene.regions import Regions
 from scoup.scene.things import ThingTable
 from scoup.uplift.build import build, thing_table
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.edited_splat import KeptSums, follow
+from scoup.uplift.edited_splat import Followed, KeptSums, follow
 from scoup.uplift.matching import Tolerance
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_codes import RegionCodes
@@ -90,6 +90,16 @@ def assert_same_sums(one: RegionSums, other: RegionSums) -> None:
                 np.testing.assert_array_equal(array, theirs.arrays()[field])
 
 
+def check_followed(scene: Scene, edited: Gaussians) -> Followed:
+    """Codes and sums are those of a vote on the edited splat from the start."""
+    found = follow(scene.field, edited, scene.kept)
+    field, sums = scene.from_the_start(edited)
+    assert found.sums is not None
+    assert_same_sums(found.sums, sums)
+    assert_same_codes(found.field, field)
+    return found
+
+
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """Half of it is small and faint, so that a few can be deleted unseen by most views."""
@@ -116,15 +126,12 @@ def test_codes_and_sums_are_those_of_a_vote_from_the_start(scene, edit, seed):
     edited = joined(scene.gaussians.select(torch.tensor(rows)), appended)
     if shuffled:
         edited = edited.select(torch.randperm(len(edited), generator=torch.Generator().manual_seed(seed)))
-    found = follow(scene.field, edited, scene.kept)
-    field, sums = scene.from_the_start(edited)
+    found = check_followed(scene, edited)
     assert found.sums is not None
-    assert_same_codes(found.field, field)
-    assert_same_sums(found.sums, sums)
     assert found.field.fingerprint == edited.fingerprint()
     coded = RegionCodes.load(scene.sums)
     assert coded is not None
-    assert_same_things(found.field.thing_table, thing_table(sums, coded))
+    assert_same_things(found.field.thing_table, thing_table(found.sums, coded))
 
 
 @given(edits(), st.integers(0, 2**31))
@@ -174,12 +181,7 @@ def test_equal_depths_are_painted_in_the_new_order():
     wall = Gaussians(means, part.quats, torch.full((60, 3), 0.5), torch.full((60,), 0.9), part.sh)
     scene = Scene(wall)
     edited = wall.select(torch.tensor([*range(1, 60), 0]))
-    found = follow(scene.field, edited, scene.kept)
-    field, sums = scene.from_the_start(edited)
-    assert found.sums is not None
-    assert_same_sums(found.sums, sums)
-    assert_same_codes(found.field, field)
-    assert found.rasterised
+    assert check_followed(scene, edited).rasterised
 
 
 @pytest.mark.parametrize("how", [{"weights": "float16"}, {"least_weight": 0.05}])
@@ -187,11 +189,7 @@ def test_smaller_sums_stay_as_small(how):
     part = random_gaussians(300, 5)
     scene = Scene(replace(part, scales=part.scales * 0.3), **how)
     edited = scene.gaussians.select(torch.arange(300) % 29 > 0)
-    found = follow(scene.field, edited, scene.kept)
-    field, sums = scene.from_the_start(edited)
-    assert found.sums is not None
-    assert_same_sums(found.sums, sums)
-    assert_same_codes(found.field, field)
+    check_followed(scene, edited)
 
 
 def test_views_of_very_many_combinations(scene, monkeypatch):
@@ -201,11 +199,7 @@ def test_views_of_very_many_combinations(scene, monkeypatch):
     parted = Scene(scene.gaussians)
     assert all(len(view.parts) > 1 for view in parted.sums.views.values())
     edited = scene.gaussians.select(torch.arange(400) != 5)
-    found = follow(parted.field, edited, parted.kept)
-    field, sums = parted.from_the_start(edited)
-    assert found.sums is not None
-    assert_same_sums(found.sums, sums)
-    assert_same_codes(found.field, field)
+    check_followed(parted, edited)
 
 
 def test_rounded_gaussians_keep_their_codes_and_are_rasterised_again(scene):
