@@ -1,1 +1,1 @@
-"""A field in the browser: the data of its page, the server, and pages that need none (docs/viewer.md)."""
+"""Fields served: to people as a page in the browser (docs/viewer.md), to language models as tools (docs/agents.md)."""

@@ -54,9 +54,9 @@ def make_server(tools: SceneTools) -> Any:
         tools.list_things,
         tools.find,
         tools.describe_thing,
+        tools.measure_distance,
+        tools.render_view,
     ):
-        add(method)
-    for method in (tools.measure_distance, tools.render_view):
         add(method)
     if tools.export_folder is not None:
         add(tools.export_selection)
