@@ -13,7 +13,7 @@ import scoup
 from benchmarks.scenes import find_layout
 from benchmarks.study import Record, Study
 from scoup.query.asking import Encoder
-from scoup.query.locate import oriented_box
+from scoup.query.thing_shapes import ThingPoints
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
@@ -134,7 +134,9 @@ def true_things(scene: DemoScene) -> dict[str, Tensor]:
 def middle_and_diagonal(scene: DemoScene, mask: Tensor) -> tuple[Tensor, float]:
     """Return the middle [3] of some Gaussians [N], and the diagonal of the box around them, in world units."""
     means, opacities = scene.gaussians.means[mask].double(), scene.gaussians.opacities[mask].double()
-    return means.median(0).values, float(oriented_box(means, opacities).extent.norm())
+    box = ThingPoints.of_one_thing(means, opacities).boxes()[0]
+    assert box is not None
+    return means.median(0).values, float(box.extent.norm())
 
 
 def box_overlap(first: Box, second: Box) -> float:

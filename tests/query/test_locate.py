@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from scoup.query.answer import SceneAnswer
-from scoup.query.locate import Location, connected_parts, location, oriented_box, weighted_quantiles
+from scoup.query.locate import Location, connected_parts, location
+from scoup.query.thing_shapes import ThingPoints
 from scoup.scene.gaussians import Gaussians
 from support import examples
 
@@ -126,7 +127,8 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     random = torch.Generator().manual_seed(seed)
     points = torch.randn(count, 3, generator=random, dtype=torch.float64) * scale
     weights = torch.ones(count, dtype=torch.float64)
-    box = oriented_box(points, weights)
+    box = ThingPoints.of_one_thing(points, weights).boxes()[0]
+    assert box is not None
     torch.testing.assert_close(box.axes @ box.axes.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
     along = ((points - box.centre) @ box.axes.T).abs()
     assert (along <= box.extent / 2 + 1e-9 * scale).all()  # fewer than 50 points: none may be cut off
@@ -141,7 +143,7 @@ def test_quantiles_are_those_of_repeated_values(count: int, seed: int) -> None:
     weights[0] += 1
     repeated = torch.repeat_interleave(values, weights).sort().values
     for share in (0.01, 0.5, 0.99):
-        found = float(weighted_quantiles(values, weights.double(), [share])[0])
+        found = ThingPoints.of_one_thing(values[:, None], weights.double()).quantiles([share]).item()
         assert found == float(repeated[math.ceil(share * len(repeated) - 1e-9) - 1])
 
 

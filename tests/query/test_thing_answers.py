@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,23 +18,21 @@ from query.conftest import random_vectors, without_things
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer, SceneAnswer
 from scoup.query.answering import answer_scene, answer_view
+from scoup.query.known_things import FEW_REGIONS, HUB_QUANTILE, LEAST_STABILITY, UNSTABLE
 from scoup.query.presence import UPPER, other_words
 from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.question import Question
 from scoup.query.things import (
     AT_A_TIME,
-    FEW_REGIONS,
-    HUB_QUANTILE,
     HUB_SHARE,
     LEAST_PART,
     LEAST_SCORE,
-    LEAST_STABILITY,
     MOST_GAP,
     STANDS_OUT,
-    UNSTABLE,
     VOTES,
     ThingFits,
     choose_things,
+    thing_fits,
     thing_of_scene,
 )
 from scoup.scene.things import NO_THING, ThingTable
@@ -483,3 +482,20 @@ def test_gaussians_of_no_thing_do_not_count(asked: Asked) -> None:
     beside = answer.mask & (wall.shows(wall.cameras[2]) == 1)
     beside[:, : int((wall.shows(wall.cameras[2])[14] == 0).nonzero()[-1]) + 2] = False  # the border
     assert beside.any()
+
+
+def test_a_field_compares_its_things_with_words_once(asked: Asked) -> None:
+    field, texts = asked.field, asked.wall.texts
+    first = thing_fits(field, texts)
+    again = thing_fits(field, texts.one(1))
+    assert first is not None
+    assert again is not None
+    assert again.known is first.known
+    torch.testing.assert_close(again.fits, first.fits[:, 1:2])
+    few = thing_fits(field, replace(texts, everyday=texts.everyday[:3]))
+    copied = thing_fits(copy.deepcopy(field), texts)
+    assert few is not None
+    assert copied is not None
+    assert few.known is not first.known
+    assert copied.known is not first.known
+    assert torch.equal(copied.fits, first.fits)

@@ -20,7 +20,7 @@ from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.question import Question
 from scoup.query.segment import Segmentation, main_parts, mask_box, segment
 from scoup.query.select import Selection, select_each
-from scoup.query.things import ThingFits, thing_of_scene, things_of_view
+from scoup.query.things import thing_fits, thing_of_scene, things_of_view
 from scoup.query.view_depth import ViewDepth
 from scoup.scene.cameras import Camera
 
@@ -46,8 +46,8 @@ def answer_view(
     judged: list[float | None] = [None] * len(found)
     if question.present_from is not None:
         judged = view_z_scores(field, projection, found, question.queries, question.everyday).tolist()
-    if field.thing_table is not None and question.preset.follows_things:
-        fits = ThingFits.of(field.thing_table, question)
+    fits = thing_fits(field, question) if question.preset.follows_things else None
+    if fits is not None:
         seen = things_of_view(fits, projection, [each.mask for each in found], question.level)
         found = [
             each if thing is None else _of_thing(each, relevancy, *thing)
@@ -100,8 +100,8 @@ def judged_selections(field: CodedScene, question: Question) -> Iterator[tuple[S
     Things answer where the field has them, unless the question has rules for the votes: a threshold or neighbours.
     """
     threshold, neighbours = question.threshold, question.neighbours or None
-    things = field.thing_table if threshold is None and neighbours is None and question.rescaled else None
-    fits = None if things is None else ThingFits.of(things, question)
+    by_things = threshold is None and neighbours is None and question.rescaled
+    fits = thing_fits(field, question) if by_things else None
     found_by_votes = select_each(
         field, question.queries, question.canonical, threshold, neighbours, question.rescaled, question.level
     )

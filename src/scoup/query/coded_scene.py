@@ -15,6 +15,7 @@ from scoup.base.arguments import check_arguments
 from scoup.base.counts import counted
 from scoup.base.errors import GeometryMismatchError, InputError
 from scoup.query.cosines import FieldCodes, FieldCosines
+from scoup.query.known_things import KnownThings
 from scoup.query.recent import Recent
 from scoup.query.relevancy import relevancy
 from scoup.scene.cameras import Camera, Cameras
@@ -74,6 +75,7 @@ class CodedScene:
         self.path: Path | None = None  # the file it was read from or last saved to
         self._gaussians = None
         self._cosines = FieldCosines()
+        self.known_things = KnownThings()
         self._known = Recent(MOST_KEPT, MOST_BYTES)
         if gaussians is not None:
             self.attach(gaussians)

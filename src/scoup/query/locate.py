@@ -10,48 +10,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.brief import brief
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
 from scoup.query.coded_scene import CodedScene
 from scoup.query.select import true_rows
+from scoup.query.thing_shapes import OrientedBox, ThingPoints
 from scoup.query.things import things_in_mask
 
 NEIGHBOURS = 8
 """Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
 LONGEST_LINK = 3.0
 """Links longer than this times the median are cut, so that strays fall off."""
-INSIDE = 0.98
-"""Share of the weight inside an oriented box along each of its axes."""
-
-
-@dataclass(frozen=True, eq=False)
-class OrientedBox:
-    """An oriented box in the world. Tensors are float64 on the CPU."""
-
-    centre: Tensor
-    """[3] world units."""
-    axes: Tensor
-    """[3, 3] one unit direction per row, right-handed, longest extent first."""
-    extent: Tensor
-    """[3] full lengths along the axes in world units."""
-
-    __repr__ = brief
-
-    def record(self) -> dict[str, Any]:
-        """Return the box as plain JSON values, rounded."""
-        axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
-        return {
-            "centre": _rounded(self.centre),
-            "axes": axes,
-            "extent": _rounded(self.extent),
-        }
-
-    def corners(self) -> Tensor:
-        """Return the corners [8, 3]."""
-        signs = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5], dtype=torch.float64)] * 3)
-        return self.centre + (signs * self.extent) @ self.axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,8 +115,8 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
     parts = torch.from_numpy(connected_parts(means.numpy()))
     part = int(torch.bincount(parts, weights).argmax())
     own = parts == part
-    box = oriented_box(means[own], weights[own])
-    position = torch.stack([weighted_quantiles(axis, weights[own], [0.5])[0] for axis in means[own].T])
+    points = ThingPoints.of_one_thing(means[own], weights[own])
+    position, box = torch.from_numpy(points.medians()[0]), points.boxes()[0]
     confidence = float((relevancy[own] * weights[own]).sum() / weights[own].sum())
     things = answering_things(field, answer)
     numbers = () if things is None else tuple(things.tolist())
@@ -192,40 +162,6 @@ def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
     starts = np.append(0, near.sum(1).cumsum())
     links = csr_array((np.ones(starts[-1]), nearest[near], starts), (len(points),) * 2)
     return np.asarray(connected_components(links, directed=True, connection="weak")[1], np.int64)
-
-
-def oriented_box(points: Tensor, weights: Tensor) -> OrientedBox:
-    """Return the box along the principal axes of points that contains ``INSIDE`` of the weight along each.
-
-    Args:
-        points: [M, 3] float64, M >= 1.
-        weights: [M] float64, not negative, some above 0.
-    """
-    share = weights / weights.sum()
-    middle = share @ points
-    spread = (points - middle) * share.sqrt()[:, None]
-    axes = torch.linalg.eigh(spread.T @ spread).eigenvectors.T.flip(0)
-    # Of a direction and its opposite, the one with a positive largest component; the third makes them right-handed.
-    largest = axes.gather(1, axes.abs().argmax(1, keepdim=True))
-    axes = axes * largest.sign()
-    axes[2] = torch.linalg.cross(axes[0], axes[1])
-    along = (points - middle) @ axes.T
-    low, high = torch.tensor(
-        [
-            [float(end) for end in weighted_quantiles(axis, weights, [(1 - INSIDE) / 2, (1 + INSIDE) / 2])]
-            for axis in along.T
-        ],
-        dtype=torch.float64,
-    ).T
-    return OrientedBox(middle + (low + high) / 2 @ axes, axes, high - low)
-
-
-def weighted_quantiles(values: Tensor, weights: Tensor, shares: list[float]) -> Tensor:
-    """Return the values below which shares of the weight lie, each one of the values [M]."""
-    order = torch.from_numpy(np.argsort(values.numpy()))  # much faster than torch's
-    sums = weights[order].cumsum(0)
-    places = torch.searchsorted(sums, sums[-1] * torch.tensor(shares, dtype=sums.dtype))
-    return values[order][places.clamp(max=len(values) - 1)]
 
 
 def _rounded(vector: Tensor) -> list[float]:

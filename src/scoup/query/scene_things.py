@@ -14,12 +14,12 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
 from scoup.query.coded_scene import CodedScene
-from scoup.query.locate import OrientedBox, answering_things, connected_parts, metres_record
+from scoup.query.locate import answering_things, connected_parts, metres_record
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import Question
 from scoup.query.select import true_rows
-from scoup.query.thing_shapes import ThingPoints
-from scoup.query.things import ThingFits
+from scoup.query.thing_shapes import OrientedBox, ThingPoints
+from scoup.query.things import thing_fits
 
 LEAST_SHARE = 0.1
 """Where the votes answer, connected parts with less than this share of the weight of the largest are strays."""
@@ -130,10 +130,10 @@ def things_of_answer(field: CodedScene, question: Question, number: int, answer:
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
-    table, numbers = field.thing_table, answering_things(field, answer)
-    if table is None or numbers is None:
+    numbers, of_things = answering_things(field, answer), thing_fits(field, question.one(number))
+    if numbers is None or of_things is None:
         return _connected_things(field, answer)
-    fits = ThingFits.of(table, question.one(number)).fits[:, 0]
+    fits = of_things.fits[:, 0]
     ranked = numbers[fits[numbers].argsort(descending=True, stable=True)].tolist()
     return [
         replace(

@@ -5,21 +5,53 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.query.locate import INSIDE, OrientedBox
+from scoup.base.brief import brief
+from scoup.base.records import rounded_vector
 from scoup.scene.gaussians import Gaussians
 
+INSIDE = 0.98
+"""Share of the weight inside an oriented box along each of its axes."""
 FARTHEST = 4.0
 """Gaussians farther from the middle of a thing than so many times its median distance are strays."""
 SPAN = 0.96
 """Share of a thing's weight within its span along a direction."""
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedBox:
+    """An oriented box in the world. Tensors are float64 on the CPU."""
+
+    centre: Tensor
+    """[3] world units."""
+    axes: Tensor
+    """[3, 3] one unit direction per row, right-handed, longest extent first."""
+    extent: Tensor
+    """[3] full lengths along the axes in world units."""
+
+    __repr__ = brief
+
+    def record(self) -> dict[str, Any]:
+        """Return the box as plain JSON values, rounded."""
+        axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
+        return {
+            "centre": rounded_vector(self.centre.tolist()),
+            "axes": axes,
+            "extent": rounded_vector(self.extent.tolist()),
+        }
+
+    def corners(self) -> Tensor:
+        """Return the corners [8, 3]."""
+        signs = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5], dtype=torch.float64)] * 3)
+        return self.centre + (signs * self.extent) @ self.axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +78,11 @@ class ThingPoints:
         near = (distance <= FARTHEST * usual[every.owners]) & (weights > 0)
         kept = np.concatenate([[0], np.cumsum(near)])[starts]
         return cls(means[near], weights[near], kept)
+
+    @classmethod
+    def of_one_thing(cls, points: Tensor, weights: Tensor) -> ThingPoints:
+        """From points [M, 3] and their weights [M], some above 0; none is taken for a stray."""
+        return cls(points.numpy(), weights.numpy(), np.array([0, len(points)]))
 
     def __len__(self) -> int:
         return len(self.starts) - 1

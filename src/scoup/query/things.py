@@ -17,22 +17,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from weakref import WeakKeyDictionary
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.query.coded_scene import CodedScene
+from scoup.query.known_things import ComparedThings, KnownThings
 from scoup.query.presence import other_words, word_leads
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.things import NO_THING, ThingTable
 
-HUB_QUANTILE, HUB_SHARE = 0.99, 0.5
-"""The words that fit a thing best are those above this quantile; this share of their cosine is subtracted."""
-FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
-"""The fit of a thing of R regions is lowered by the first / sqrt(R), as the error of a mean falls, and by the second
-times the logarithm of 1 / its stability."""
+HUB_SHARE = 0.5
+"""This share of the cosine with the words that fit a thing best is subtracted."""
 MOST_GAP = 3.0
 """The most spreads that a gap behind a set counts."""
 VOTES, LEAST_SCORE = 8.0, 0.5
@@ -46,50 +44,6 @@ LEAST_PART = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class _KnownThings:
-    """What fits of things to other texts reuse, kept while the table lives."""
-
-    embeddings: Tensor  # [T, D] float32
-    words: Tensor  # [B, D]
-    to_words: Tensor  # [T, B], their cosines
-    hubs: Tensor  # [T], the cosine at ``HUB_QUANTILE``
-    doubt: Tensor  # [T], how much few regions and instability lower a fit
-    spread: float
-    counts: Tensor  # [T] float64, Gaussians, at least 1
-    masses: WeakKeyDictionary[raster.Projection, Tensor] = field(default_factory=WeakKeyDictionary)
-    """Per projection [T] float64, what the Gaussians of each thing contribute to the view, and last what all do."""
-
-    @classmethod
-    def of(cls, things: ThingTable, words: Tensor) -> _KnownThings:
-        known = _KNOWN.get(things)
-        if known is None:
-            embeddings = things.embeddings.float().cpu()
-            regions, stability = things.n_regions.cpu().clamp(min=1), things.stability.cpu()
-            doubt = FEW_REGIONS * regions.rsqrt() - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
-            counts = things.sums(torch.ones(len(things.owners))).clamp(min=1)
-            none = words.new_zeros(0, words.shape[1])
-            known = cls(embeddings, none, none, none, doubt, things.spread, counts)
-        if not torch.equal(known.words, words):
-            to_words = known.embeddings @ words.T
-            known = replace(known, words=words.clone(), to_words=to_words, hubs=_upper(to_words))
-            _KNOWN[things] = known
-        return known
-
-    def mass(self, things: ThingTable, projection: raster.Projection) -> Tensor:
-        """[T + 1] float64, see ``masses``."""
-        if projection not in self.masses:
-            everywhere = torch.zeros(1, projection.height, projection.width, dtype=torch.int32)
-            sums = raster.region_sums(projection, everywhere.to(things.owners.device))
-            gaussian, _, weight = sums.triplets(0)
-            total = weight.double().sum().cpu()[None]
-            self.masses[projection] = torch.cat([things.sums_of(gaussian, weight), total])
-        return self.masses[projection]
-
-
-_KNOWN: WeakKeyDictionary[ThingTable, _KnownThings] = WeakKeyDictionary()
-
-
-@dataclass(frozen=True, eq=False)
 class ThingFits:
     """The fits of T things to Q texts, and what they are judged by."""
 
@@ -97,14 +51,14 @@ class ThingFits:
     fits: Tensor  # [T, Q] float32 in units of the spread
     cosines: Tensor  # [T, Q] float32, with the texts
     others: Tensor  # [Q, B] boolean, from ``other_words``
-    known: _KnownThings
+    known: ComparedThings
 
     @classmethod
-    def of(cls, things: ThingTable, texts: TextVectors) -> ThingFits:
+    def of(cls, things: ThingTable, texts: TextVectors, known_things: KnownThings | None = None) -> ThingFits:
         """Compare all things with all texts, on the CPU; canonical phrases replace too few everyday words."""
         words = (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
         queries = texts.queries.float().cpu()
-        known = _KnownThings.of(things, words)
+        known = (known_things or KnownThings()).compared(things, words)
         cosines = known.embeddings @ queries.T
         fits = (cosines - HUB_SHARE * known.hubs[:, None]) / known.spread - known.doubt[:, None]
         return cls(things, fits, cosines, other_words(queries, words), known)
@@ -134,10 +88,10 @@ class ThingFits:
         return lead + float(fits[best] - fits.mean()) / max(deviation, 1e-6) - STANDS_OUT
 
 
-def _upper(values: Tensor) -> Tensor:
-    """[T], the value at ``HUB_QUANTILE`` of each row of values [T, B], B >= 1."""
-    rank = max(1, math.ceil(HUB_QUANTILE * values.shape[1]))
-    return values.kthvalue(rank, dim=1).values
+def thing_fits(field: CodedScene, texts: TextVectors) -> ThingFits | None:
+    """Return the fits of a field's things to texts; None for a field without things."""
+    table = field.thing_table
+    return None if table is None else ThingFits.of(table, texts, field.known_things)
 
 
 def thing_of_scene(
@@ -198,7 +152,7 @@ def things_of_view(
         level: the one that answers; None: the best.
     """
     things, masks, presence = fits.things, [], []
-    mass, whole = fits.known.mass(things, projection).split([len(things), 1])
+    mass, whole = fits.known.mass(projection).split([len(things), 1])
     seen = mass > LEAST_PART * whole
     for start in range(0, len(voted), AT_A_TIME):
         part = voted[start : start + AT_A_TIME]

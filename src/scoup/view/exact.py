@@ -16,12 +16,12 @@ from scoup.pictures.colors import Picture
 from scoup.pictures.overlays import heat_overlay, mask_overlay
 from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import Draw, code_drawing
-from scoup.query.locate import weighted_quantiles
 from scoup.query.methods import FieldQueries
 from scoup.query.presence import mean_embedding
 from scoup.query.question import Question
 from scoup.query.relevancy import relevancy
 from scoup.query.text_vectors import TextVectors
+from scoup.query.thing_shapes import ThingPoints
 from scoup.scene.cameras import Camera
 
 PictureMode = Literal["color", "heat", "mask", "codes"]
@@ -142,7 +142,7 @@ def _position(
     """[3] float64: the point of the pixel's ray at the median depth of the weight."""
     means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()
     depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    depth = weighted_quantiles(depths, weights, [0.5])[0]
+    depth = ThingPoints.of_one_thing(depths[:, None], weights).medians().item()
     x, y = pixel[0] + 0.5, pixel[1] + 0.5
     ray = torch.tensor([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0], dtype=torch.float64)
     return camera.position + depth * (camera.viewmat[:3, :3].T @ ray)

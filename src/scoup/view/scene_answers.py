@@ -15,7 +15,7 @@ from scoup.query.coded_scene import CodedScene
 from scoup.query.presence import scene_z_scores, with_evidence
 from scoup.query.question import Question
 from scoup.query.select import Selection, level_thresholds, select_by_relevancy
-from scoup.query.things import ThingFits, things_of_scene
+from scoup.query.things import ThingFits, thing_fits, things_of_scene
 from scoup.view.unit_codes import atom_scores
 
 
@@ -67,7 +67,7 @@ def scene_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]
     present_from = question.present_from
     coded = field.coded_levels().cpu()
     scores = atom_scores(field, question.queries)
-    fits = None if field.thing_table is None else ThingFits.of(field.thing_table, question)
+    fits = thing_fits(field, question)
     for number, text in enumerate(question.texts):
         own = scores[:, :, number : number + 1].contiguous()
         query = question.queries[number : number + 1]
