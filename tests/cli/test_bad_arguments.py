@@ -73,8 +73,8 @@ def test_a_field_without_cameras_or_geometry():
         (("--tolerance", "nan"), "tolerance"),
         (("--seed", "-1"), "seed"),
         (("--solver", "magic"), "there is no solver 'magic'; solvers: 'adam'"),
-        (("--out", "a.ply"), "a.ply: give a name that ends in .scoup"),
-        (("--out", "scene"), "scene: give a name that ends in .scoup"),
+        (("--out", "a.ply"), "a.ply: expected a name that ends in .scoup"),
+        (("--out", "scene"), "scene: expected a name that ends in .scoup"),
     ],
 )
 def test_settings_out_of_range(options, said):

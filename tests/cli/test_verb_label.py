@@ -68,7 +68,7 @@ def test_words_of_a_list():
     assert [one["name"] for one in listed["classes"]] == ["mug", "kettle"]
     assert "expected" in refused("label", "f.scoup", "--words", "missing.txt")
     Path("empty.txt").write_text("\n")
-    assert "holds no word" in refused("label", "f.scoup", "--words", "empty.txt")
+    assert "contains no word" in refused("label", "f.scoup", "--words", "empty.txt")
 
 
 def test_without_cameras_there_is_no_sheet():

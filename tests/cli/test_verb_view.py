@@ -58,7 +58,7 @@ def test_bad_input_is_one_sentence():
         (["--most", "0"], "--most must be 1 or more"),
         (["--port", "70000"], "--port must be 0 to 65535"),
         (["--words", "missing.txt"], "missing.txt"),
-        (["--words", "empty.txt"], "empty.txt: holds no word"),
+        (["--words", "empty.txt"], "empty.txt: contains no word"),
         (["--words", "other.txt"], "zebra"),
         (["--text", "missing.npz"], "missing.npz"),
         (["--export", "f.scoup"], "give a name that ends in .html"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,7 +164,9 @@ def test_unknown_words_are_named(viewed: ViewedField) -> None:
         viewed.answers(["thing 77"])
 
 
-def test_the_vocabulary_is_the_table_without_its_phrases_or_a_list(viewed: ViewedField) -> None:
+def test_the_vocabulary_is_the_table_without_its_phrases_or_a_list(
+    viewed: ViewedField, tmp_path: Path
+) -> None:
     vocabulary = viewed.vocabulary()
     assert vocabulary is not None
     assert vocabulary.texts == WORDS
@@ -174,9 +177,12 @@ def test_the_vocabulary_is_the_table_without_its_phrases_or_a_list(viewed: Viewe
     with pytest.raises(UnknownNameError):
         ViewedField(random_field(), table(), ["nothing"]).vocabulary()
     assert "kettle" in everyday_vocabulary(_Model())  # pyright: ignore[reportArgumentType]
-    assert read_words("list.txt", " a  b\n\nc\na b\n") == ("a b", "c")
-    with pytest.raises(InputError, match=r"list.txt: holds no word"):
-        read_words("list.txt", " \n")
+    listed = tmp_path / "list.txt"
+    listed.write_text(" a  b\n\nc\na b\n")
+    assert read_words(listed) == ("a b", "c")
+    listed.write_text(" \n")
+    with pytest.raises(InputError, match=r"list.txt: contains no word"):
+        read_words(listed)
 
 
 class _Model:

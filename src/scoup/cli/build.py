@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.build_options import BuildOptions, report_field
+from scoup.cli.build_options import BuildOptions, check_field_name, check_field_output, report_field
 from scoup.cli.console import Console, kept
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
@@ -203,11 +203,10 @@ class Build(BuildOptions, ViewOptions):
         from scoup.base.shares import Share
         from scoup.io import check_output
         from scoup.io.camera_sources import scene_folder
-        from scoup.uplift.storage.paths import shard_path, sums_path
+        from scoup.uplift.storage.paths import shard_path
 
         out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
-        if out.suffix.lower() != ".scoup":
-            raise InputError(f"{out}: give a name that ends in .scoup")
+        check_field_name(out)
         if self.shard is not None:
             if not share.is_everything:
                 raise InputError(
@@ -220,12 +219,9 @@ class Build(BuildOptions, ViewOptions):
             return out
         if self.sums is not None and not share.is_everything:
             raise InputError("--sums needs one process: nothing is rasterised; run without torchrun")
-        complete(out)
-        check_output(out, self.overwrite)
-        if self.keep_sums:
-            if self.sums is not None:
-                raise InputError("--sums and --keep-sums do not go together: the sums are kept already")
-            check_output(sums_path(out), self.overwrite, is_folder=True)
+        if self.sums is not None and self.keep_sums:
+            raise InputError("--sums and --keep-sums do not go together: the sums are kept already")
+        check_field_output(out, self.overwrite, self.keep_sums)
         return out
 
     def _check_alone_with_shard(self) -> None:

@@ -53,6 +53,27 @@ class BuildOptions(WritesCommon):
         ]
 
 
+def check_field_output(out: Path, overwrite: bool, with_sums: bool) -> None:
+    """Complete what a killed process began at a field, then refuse it, or its region sums, if they may not be
+    written."""
+    from scoup.base.locks import complete
+    from scoup.io import check_output
+    from scoup.uplift.storage.paths import sums_path
+
+    complete(out)
+    check_output(out, overwrite)
+    if with_sums:
+        check_output(sums_path(out), overwrite, is_folder=True)
+
+
+def check_field_name(out: Path) -> None:
+    """Refuse a name that no field may have."""
+    from scoup.base.errors import InputError
+
+    if out.suffix.lower() != ".scoup":
+        raise InputError(f"{out}: expected a name that ends in .scoup; choose another")
+
+
 def report_field(
     console: Console,
     field: LanguageField,

@@ -30,17 +30,13 @@ class MakeCatalog(TextOptions, FrameOptions):
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""
-        from scoup.io.reading import existing_file, read_text
         from scoup.query.catalog_files import catalog_files, save_catalog
         from scoup.view.vocabulary import everyday_vocabulary, read_words
 
         check_metres(self.metres_per_unit)
         out = self.output_folder(self.out, "catalog")
         field = self.open_field()
-        if self.words is None:
-            words = everyday_vocabulary(self.text_encoder(field))
-        else:
-            words = read_words(str(self.words), read_text(existing_file(self.words, "a list of words")))
+        words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
         catalog = field.catalog(self.question(field, words, always=True), self.open_frame(field))
         cameras = list(field.cameras or ())
         files = catalog_files(catalog, cameras)

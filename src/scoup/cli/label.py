@@ -89,12 +89,9 @@ class Label(TextOptions, CameraOptions):
 
     def _words(self) -> tuple[str, ...]:
         """Those of the command line and those of the list, each once."""
-        from scoup.io.reading import existing_file, read_text
         from scoup.view.vocabulary import read_words
 
-        listed: tuple[str, ...] = ()
-        if self.words is not None:
-            listed = read_words(str(self.words), read_text(existing_file(self.words, "a list of words")))
+        listed = () if self.words is None else read_words(self.words)
         words = tuple(dict.fromkeys((*self.texts, *listed)))
         check_texts(words)
         return words

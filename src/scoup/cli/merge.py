@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.build_options import BuildOptions, report_field
+from scoup.cli.build_options import BuildOptions, check_field_name, check_field_output, report_field
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionGroups
 
@@ -66,9 +66,6 @@ class Merge(BuildOptions):
     def _output(self) -> Path:
         """The file to write, after checking that it and what goes beside it may be written."""
         from scoup.base.errors import InputError
-        from scoup.base.locks import complete
-        from scoup.io import check_output
-        from scoup.uplift.storage.paths import sums_path
 
         if not self.shards:
             raise InputError("name the shards to merge, as scoup build --shard has left them")
@@ -78,12 +75,8 @@ class Merge(BuildOptions):
             if found is None:
                 raise InputError(f"{self.shards[0]}: its name does not say which field it is of; give --out")
             out = self.shards[0].with_name(found[1])
-        if out.suffix.lower() != ".scoup":
-            raise InputError(f"{out}: give a name that ends in .scoup")
-        complete(out)
-        check_output(out, self.overwrite)
-        if self.keep_sums:
-            check_output(sums_path(out), self.overwrite, is_folder=True)
+        check_field_name(out)
+        check_field_output(out, self.overwrite, self.keep_sums)
         return out
 
 

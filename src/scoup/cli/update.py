@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted, share_of
+from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console, kept
 from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
 from scoup.cli.query_options import FieldOptions
@@ -186,15 +187,10 @@ class Update(FieldOptions, ViewOptions):
     def _output(self, also_sums: bool) -> Path:
         """The field to write, after checking that it, and its region sums, may be written."""
         from scoup.base.locks import complete
-        from scoup.io import check_output
-        from scoup.uplift.storage.paths import sums_path
 
         out = self.out or self.field
-        for path in dict.fromkeys((self.field, out)):
-            complete(path)
-        check_output(out, self.overwrite)
-        if also_sums:
-            check_output(sums_path(out), self.overwrite, is_folder=True)
+        complete(self.field)
+        check_field_output(out, self.overwrite, also_sums)
         return out
 
     def _source(self) -> Path:

@@ -75,13 +75,12 @@ class View(TextOptions):
 
     def _viewed(self, console: Console) -> ViewedField:
         """The field with its encoder; says why no text can be asked, if none can."""
-        from scoup.io.reading import read_text
         from scoup.view.page import page_files
         from scoup.view.viewed_field import ViewedField
         from scoup.view.vocabulary import read_words
 
         page_files()  # before anything that takes long
-        words = None if self.words is None else read_words(str(self.words), read_text(self.words))
+        words = None if self.words is None else read_words(self.words)
         viewed = ViewedField(self.open_field(), self.text, words, self.most)
         if viewed.words_problem is not None:
             console.warn(f"no text can be asked: {viewed.words_problem}")

@@ -11,7 +11,6 @@ from PIL import Image, ImageDraw, ImageFont
 from scoup.pictures.colors import Picture, as_picture
 
 INK, PAPER, FAINT = (245, 245, 245), (24, 26, 30), (168, 172, 180)
-SMALLEST_FONT = 9
 LEAST_WIDTH = 120  # pixels: narrower pictures get margins, so that their text has room
 MOST_LINES = 3  # of a text; what is longer ends in dots
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
+from scoup.io.reading import existing_file, read_text
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.coded_scene import CodedScene
@@ -33,19 +35,16 @@ def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in kept if name and name.casefold() not in phrases))
 
 
-def read_words(path: str, text: str) -> tuple[str, ...]:
-    """The words of a list, one a line; empty lines and repetitions are left out.
-
-    Args:
-        path: of the list, for the message.
-        text: its contents.
+def read_words(path: Path) -> tuple[str, ...]:
+    """Read a list of words, one per line; empty lines and repetitions are left out.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such file, or no word in it.
     """
+    text = read_text(existing_file(path, "a list of words"))
     words = tuple(dict.fromkeys(" ".join(line.split()) for line in text.splitlines() if line.strip()))
     if not words:
-        raise InputError(f"{path}: holds no word; write one a line")
+        raise InputError(f"{path}: contains no word; write one per line")
     return words
 
 
