@@ -13,8 +13,7 @@ STUDIES = Family(
     machine and the commit; docs/benchmarks has those that the documents cite, `python -m benchmarks.documents` makes
     their tables.
 
-    Programs of their own: `python -m benchmarks.gpu` (parity and times on a GPU) and `python -m benchmarks.scenes`
-    (writes the synthetic scenes as a data set).
+    A program of its own: `python -m benchmarks.gpu` (parity and times on a GPU).
     """,
     {
         "answers": "benchmarks.answers:Answers",
