@@ -57,7 +57,7 @@ def test_a_field_without_cameras_or_geometry():
     assert "bare.scoup: does not say where its Gaussians are; name them with --gaussians" in refused(
         "query", "bare.scoup", "kettle"
     )
-    assert "bare.scoup: holds no cameras; name a scene that has them with --scene" in refused(
+    assert "bare.scoup: contains no cameras; name a scene that has them with --scene" in refused(
         "query", "bare.scoup", "kettle", "--gaussians", "scene/point_cloud.ply"
     )
 

@@ -79,8 +79,8 @@ def test_a_build_checkpoint_that_is_damaged_costs_only_time():
     ("missing", "arguments", "named", "remedy"),
     [
         ("scene", BUILD, "scene", "check the path"),
-        (PLY, BUILD, "scene: holds no trained splat", "--gaussians"),
-        ("scene/sparse", BUILD, "scene: holds no cameras", "COLMAP"),
+        (PLY, BUILD, "scene: contains no trained splat", "--gaussians"),
+        ("scene/sparse", BUILD, "scene: contains no cameras", "COLMAP"),
         ("scene/language_features", BUILD, "scene/language_features", "--features"),
         (None, (*BUILD, "--gaussians", "no.ply"), "no.ply", "check the path"),
         (None, (*BUILD, "--features", "no"), "no: there is no such folder", "check the path"),
@@ -149,7 +149,7 @@ def test_a_splat_without_finite_values():
     save_gaussians(gaussians, "nan.ply")
     code, out, err = run(*BUILD, "--gaussians", "nan.ply")
     assert (code, out) == (2, "")
-    assert "error: nan.ply: holds no Gaussians with finite values" in err.splitlines()[-1]
+    assert "error: nan.ply: contains no Gaussians with finite values" in err.splitlines()[-1]
     assert not Path("a.scoup").exists()
 
 
@@ -259,7 +259,7 @@ def test_a_file_where_a_model_belongs():
         ),
         (
             "a.las",
-            "a .las file holds a mesh or a point cloud, not a trained splat; give the splat that training",
+            "a .las file contains a mesh or a point cloud, not a trained splat; use the splat that training",
         ),
         ("a.ply.gz", "is an archive; unpack it"),
     ],
@@ -321,7 +321,7 @@ def test_several_models_of_colmap():
     shutil.copytree("scene/sparse/0", "scene/sparse/10")
     shutil.copytree("scene/sparse/0", "scene/sparse/2")
     said = (
-        "scene/sparse/0: used, and 2 other COLMAP models not; to use another, give its folder "
+        "scene/sparse/0: used, and 2 other COLMAP models not; to use another, pass its folder "
         "(scene/sparse/2, scene/sparse/10)"
     )
     assert run_json("info", "scene")["warnings"] == [said]
@@ -333,18 +333,18 @@ def test_several_models_of_colmap():
 
 
 def test_a_folder_in_a_scene_or_above_scenes():
-    assert "scene/images: holds nothing known here" in (message := refused("info", "scene/images"))
-    assert "give the scene it is in: scene" in message
-    assert "give the scene it is in: scene" in refused("build", "scene/images", "--out", "a.scoup")
+    assert "scene/images: contains nothing known here" in (message := refused("info", "scene/images"))
+    assert "use the scene it is in: scene" in message
+    assert "use the scene it is in: scene" in refused("build", "scene/images", "--out", "a.scoup")
     iteration = Path("trained/point_cloud/iteration_30000")
     iteration.mkdir(parents=True)
     shutil.copy(PLY, iteration)
     write_inria_cameras(load_cameras("scene"), "trained/cameras.json")
-    assert "give the scene it is in: trained" in refused("build", iteration, "--out", "a.scoup")
+    assert "use the scene it is in: trained" in refused("build", iteration, "--out", "a.scoup")
     Path("all").mkdir()
     shutil.move("scene", "all/kitchen")
-    assert "give one of the scenes in it: all/kitchen" in refused("build", "all", "--out", "a.scoup")
-    assert "give one of the scenes in it: all/kitchen" in refused("info", "all")
+    assert "use one of the scenes in it: all/kitchen" in refused("build", "all", "--out", "a.scoup")
+    assert "use one of the scenes in it: all/kitchen" in refused("info", "all")
 
 
 def test_unreadable_photographs_are_counted_by_info():
@@ -388,17 +388,17 @@ def test_an_extraction_that_fails_at_once_leaves_nothing():
         (
             "scene",
             "scene",
-            "source and target are one folder; give a new folder, such as scene/language_features_",
+            "source and target are one folder; use a new folder, such as scene/language_features_",
         ),
         (
             "scene/language_features",
             "scene",
-            "scene: holds other things than region features (images, language_fea",
+            "scene: contains other things than region features (images, language_fea",
         ),
         (
             "scene",
             "scene/images",
-            "scene/images: holds other things than region features (view_00.png, view_01.png",
+            "scene/images: contains other things than region features (view_00.png, view_01.png",
         ),
     ],
 )

@@ -86,7 +86,7 @@ def test_region_features():
 
 def test_what_is_nothing_of_ours():
     Path("empty").mkdir()
-    assert "holds nothing known here" in refused("info", "empty")
+    assert "contains nothing known here" in refused("info", "empty")
     Path("a.xyz").write_text("x")
     assert "a.xyz: is not a kind of file known here" in refused("info", "a.xyz")
     Path("a.json").write_text("{")

@@ -78,7 +78,7 @@ def test_without_cameras_there_is_no_sheet():
     )
     command = ("label", "bare.scoup", "kettle", "--text", "scene/words.npz")
     assert "labels.png" not in run_json(*command, "--out", "a")["files"]
-    assert "holds no cameras" in refused(*command, "--out", "b", "--outputs", "maps")
+    assert "contains no cameras" in refused(*command, "--out", "b", "--outputs", "maps")
 
 
 @pytest.mark.parametrize(

@@ -78,11 +78,11 @@ def test_refusals(here):
         ("merge", *paths, *QUICK, "--out", "f.ply"): "ends in .scoup",
         ("merge", "gone.sums", "--out", "g.scoup"): "gone.sums: there is no such folder",
         ("merge", "scene/words.npz", "--out", "g.scoup"): "is not a folder of region sums",
-        ("merge", "words.sums"): "words.sums: its name does not say which field it is of; give --out",
+        ("merge", "words.sums"): "words.sums: its name does not say which field it is of; pass --out",
         ("merge", *paths, "--n-atoms", "0"): "must not exceed the 0 atoms",
         ("build", *SCENE, "--out", "g.scoup", "--shard", "1/2"): "g.scoup.1-of-2.sums: already exists",
         ("build", *SCENE, "--out", "g.scoup", "--shard", "5/4"): "invalid shard '5/4'; expected I/N",
-        ("build", *SCENE, "--shard", "1/4", "--keep-sums", "--k", "1"): "give --k, --keep-sums to scoup merge",
+        ("build", *SCENE, "--shard", "1/4", "--keep-sums", "--k", "1"): "pass --k, --keep-sums to scoup merge",
         ("build", *SCENE, "--shard", "1/4", "--sums", paths[0]): "there is nothing to rasterise",
     }  # fmt: skip
     for arguments, said in cases.items():

@@ -133,7 +133,7 @@ def test_nothing_to_write():
 
 
 def test_the_splat_itself_is_never_replaced():
-    assert "give another name" in refused(
+    assert "use another name" in refused(
         "select", "f.scoup", "kettle", "--out", "scene/point_cloud.ply", "--overwrite"
     )
     assert "already exists; pass --overwrite" in refused(
@@ -246,7 +246,7 @@ def test_a_picture_shows_before_and_after():
     ("options", "said"),
     [
         (["--out", "a.obj"], "cannot write Gaussians as .obj"),
-        (["--out", "a.ply", "--color", "red"], "give #rrggbb"),
+        (["--out", "a.ply", "--color", "red"], "expected #rrggbb"),
         (["--out", "a.ply", "--opacity", "2"], "--opacity must be 0 to 1"),
         (["--out", "a.ply", "--picture", "a.jpg"], "ends in .png"),
         (["--out", "a.ply", "--metres-per-unit", "0"], "--metres-per-unit must be above 0"),

@@ -53,7 +53,7 @@ def test_bad_input_is_one_sentence():
     Path("empty.txt").write_text("\n")
     Path("other.txt").write_text("zebra\n")
     for options, said in (
-        (["--export", "page.txt"], "page.txt: give a name that ends in .html"),
+        (["--export", "page.txt"], "page.txt: expected a name that ends in .html"),
         (["--split"], "--split belongs to --export"),
         (["--most", "0"], "--most must be 1 or more"),
         (["--port", "70000"], "--port must be 0 to 65535"),
@@ -61,7 +61,7 @@ def test_bad_input_is_one_sentence():
         (["--words", "empty.txt"], "empty.txt: contains no word"),
         (["--words", "other.txt"], "zebra"),
         (["--text", "missing.npz"], "missing.npz"),
-        (["--export", "f.scoup"], "give a name that ends in .html"),
+        (["--export", "f.scoup"], "expected a name that ends in .html"),
     ):
         assert said in refused("view", "f.scoup", *options)
     assert "missing.scoup" in refused("view", "missing.scoup")

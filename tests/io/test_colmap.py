@@ -112,7 +112,7 @@ def test_missing_and_damaged_models(tmp_path):
     with pytest.raises(FileFormatError, match="claims 1000000000000 images"):
         read_colmap(tmp_path)
     (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
-    with pytest.raises(FileFormatError, match="holds no cameras"):
+    with pytest.raises(FileFormatError, match="contains no cameras"):
         read_colmap(tmp_path)
     (tmp_path / "images.bin").write_bytes(images)
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 0))

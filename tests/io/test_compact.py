@@ -229,7 +229,7 @@ def test_conversions_that_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="no such folder"):
         convert_regions(tmp_path / "nowhere", tmp_path / "b")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingFileError, match="holds no region features"):
+    with pytest.raises(MissingFileError, match="contains no region features"):
         convert_regions(tmp_path / "empty", tmp_path / "b")
     assert not (tmp_path / "b").exists()
     convert_regions(tmp_path / "a", tmp_path / "b")
@@ -237,7 +237,7 @@ def test_conversions_that_are_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputExistsError):
         convert_regions(tmp_path / "a", tmp_path / "b")
     with pytest.raises(
-        InputError, match=r"holds region features made with other settings \(bits: 32, not 16\)"
+        InputError, match=r"contains region features made with other settings \(bits: 32, not 16\)"
     ):
         convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
     with pytest.raises(InputError, match="features of the layout compact"):

@@ -33,7 +33,7 @@ def refusals() -> dict[str, tuple[Any, str]]:
     return {
         "spz": (compress, "are compressed"),
         "required": (lambda root: root.update(extensionsRequired=["KHR_meshopt"]), "needs the extension"),
-        "mesh": (lambda root: primitive(root).update(extensions={}), "holds no Gaussians"),
+        "mesh": (lambda root: primitive(root).update(extensions={}), "contains no Gaussians"),
         "no node": (lambda root: root.update(scenes=[{"nodes": []}]), "stand in no node"),
         "triangles": (lambda root: primitive(root).update(mode=4), "not points"),
         "draft": (

@@ -54,7 +54,7 @@ def test_foreign_contents(tmp_path, capsys):
         with pytest.raises(FileFormatError, match=r"a\.pt"):
             read_gsplat_checkpoint(path)
     torch.save({"splats": Sneaky()}, path)
-    with pytest.raises(FileFormatError, match="holds Python objects other than tensors"):
+    with pytest.raises(FileFormatError, match="contains Python objects other than tensors"):
         read_gsplat_checkpoint(path)
     path.write_bytes(pickle.dumps({"splats": 1}))
     with pytest.raises(FileFormatError, match="bare Python pickle"):

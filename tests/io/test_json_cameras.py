@@ -96,7 +96,7 @@ def test_image_gives_size_and_extension(tmp_path):
         ({"frame": {"transform_matrix": np.diag([2.0, 2, 2, 1]).tolist()}}, "not a rotation"),
         ({"frame": {"transform_matrix": None}}, "transform_matrix"),
         ({"frame": {"file_path": 3}}, r"frames\[0\]\.file_path is 3, expected a text"),
-        ({"frames": []}, "holds no cameras"),
+        ({"frames": []}, "contains no cameras"),
         ({"frames": None}, "frames is missing, expected a list"),
     ],
 )

@@ -177,7 +177,7 @@ def test_images_of_another_shape_or_damaged(tmp_path):
 def test_no_cameras(tmp_path):
     with pytest.raises(MissingFileError, match="no such file or folder"):
         load_cameras(tmp_path / "none")
-    with pytest.raises(MissingFileError, match="holds no cameras"):
+    with pytest.raises(MissingFileError, match="contains no cameras"):
         load_cameras(tmp_path)
     (tmp_path / "a.ply").write_text("ply")
     with pytest.raises(FileFormatError, match="not a kind of camera file"):
@@ -195,7 +195,7 @@ def test_gaussians_of_every_kind(tmp_path):
     assert same_gaussians(load_gaussians(tmp_path), gaussians)
     save_gaussians(gaussians, tmp_path / "b.splat")
     assert len(load_gaussians(tmp_path / "b.splat")) == 5
-    with pytest.raises(MissingFileError, match=r"holds 2 splats \(a\.ply, b\.splat\)"):
+    with pytest.raises(MissingFileError, match=r"contains 2 splats \(a\.ply, b\.splat\)"):
         load_gaussians(tmp_path)
     save_checkpoint(gaussians, tmp_path / "ckpts" / "ckpt_1_rank0.pt")
     for path in (tmp_path, tmp_path / "ckpts", tmp_path / "ckpts" / "ckpt_1_rank0.pt"):
@@ -209,7 +209,7 @@ def test_gaussians_of_every_kind(tmp_path):
 def test_no_gaussians(tmp_path):
     with pytest.raises(MissingFileError, match="no such file or folder"):
         load_gaussians(tmp_path / "none.ply")
-    with pytest.raises(MissingFileError, match="holds no trained splat"):
+    with pytest.raises(MissingFileError, match="contains no trained splat"):
         load_gaussians(tmp_path)
     (tmp_path / "a.lcc").write_bytes(b"x")
     with pytest.raises(
@@ -222,7 +222,7 @@ def test_no_gaussians(tmp_path):
     with pytest.raises(InputError, match=r"use one of \.ply, "):
         save_gaussians(some_gaussians(), tmp_path / "a.obj")
     save_gaussians(some_gaussians(0), tmp_path / "empty.ply")
-    with pytest.raises(FileFormatError, match="holds no Gaussians"):
+    with pytest.raises(FileFormatError, match="contains no Gaussians"):
         load_gaussians(tmp_path / "empty.ply")
     with pytest.raises(OutputExistsError):
         save_gaussians(some_gaussians(1), tmp_path / "empty.ply")

@@ -82,11 +82,11 @@ def test_a_single_number_is_no_part(name: str) -> None:
         ("parents", 0, 5, "name one beyond the 5"),
         ("parents", 1, -7, "name one beyond the 5"),
         ("levels", 4, 2, "of a level beyond the 2"),
-        ("embeddings", (1, 3), math.nan, "embeddings of things holds values that are not finite"),
-        ("embeddings", (1, 3), math.inf, "embeddings of things holds values that are not finite"),
-        ("agreement", 2, math.nan, "agreement of things holds"),
-        ("mass", 0, -math.inf, "mass of things holds"),
-        ("stability", 1, math.nan, "stability of things holds"),
+        ("embeddings", (1, 3), math.nan, "embeddings of things contains values that are not finite"),
+        ("embeddings", (1, 3), math.inf, "embeddings of things contains values that are not finite"),
+        ("agreement", 2, math.nan, "agreement of things contains"),
+        ("mass", 0, -math.inf, "mass of things contains"),
+        ("stability", 1, math.nan, "stability of things contains"),
     ],
 )
 def test_values_that_make_no_sense_are_refused(name: str, place: Any, value: float, message: str) -> None:

@@ -32,12 +32,12 @@ def check_output(path: str | Path, overwrite: bool = False, is_folder: bool = Fa
     """
     path = Path(path)
     if os.path.isdir(path) and not is_folder:
-        raise InputError(f"{path}: is a folder; give the name of a file to write")
+        raise InputError(f"{path}: is a folder; use the name of a file to write")
     if os.path.isfile(path) and is_folder:
         raise InputError(f"{path}: is a file; move it, as a folder of this name is written")
     if os.path.lexists(path):
         if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
-            raise InputError(f"{path}: is not a regular file; give another name")
+            raise InputError(f"{path}: is not a regular file; use another name")
         if not overwrite:
             raise OutputExistsError(path)
     for parent in path.absolute().parents:

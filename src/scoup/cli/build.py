@@ -233,7 +233,7 @@ class Build(BuildOptions, ViewOptions):
             raise InputError("--sums and --shard do not go together: there is nothing to rasterise")
         later = self.given() + (["--keep-sums"] if self.keep_sums else [])
         if later:
-            raise InputError(f"--shard makes region sums only; give {listed(later, 9)} to scoup merge")
+            raise InputError(f"--shard makes region sums only; pass {listed(later, 9)} to scoup merge")
 
     def _region_sums(self, out: Path, loaded: _Loaded) -> AbstractContextManager[RegionSums]:
         """The sums named, or those in the folder beside the output in which a build keeps what it has done."""

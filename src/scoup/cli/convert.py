@@ -81,7 +81,7 @@ class Convert(WritesCommon):
             raise FileFormatError(
                 self.source,
                 "is nothing that is converted here",
-                "give a splat and the name of another, a folder of region features, features (.npy, .pt) or "
+                "use a splat and the name of another, a folder of region features, features (.npy, .pt) or "
                 "LangSplatV2's checkpoint (.pth)",
             )
 
@@ -96,7 +96,7 @@ class Convert(WritesCommon):
 
         check_output(self.target, self.overwrite)
         if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
-            raise InputError(f"{self.target}: is the source; give another name")
+            raise InputError(f"{self.target}: is the source; use another name")
         gaussians = load_gaussians(self.source)
         save_gaussians(gaussians, self.target, self.overwrite)
         size = self.target.stat().st_size
@@ -169,7 +169,7 @@ class Convert(WritesCommon):
         from scoup.io import check_output
 
         if self.target.suffix.lower() != ".scoup":
-            raise InputError(f"{self.target}: {self.source} becomes a field; give a name that ends in .scoup")
+            raise InputError(f"{self.target}: {self.source} becomes a field; use a name that ends in .scoup")
         check_output(self.target, self.overwrite)
 
     def _model(self) -> str:

@@ -73,7 +73,7 @@ class Merge(BuildOptions):
         if out is None:
             found = re.fullmatch(r"(.+\.scoup)\.\d+-of-\d+\.sums", self.shards[0].name)
             if found is None:
-                raise InputError(f"{self.shards[0]}: its name does not say which field it is of; give --out")
+                raise InputError(f"{self.shards[0]}: its name does not say which field it is of; pass --out")
             out = self.shards[0].with_name(found[1])
         check_field_name(out)
         check_field_output(out, self.overwrite, self.keep_sums)

@@ -107,7 +107,7 @@ class CameraOptions(FieldOptions):
             # Rendering is always through the ideal pinhole, so distortion is no obstacle here.
             cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
         if cameras is None or not len(cameras):
-            raise InputError(f"{self.field}: holds no cameras; name a scene that has them with --scene")
+            raise InputError(f"{self.field}: contains no cameras; name a scene that has them with --scene")
         longest = max(max(camera.width, camera.height) for camera in cameras)
         if not (self.scale > 0 and math.isfinite(self.scale)) or longest * self.scale > LONGEST_SIDE:
             most = LONGEST_SIDE / longest

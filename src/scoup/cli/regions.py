@@ -48,7 +48,7 @@ class ShowRegions(WritesCommon):
         camera: Camera = cameras[self.view]
         out = self.out or Path(f"{camera.stem}_regions.png")
         if out.suffix.lower() != ".png":
-            raise InputError(f"{out}: give a name that ends in .png")
+            raise InputError(f"{out}: expected a name that ends in .png; choose another")
         check_output(out, self.overwrite)
         folder = self.features or scene_folder(self.scene)
         regions: Regions = load_regions(folder, [camera])

@@ -84,7 +84,7 @@ class Render(TextOptions, CameraOptions):
         from scoup.base.errors import InputError
 
         if (self.what == "relevancy") != (self.query is not None):
-            raise InputError("--what relevancy and --query TEXT belong together; give both or neither")
+            raise InputError("--what relevancy and --query TEXT belong together; pass both or neither")
         check_frame_rate(self.frames_per_second)
 
     def _drawing(self, field: LanguageField) -> Draw:
@@ -106,7 +106,7 @@ def _check_one_file(out: Path, cameras: list[Camera]) -> None:
 
     kind = out.suffix.lower()
     if kind == ".png" and len(cameras) > 1:
-        raise InputError(f"{out}: one picture cannot hold {len(cameras)} views; give a folder, .webp or .gif")
+        raise InputError(f"{out}: one picture cannot hold {len(cameras)} views; use a folder, .webp or .gif")
     if kind in ANIMATIONS and len({(camera.width, camera.height) for camera in cameras}) > 1:
         raise InputError(
             f"{out.name}: the views differ in size, and an animation needs one size; choose views with --camera"

@@ -103,7 +103,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         shape = Reshaping(self.largest, self.shrink, self.grow, self.within)
         self._check_options()
         if self.edit == "ids" and (shape.changes or not expression.is_plain):
-            raise InputError("--edit ids numbers texts: give them without and, or, not, and without a shape")
+            raise InputError("--edit ids numbers texts: pass them without and, or, not, and without a shape")
         field = self.open_field()
         self._check_out(field)
         question = self.question(
@@ -145,9 +145,9 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             check_splat_name(self.out, "a field (.scoup)")
         if self.edit == "ids" and not self._is_plain_ply():
             what = "a field" if is_field else "this format"
-            raise InputError(f"{self.out}: {what} has no column of ids; give a name that ends in .ply")
+            raise InputError(f"{self.out}: {what} has no column of ids; use a name that ends in .ply")
         if self.picture is not None and self.picture.suffix.lower() != ".png":
-            raise InputError(f"{self.picture}: the picture is a PNG; give a name that ends in .png")
+            raise InputError(f"{self.picture}: the picture is a PNG; use a name that ends in .png")
         for path in (self.out, self.picture):
             if path is not None:
                 check_output(path, self.overwrite)
@@ -160,7 +160,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         from scoup.base.errors import InputError
 
         if not re.fullmatch("#?[0-9a-fA-F]{6}", self.color):
-            raise InputError(f"--color {self.color}: is no colour; give #rrggbb, for example #ff5c28")
+            raise InputError(f"--color {self.color}: is not a colour; expected #rrggbb, for example #ff5c28")
         red, green, blue = bytes.fromhex(self.color[-6:])
         return red / 255, green / 255, blue / 255
 
@@ -174,7 +174,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             ("field that is queried", self.field),
         ):
             if source and self.out.exists() and source.exists() and self.out.samefile(source):
-                raise InputError(f"{self.out}: is the {what}; give another name with --out")
+                raise InputError(f"{self.out}: is the {what}; use another name with --out")
 
     def _check_found(self, answer: SceneAnswer, absent: list[str]) -> None:
         """Refuse to write nothing, or the scene as it was.
@@ -189,7 +189,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             return
         advice = "try a higher --threshold" if found else "try a lower --threshold"
         if absent and not found:
-            advice = f"{'; '.join(absent)}; --always chooses something all the same"
+            advice = f"{'; '.join(absent)}; --always chooses something anyway"
         raise InputError(
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )

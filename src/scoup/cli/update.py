@@ -76,7 +76,7 @@ class Update(FieldOptions, ViewOptions):
             self._follow(console, self.edited)
             return
         if self.tolerance is not None:
-            raise InputError("--tolerance says how splats are matched; give the edited one with --edited")
+            raise InputError("--tolerance says how splats are matched; pass the edited one with --edited")
         if not self.add and not self.remove:
             raise InputError("say what to do: --add NAME, --add all, --remove NAME, or --edited SPLAT")
         self._change_views(console)

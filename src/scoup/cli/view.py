@@ -67,11 +67,11 @@ class View(TextOptions):
         if self.port is not None and not 0 <= self.port <= 65535:
             raise InputError(f"--port must be 0 to 65535, got {self.port}")
         if self.split and self.export is None:
-            raise InputError("--split belongs to --export; give both or neither")
+            raise InputError("--split belongs to --export; pass both or neither")
         if self.export is None:
             check_needed()
         elif not self.split and self.export.suffix.lower() not in (".html", ".htm"):
-            raise InputError(f"{self.export}: give a name that ends in .html, or --split for a folder")
+            raise InputError(f"{self.export}: expected a name that ends in .html; for a folder, pass --split")
 
     def _viewed(self, console: Console) -> ViewedField:
         """The field with its encoder; says why no text can be asked, if none can."""

@@ -197,7 +197,7 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
 
     what = "a SCOUP language field"
     if path.is_dir():
-        raise MissingFileError(path, f"is a folder, not {what}", "give the file itself")
+        raise MissingFileError(path, f"is a folder, not {what}", "use the file itself")
     if not path.is_file():
         raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
     with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:

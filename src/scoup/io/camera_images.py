@@ -51,7 +51,7 @@ def attach_images(
         named = listed([camera.name for camera in others])
         raise MissingFileError(
             Path(images), f"has {none_of(len(cameras), 'image')} ({named})",
-            "give the folder of their photographs",
+            "use the folder of their photographs",
         )  # fmt: skip
     kept = missing_images == "keep" or not attached
     _warn_of_unreadable(source, unreadable, len(cameras), kept)
@@ -147,7 +147,7 @@ def _resized_to_image(
         raise FileFormatError(
             path,
             f"is {width} x {height} pixels, another shape than its camera ({camera.width} x {camera.height})",
-            "give the images these cameras were made with, neither cropped nor rotated",
+            "use the images these cameras were made with, neither cropped nor rotated",
         )
     if not PurePosixPath(camera.name).suffix:
         camera = replace(camera, name=camera.name + path.suffix)

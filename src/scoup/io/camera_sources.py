@@ -85,7 +85,7 @@ def _source_of_folder(path: Path) -> CameraSource:
         if models:
             return CameraSource("colmap", models[0], (scene_folder(models[0]),), tuple(models[1:]))
     raise MissingFileError(
-        path, "holds no cameras (sparse/0, transforms.json or cameras.json)", where_cameras_are(path)
+        path, "contains no cameras (sparse/0, transforms.json or cameras.json)", where_cameras_are(path)
     )
 
 
@@ -106,7 +106,7 @@ def _source_of_results(results: Path) -> CameraSource:
     data, normalised = gsplat_data(results)
     source, config = _source_of_data(data), results / GSPLAT_CONFIG
     if source.format != "colmap":
-        problem = f"names {data}, which is no COLMAP scene, as gsplat's trainer needs one"
+        problem = f"names {data}, which is not a COLMAP scene, as gsplat's trainer needs one"
         raise FileFormatError(config, problem, "the file is damaged, or the data have changed since")
     return replace(source, frame=config if normalised else None)
 
@@ -145,11 +145,11 @@ def where_cameras_are(path: Path) -> str:
     if not path.is_absolute():
         above = [Path(os.path.relpath(place)) for place in above]
     below = [item for item in sorted(path.iterdir()) if item.is_dir()][:_MOST_FOLDERS]
-    for places, what in ((above, "give the scene it is in"), (below, "give one of the scenes in it")):
+    for places, what in ((above, "use the scene it is in"), (below, "use one of the scenes in it")):
         scenes = [str(place) for place in places if _has_cameras(place)][: 1 if places is above else 3]
         if scenes:
             return f"{what}: {', '.join(scenes)}"
-    return "give a scene folder of COLMAP, nerfstudio or Inria's code"
+    return "use a scene folder of COLMAP, nerfstudio or Inria's code"
 
 
 def _has_cameras(folder: Path) -> bool:
@@ -163,7 +163,7 @@ def _source_of_file(path: Path) -> CameraSource:
         return CameraSource("colmap", folder, (scene_folder(folder),))
     if path.suffix.lower() != ".json":
         raise FileFormatError(
-            path, "is not a kind of camera file known here", "give transforms.json or cameras.json"
+            path, "is not a kind of camera file known here", "use transforms.json or cameras.json"
         )
     with open(path, "rb") as stream:
         start = stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")

@@ -184,7 +184,7 @@ def open_image(path: Path) -> Iterator[Any]:
         )
     size = path.stat().st_size
     if width * height > max(ANY_PIXELS, PIXELS_A_BYTE * size):
-        problem = f"claims {width} x {height} pixels, more than a photograph of {size:,} bytes holds"
+        problem = f"claims {width} x {height} pixels, more than a photograph of {size:,} bytes can contain"
         raise FileFormatError(path, problem, "the file is damaged; copy it again")
     # Not from the file itself: where a chunk claims gigabytes, Pillow would ask the system for as many.
     data = io.BytesIO(read_bytes(path))

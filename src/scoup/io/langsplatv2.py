@@ -19,7 +19,7 @@ from scoup.io.torch_file import float_tensor, load_torch
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _WHAT = "a checkpoint of LangSplatV2 (chkpnt<step>.pth, trained with features)"
-_WITHOUT_OBJECTS = "give the chkpnt<step>.pth that LangSplatV2 wrote"
+_WITHOUT_OBJECTS = "use the chkpnt<step>.pth that LangSplatV2 wrote"
 _ENTRIES = 14  # of what is captured with features; without, there are 12
 
 
@@ -38,10 +38,10 @@ def read_langsplatv2(path: str | Path) -> LangSplatV2Level:
     content = load_torch(path, _WHAT, _WITHOUT_OBJECTS, numpy_numbers=True)
     captured = content[0] if isinstance(content, (tuple, list)) and len(content) == 2 else None
     if not isinstance(captured, (tuple, list)) or len(captured) < _ENTRIES - 2:
-        raise FileFormatError(path, "holds no captured Gaussians", f"it should be {_WHAT}")
+        raise FileFormatError(path, "contains no captured Gaussians", f"it should be {_WHAT}")
     if len(captured) < _ENTRIES:
         problem = "was saved without language features (12 entries)"
-        raise FileFormatError(path, problem, "give a checkpoint of the training with --include_feature")
+        raise FileFormatError(path, problem, "use a checkpoint of the training with --include_feature")
     means = _floats(path, captured[1], (-1, 3), "xyz")
     count = len(means)
     rest = _floats(path, captured[3], (count, -1, 3), "features_rest")

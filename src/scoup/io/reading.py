@@ -136,7 +136,7 @@ def make_camera(
 def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
     """Return the cameras in order of their names."""
     if not cameras:
-        raise FileFormatError(path, "holds no cameras", "register at least one image")
+        raise FileFormatError(path, "contains no cameras", "register at least one image")
     try:
         return Cameras(sorted(cameras, key=lambda camera: camera.name))
     except InputError as error:

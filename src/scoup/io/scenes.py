@@ -65,7 +65,7 @@ def load_gaussians(path: str | Path) -> Gaussians:
     else:
         gaussians = READERS[path.suffix.lower()](path)
     if not len(gaussians):
-        raise FileFormatError(path, "holds no Gaussians with finite values", "export the splat again")
+        raise FileFormatError(path, "contains no Gaussians with finite values", "export the splat again")
     return gaussians
 
 
@@ -109,7 +109,7 @@ def find_gaussians(path: str | Path) -> Path:
     if os.path.isfile(path):
         if path.suffix.lower() not in (*READERS, *_CHECKPOINTS):
             raise FileFormatError(
-                path, *(other_format(path) or ("is not a kind of splat known here", f"give {READ}"))
+                path, *(other_format(path) or ("is not a kind of splat known here", f"use {READ}"))
             )
         return path
     if not os.path.isdir(path):
@@ -134,7 +134,7 @@ def find_gaussians(path: str | Path) -> Path:
     ]
     if len(found) != 1:
         names = listed([item.name for item in found], 5)
-        problem = f"holds {len(found)} splats ({names})" if found else "holds no trained splat"
+        problem = f"contains {len(found)} splats ({names})" if found else "contains no trained splat"
         raise MissingFileError(path, problem, "name the file of the splat itself")
     return found[0]
 
@@ -186,7 +186,7 @@ def load_cameras(
     if source.others:
         others = ", ".join(str(other) for other in source.others)
         warnings.warn(
-            f"{source.path}: used, and {counted(len(source.others), 'other COLMAP model')} not; to use another, give "
+            f"{source.path}: used, and {counted(len(source.others), 'other COLMAP model')} not; to use another, pass "
             f"its folder ({others})",
             ScoupWarning,
             stacklevel=2,

@@ -19,7 +19,7 @@ from scoup.base.errors import FileFormatError
 from scoup.io.reading import existing_file, read_bytes
 
 _PICKLE = b"\x80"
-_OBJECTS = "holds Python objects other than tensors; it was not opened, because that could run code"
+_OBJECTS = "contains Python objects other than tensors; it was not opened, because that could run code"
 _TAKES_MEMORY = re.compile(
     r"\S+ (bytearray|UntypedStorage|TypedStorage)|torch(\.\w+)* \w*Tensor"
 )  # names in a pickle

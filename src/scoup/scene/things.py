@@ -70,7 +70,7 @@ class ThingTable:
             raise InputError(f"a thing is of a level beyond the {self.owners.shape[1]}")
         for name in ("embeddings", "agreement", "mass", "stability"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
-                raise InputError(f"{name} of things holds values that are not finite")
+                raise InputError(f"{name} of things contains values that are not finite")
 
     def __len__(self) -> int:
         return len(self.levels)

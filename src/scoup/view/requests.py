@@ -28,7 +28,7 @@ class Message:
         """Return the 1 to ``MOST_TEXTS`` texts in "texts"."""
         texts = self.fields.get("texts")
         if not isinstance(texts, list) or not 1 <= len(texts) <= MOST_TEXTS:
-            raise InputError(f"give 1 to {MOST_TEXTS} texts to look for")
+            raise InputError(f"pass 1 to {MOST_TEXTS} texts to look for")
         return [_checked_text(text) for text in texts]
 
     def things(self) -> dict[int, str]:

@@ -39,8 +39,8 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
     if not is_model(folder):
         raise MissingFileError(
             folder,
-            "holds no COLMAP model (cameras and images, both .bin or both .txt)",
-            "give the folder sparse/0",
+            "contains no COLMAP model (cameras and images, both .bin or both .txt)",
+            "use the folder sparse/0",
         )
     end = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
     parser = colmap_binary if end == ".bin" else colmap_text
@@ -76,7 +76,7 @@ def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
         return colmap_binary.read_points(folder / "points3D.bin")
     if (folder / "points3D.txt").is_file():
         return colmap_text.read_points(folder / "points3D.txt")
-    raise MissingFileError(folder, "holds no points3D.bin or points3D.txt", "give the folder sparse/0")
+    raise MissingFileError(folder, "contains no points3D.bin or points3D.txt", "use the folder sparse/0")
 
 
 def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
@@ -95,8 +95,8 @@ def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
         points, images = folder / f"points3D{end}", folder / f"images{end}"
         if points.is_file() and images.is_file():
             return parser.read_tracks(points, images)
-    problem = "holds no points3D and images (both .bin or both .txt)"
-    raise MissingFileError(folder, problem, "give the folder sparse/0")
+    problem = "contains no points3D and images (both .bin or both .txt)"
+    raise MissingFileError(folder, problem, "use the folder sparse/0")
 
 
 def write_colmap(
@@ -147,7 +147,7 @@ def _pinhole(
             raise FileFormatError(
                 path,
                 f"camera model {lens.model} is not supported",
-                "make pinhole images with colmap image_undistorter and give its result",
+                "make pinhole images with colmap image_undistorter and use its result",
             )
 
 

@@ -15,7 +15,7 @@ _UP = np.array([0.0, -1.0, 0.0])
 _TURNS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 _CLEARLY = 0.7  # of the distance without a turn
 _COMPARED = 20_000  # points and means
-_REMEDY = "give cameras in the frame of the splat"
+_REMEDY = "use cameras in the frame of the splat"
 
 
 def in_gsplat_frame(cameras: Cameras, model: Path, means: np.ndarray | None = None) -> Cameras:

@@ -114,8 +114,8 @@ def latest_point_cloud(folder: str | Path) -> Path:
     if not found:
         raise MissingFileError(
             inner,
-            "holds no iteration_*/point_cloud.ply",
-            "give the folder that training wrote, or the PLY itself",
+            "contains no iteration_*/point_cloud.ply",
+            "use the folder that training wrote, or the PLY itself",
         )
     return max(found)[1]
 

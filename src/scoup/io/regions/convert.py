@@ -70,7 +70,7 @@ def convert_regions(
     target = Path(target)
     if target.exists() and target.resolve() in (store.folder.resolve(), Path(source).resolve()):
         raise InputError(
-            f"{target}: source and target are one folder; give a new folder, such as "
+            f"{target}: source and target are one folder; use a new folder, such as "
             f"{store.folder.with_name(f'{store.folder.name}_{layout or _other(store.layout)}')}"
         )
     to_layout = layout or _other(store.layout)
@@ -81,8 +81,8 @@ def convert_regions(
     manifest = RegionManifest.of(to_layout, embedding_model or model, settings, bits)
     stems = store.stems()
     if not stems:
-        problem = "holds no region features"
-        raise MissingFileError(store.folder, problem, "give a folder with *_s.npy or *.regions files")
+        problem = "contains no region features"
+        raise MissingFileError(store.folder, problem, "use a folder with *_s.npy or *.regions files")
     _check_target(target, manifest, stems, overwrite)
     there = RegionStore.check_new(target, manifest, overwrite)
     before = after = 0
@@ -124,14 +124,14 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
     )
     if foreign:
         raise InputError(
-            f"{target}: holds other things than region features ({listed(foreign)}); give a folder for them alone, "
+            f"{target}: contains other things than region features ({listed(foreign)}); use a folder for them alone, "
             f"such as {target / f'{FOLDER_NAME}_{manifest.layout}'}"
         )
     there = RegionStore.open(target)
     present = view_files(target, there.endings[0])
     if present and there.layout != manifest.layout:
         raise InputError(
-            f"{target}: holds features of the layout {there.layout} ({present[0].name}); choose another folder"
+            f"{target}: contains features of the layout {there.layout} ({present[0].name}); choose another folder"
         )
     if there.manifest in (None, manifest):
         RegionStore(target, manifest, manifest.layout).check_free(stems, overwrite)

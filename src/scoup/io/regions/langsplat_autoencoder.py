@@ -25,7 +25,7 @@ Decoder = Callable[[np.ndarray], np.ndarray]
 def read_autoencoder(path: str | Path) -> Decoder:
     """Return the decoder in a checkpoint, read with torch's restricted loader."""
     path = Path(path)
-    content = load_torch(path, _WHAT, "give the best_ckpt.pth that LangSplat's train.py wrote")
+    content = load_torch(path, _WHAT, "use the best_ckpt.pth that LangSplat's train.py wrote")
     names = content if isinstance(content, dict) else {}
     numbers = sorted(int(found[1]) for name in names if (found := _WEIGHT.fullmatch(str(name))))
     if not numbers:
@@ -45,7 +45,7 @@ def read_autoencoder(path: str | Path) -> Decoder:
     def decode(rows: np.ndarray) -> np.ndarray:
         if rows.shape[1] != layers[0][0].shape[1]:
             raise InputError(
-                f"{path}: decodes rows of {layers[0][0].shape[1]} numbers, but the regions have {rows.shape[1]}; give "
+                f"{path}: decodes rows of {layers[0][0].shape[1]} numbers, but the regions have {rows.shape[1]}; use "
                 "the autoencoder of this scene, and its language_features_dim3"
             )
         blocks = [

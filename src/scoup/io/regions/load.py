@@ -54,7 +54,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     check_arguments("load_regions", folder=(folder, PATH), cameras=(cameras, expected))
     store, cameras = RegionStore.open(folder), listed
     if not cameras:
-        raise InputError(f"{store.folder}: cannot load regions for no cameras; give at least one camera")
+        raise InputError(f"{store.folder}: cannot load regions for no cameras; pass at least one camera")
     check_stems(store.folder, (camera.name for camera in cameras))
     views: dict[str, tuple[Camera, StoredView]] = {}
     for camera in cameras:
@@ -98,7 +98,7 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
         InputError: other levels, levels of different sizes, or two views with one stem.
     """
     if regions.levels != LEVELS:
-        raise InputError(f"the LangSplat layout holds levels {list(LEVELS)}, not {list(regions.levels)}")
+        raise InputError(f"the LangSplat layout contains levels {list(LEVELS)}, not {list(regions.levels)}")
     store = RegionStore(Path(folder))
     check_stems(store.folder, regions.view_names)
     store.check_free([stem_of(name) for name in regions.view_names], overwrite)
@@ -120,7 +120,7 @@ def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingF
     return MissingFileError(
         store.folder,
         f"has features of {none_of(len(cameras), 'camera')}: expected {expected}; {found}",
-        "give the features of these images",
+        "use the features of these images",
     )
 
 
@@ -132,7 +132,7 @@ def _check_view(view: StoredView, camera: Camera, first: StoredView) -> None:
         raise FileFormatError(
             view.labels_path,
             f"is {view.width} x {view.height}, of another shape than its image ({camera.width} x {camera.height})",
-            "these are features of other images; give those of this scene",
+            "these are features of other images; use those of this scene",
         )
     if view.dim != first.dim:
         raise FileFormatError(

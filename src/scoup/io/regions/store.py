@@ -65,21 +65,21 @@ class RegionStore:
     ) -> RegionManifest | None:
         """Check that views of a manifest may be written into a folder; the manifest that is there, None for none."""
         if folder.is_file():
-            raise InputError(f"{folder}: is a file; give the name of a folder")
+            raise InputError(f"{folder}: is a file; use the name of a folder")
         there = read_manifest(folder) if folder.is_dir() else None
         if there is None:
             endings = [layout.ENDINGS[0] for layout in _LAYOUTS.values()]
             foreign = [path.name for ending in endings for path in view_files(folder, ending)]
             if foreign:
                 raise InputError(
-                    f"{folder}: holds region features that were not made by scoup ({foreign[0]}"
+                    f"{folder}: contains region features that were not made by scoup ({foreign[0]}"
                     f"{', ...' if len(foreign) > 1 else ''}); choose another folder, or move them away"
                 )
         elif there != manifest and not overwrite:
             listed = "; ".join(manifest.differences(there))
             raise InputError(
-                f"{folder}: holds region features made with other settings ({listed}); use the same settings, choose "
-                "another folder, or pass `overwrite=True` to make everything again"
+                f"{folder}: contains region features made with other settings ({listed}); use the same settings, "
+                "choose another folder, or pass `overwrite=True` to make everything again"
             )
         check_output(folder / MANIFEST, overwrite=True)
         return there

@@ -64,7 +64,7 @@ def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: 
         plain, made = Path(folder) / "splat.ply", Path(folder) / "converted"
         write_ply(gaussians, plain)
         if not _convert(plain, "ply", made, path.suffix.lower()[1:]):
-            raise ScoupError(f"{path}: gaussforge cannot write these Gaussians; give another format")
+            raise ScoupError(f"{path}: gaussforge cannot write these Gaussians; use another format")
         with atomic_file(path, overwrite) as stream:
             stream.write(made.read_bytes())
 

@@ -122,7 +122,7 @@ def write_gltf(
     """
     path = Path(path)
     if path.suffix.lower() not in (".glb", ".gltf"):
-        raise InputError(f"{path}: glTF files end in .glb or .gltf; give such a name")
+        raise InputError(f"{path}: glTF files end in .glb or .gltf; use such a name")
     if features is not None and len(features.ids) != len(gaussians):
         raise InputError(f"features are of {len(features.ids):,} Gaussians, not of {len(gaussians):,}")
     finite, kept = keep_finite(**_writable(gaussians, path), source=str(path))
@@ -173,7 +173,7 @@ def _no_gaussians(document: GltfDocument) -> Exception:
     if any(splat_primitives(document, mesh) for mesh in range(len(document.entries("meshes")))):
         return document.error("its Gaussians stand in no node of its scene", "add them to the scene")
     return document.error(
-        f"holds no Gaussians ({SPLATS}), but a mesh or nothing",
+        f"contains no Gaussians ({SPLATS}), but a mesh or nothing",
         "export the trained splat, as PLY or with that extension",
     )
 

@@ -101,7 +101,7 @@ class GltfDocument:
             raise self.error(f"the URI of the buffer of {what} is not a text")
         if len(data) < length:
             raise self.error(
-                f"a buffer holds {counted(len(data), 'byte')}, but its JSON says {length}",
+                f"a buffer contains {counted(len(data), 'byte')}, but its JSON says {length}",
                 "the file is cut short; copy it again",
             )
         return memoryview(data)[:length]

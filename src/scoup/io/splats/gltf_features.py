@@ -145,7 +145,7 @@ def table_names(document: GltfDocument, index: Any) -> tuple[str, ...]:
     columns = properties if isinstance(properties, dict) else {}
     texts = {key: item for key, item in columns.items() if isinstance(item, dict) and "stringOffsets" in item}
     if not texts:
-        raise document.error("its property table holds no names", "add a property of type STRING")
+        raise document.error("its property table contains no names", "add a property of type STRING")
     return _texts(document, texts["name"] if "name" in texts else next(iter(texts.values())), count)
 
 

@@ -22,7 +22,7 @@ _EXPORT = re.compile(r"point_cloud_(\d{1,12})\.ply")
 _SHAPES = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}
 _WHAT = "a checkpoint of gsplat's trainer"
 _WITHOUT_OBJECTS = (
-    "give the ckpt_*_rank*.pt that gsplat's trainer wrote, or a PLY; if you trust the file, save its tensors alone "
+    "use the ckpt_*_rank*.pt that gsplat's trainer wrote, or a PLY; if you trust the file, save its tensors alone "
     "where it was made: torch.save({'splats': {name: tensor}}, path)"
 )
 
@@ -65,8 +65,8 @@ def exported_splat(results: str | Path) -> Path:
         if (found := _EXPORT.fullmatch(file.name))
     }
     if not steps:
-        problem = "holds no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
-        raise MissingFileError(results, problem, "give a folder of gsplat's trainer with its splat")
+        problem = "contains no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
+        raise MissingFileError(results, problem, "use a folder of gsplat's trainer with its splat")
     return steps[max(steps)]
 
 
@@ -82,7 +82,7 @@ def latest_ranks(folder: str | Path) -> list[Path]:
             steps[int(matched[1])][int(matched[2])] = file
     if not steps:
         raise MissingFileError(
-            folder, "holds no ckpt_<step>_rank<r>.pt", "give the folder ckpts of gsplat's trainer"
+            folder, "contains no ckpt_<step>_rank<r>.pt", "use the folder ckpts of gsplat's trainer"
         )
     step, ranks = max(steps.items())
     # The number of ranks is not written anywhere: the most that any step has is the best guess.

@@ -16,7 +16,7 @@ from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
 MODELS = "nerfstudio_models"
 _NAME = re.compile(r"step-(\d{1,12})\.ckpt")
 _WHAT = "a checkpoint of nerfstudio's splatfacto"
-_EXPORT = "export the splat and give that: ns-export gaussian-splat"
+_EXPORT = "export the splat and use that: ns-export gaussian-splat"
 _PREFIXES = ("_model.gauss_params.", "_model.")  # newer, older
 _SHAPES = {
     "means": (-1, 3),
@@ -51,7 +51,7 @@ def splat_of_run(run: str | Path) -> Path:
         return checkpoint
     found = sorted([*run.glob("*.ply"), *run.glob("exports/*.ply"), *run.glob("exports/*/*.ply")])
     if len(found) != 1:
-        problem = f"holds no {MODELS}/step-*.ckpt and {len(found)} exported splats"
+        problem = f"contains no {MODELS}/step-*.ckpt and {len(found)} exported splats"
         raise MissingFileError(run, problem, f"name the .ply itself, or {_EXPORT}")
     return found[0]
 
@@ -86,7 +86,7 @@ def _tensors(path: Path, content: Any) -> dict[str, np.ndarray]:
     plain = {str(key).removeprefix("module."): value for key, value in pipeline.items()}
     prefix = next((prefix for prefix in _PREFIXES if f"{prefix}means" in plain), None)
     if prefix is None:
-        raise FileFormatError(path, "holds no Gaussians (another method of nerfstudio)", f"give {_WHAT}")
+        raise FileFormatError(path, "contains no Gaussians (another method of nerfstudio)", f"use {_WHAT}")
     return {
         name: float_tensor(path, plain.get(prefix + name), shape, prefix + name, _WHAT)
         for name, shape in _SHAPES.items()

@@ -31,9 +31,9 @@ def other_format(path: Path) -> tuple[str, str] | None:
         )
     if suffix in _NOT_SPLATS:
         return (
-            f"a {suffix} file holds a mesh or a point cloud, not a trained splat",
-            f"give the splat that training wrote: {READ}",
+            f"a {suffix} file contains a mesh or a point cloud, not a trained splat",
+            f"use the splat that training wrote: {READ}",
         )
     if suffix in _ARCHIVES:
-        return "is an archive", "unpack it, and give the file or folder inside"
+        return "is an archive", "unpack it, and use the file or folder inside"
     return None

@@ -216,7 +216,7 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
         raise FileFormatError(
             table.path,
             f"is not a 3D Gaussian Splatting PLY: it lacks {', '.join(missing)}",
-            "give the PLY of the trained splat, not a point cloud or mesh",
+            "use the PLY of the trained splat, not a point cloud or mesh",
         )
     rest = {name for name in table.names if name.startswith("f_rest_")}
     degrees = {3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1)}

@@ -62,7 +62,7 @@ def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
     encoding, elements, comments = _parse(path, lines)
     names = tuple(item.name for item in elements)
     if element not in names:
-        raise FileFormatError(path, f"has no element {element!r}", "give the PLY of a trained splat")
+        raise FileFormatError(path, f"has no element {element!r}", "use the PLY of a trained splat")
     wanted = elements[names.index(element)]
     if wanted.lists:
         problem = f"has a list property ({wanted.lists[0]}) in element {element!r}"

@@ -89,7 +89,7 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
     degree = round(sh.shape[1] ** 0.5) - 1
     largest = float(np.abs(means).max(initial=0.0))
     if largest > (65504 if version == 1 else (1 << 23) - 1):
-        raise InputError(f"{path}: .spz has no place for coordinates of {largest:.3g}; give another format")
+        raise InputError(f"{path}: .spz has no place for coordinates of {largest:.3g}; use another format")
     bits = 0 if version == 1 else _fraction_bits(largest)
     header = SpzHeader(version, len(means), degree, bits)
     with np.errstate(all="ignore"):
