@@ -1,1 +1,1 @@
-"""What every room rests on: errors, progress, processes, whole files, the compiled core, Triton."""
+"""The base of all rooms: errors, progress, processes, whole files, the compiled core, Triton."""

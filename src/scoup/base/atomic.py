@@ -237,7 +237,7 @@ class _Output(io.BufferedIOBase):
 
 @contextmanager
 def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
-    """Refusals to write a temporary file, or what is in a temporary folder, name the output that it would become.
+    """Let refusals to write a temporary file or folder name the output that it would become.
 
     A file that cannot be read in the block is not mistaken for one that cannot be written.
     """
@@ -261,7 +261,7 @@ def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
 
 
 def _final(path: Any, output: Path, temporary: Path) -> Path | None:
-    """What a path at, or below, ``temporary`` will be; None for other paths."""
+    """The final path of one at, or below, ``temporary``; None for other paths."""
     if not isinstance(path, (str, Path)) or not Path(path).is_relative_to(temporary):
         return None
     return output / Path(path).relative_to(temporary)

@@ -1,4 +1,4 @@
-"""Which implementation serves: the one guard and the one loader of everything that has several backends.
+"""The choice of a backend: one guard and one loader for everything that has several.
 
 A room with backends has a table of names and modules, all with the same functions:
 

@@ -9,7 +9,7 @@ _LONGEST = 60  # characters of a value that is no tensor
 
 
 def brief(self: Any) -> str:
-    """What ``repr`` says of a dataclass: its fields, tensors by type and shape. Assign it to ``__repr__``."""
+    """Return a short ``repr`` of a dataclass: its fields, tensors by type and shape. Assign it to ``__repr__``."""
     parts = (f"{field.name}={_value(getattr(self, field.name))}" for field in fields(self) if field.repr)
     return f"{type(self).__name__}({', '.join(parts)})"
 

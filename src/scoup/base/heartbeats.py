@@ -99,7 +99,7 @@ def wait_until_taken(lock: Output, part: Path, whole: Path) -> None:
 
 
 class _Watch:
-    """What another process writes into its lock file.
+    """The heartbeats that another process writes into its lock file.
 
     Attributes:
         has_ended: there was a record, and the file is gone.

@@ -1,4 +1,4 @@
-"""Files and folders that a process holds while it lives: others can find out whether somebody works there."""
+"""Advisory locks held for the lifetime of a process, and temporary files and folders under such locks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BYTE = 1 << 30  # the one that is locked on Windows: beyond whatever is written
 
 
 def try_hold(descriptor: int, shared: bool = False) -> bool:
-    """Hold an open file, or folder, until it is closed or this process ends, however it ends.
+    """Lock an open file, or folder, until it is closed or this process ends, however it ends.
 
     Args:
         descriptor: of the file; its position becomes 0 on Windows.

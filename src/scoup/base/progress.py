@@ -1,4 +1,4 @@
-"""How long work reports itself."""
+"""Callbacks by which long work reports progress."""
 
 from __future__ import annotations
 

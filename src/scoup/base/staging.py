@@ -1,4 +1,4 @@
-"""Several files that are made first, and then appear together."""
+"""Several files that appear together, once all are made."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> 
 
 @functools.cache
 def _remove_abandoned_once(home: Path) -> None:
-    """Once: a folder of thousands of files is not to be listed for each view that is written into it."""
+    """Remove them once per process: a folder of thousands of files is not listed for each view written into it."""
     remove_abandoned(home, _NAME, only_folders=True)
 
 

@@ -1,4 +1,4 @@
-"""What all verbs share: output for people or machines, progress, warnings, errors as one line."""
+"""Output of verbs for people or machines, progress, warnings, errors as one line."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
 
 
 def kept(done: int, total: int, what: str, also: str = "") -> str:
-    """What an interruption leaves, in words: so many of what a verb makes one by one, or what it makes before."""
+    """Return in words what an interruption leaves: some of what a verb makes one by one, or what it makes before."""
     if not done and not also:
         return "nothing was written"
     left = f"{done} of {total} {what}" if done else f"the {also}"

@@ -88,7 +88,7 @@ class Label(TextOptions, CameraOptions):
         _report(console, labels, out, [name for name in files if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:
-        """Those of the command line and those of the list, each once."""
+        """The words of the command line and of the list, each once."""
         from scoup.view.vocabulary import read_words
 
         listed = () if self.words is None else read_words(self.words)
@@ -97,7 +97,7 @@ class Label(TextOptions, CameraOptions):
         return words
 
     def _cameras(self, field: LanguageField) -> list[Camera]:
-        """Those named; by default all, or none if the field holds none and no output needs them."""
+        """The cameras named; by default all, or none if the field contains none and no output needs them."""
         wanted = set(self.outputs) & {"maps", "sheet"}
         if not wanted or (
             self.outputs == USUAL and not self.camera and self.scene is None and not field.cameras

@@ -60,7 +60,7 @@ def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
 
 
 def in_one_line(box: str) -> str:
-    """What the parser says in a frame of several lines, up to the frame's first rule."""
+    """Return what the parser prints in a frame of several lines, up to the frame's first rule."""
     lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
     parts = re.split(r"\n[─-]+\n", "\n".join(lines))
     # Where the terminal has no letters for frames, the title is the first part.

@@ -180,7 +180,7 @@ class Query(TextOptions, CameraOptions):
         return records
 
     def _video_names(self) -> list[str]:
-        """Of all texts' videos; texts that are nowhere get none on a turntable."""
+        """Names of the videos of all texts; texts that are nowhere get none on a turntable."""
         names = unique_slugs(self.texts) if self.video != "none" else []
         return [f"{name}_{self.video}.mp4" for name in names]
 
@@ -234,7 +234,7 @@ class Query(TextOptions, CameraOptions):
 
 
 def _sees_nothing(field: LanguageField, projection: Projection, answers: list[Answer]) -> bool:
-    """Whether nothing of the field is visible."""
+    """True if nothing of the field is visible."""
     # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
     return all((each.heat == 0.5).all() for each in answers) and not field.is_visible(projection)
 

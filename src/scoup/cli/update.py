@@ -226,7 +226,7 @@ class Update(FieldOptions, ViewOptions):
         return changed, regions
 
     def _chosen(self, cameras: Cameras, regions: Regions) -> list[Camera]:
-        """Those that --add names."""
+        """The cameras that --add names."""
         from scoup.base.errors import UnknownNameError
         from scoup.scene.cameras import Cameras
         from scoup.uplift.rasterise import cameras_with_regions

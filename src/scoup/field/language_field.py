@@ -45,7 +45,7 @@ class LanguageField(FieldQueries):
         return field_card(self)
 
     def to(self, device: torch.device | str) -> LanguageField:
-        """The same field with its tensors, and its geometry if loaded, on a device; itself if it is there already."""
+        """Return the field with its tensors, and its geometry if loaded, on a device; itself if it is there already."""
         place = torch.empty(0, device=device).device
         parts = [self.code_indices, self.code_weights, self.codebook]
         parts += [] if self._gaussians is None else [self._gaussians.means]
@@ -84,7 +84,7 @@ class LanguageField(FieldQueries):
         return self._of(gaussians, rows_of(self.code_indices, rows), self.code_weights[rows], thing_table)
 
     def with_gaussians(self, gaussians: Gaussians) -> LanguageField:
-        """The same codes on other Gaussians, one for one: of a splat that was moved, recoloured or faded.
+        """Return a field with these codes on other Gaussians, one for one: after a move, new colours or fading.
 
         Args:
             gaussians: as many as before, in the same order.

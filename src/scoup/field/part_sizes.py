@@ -36,7 +36,7 @@ class PartSizes:
 
 
 def part_sizes(path: Path) -> PartSizes:
-    """Those of a file that ``LanguageField.load`` reads, from its header alone."""
+    """Return the sizes of a file that ``LanguageField.load`` reads, from its header alone."""
     with open(path, "rb") as stream:
         header = json.loads(stream.read(int.from_bytes(stream.read(8), "little")))
     sizes: dict[str, int] = {}

@@ -40,7 +40,7 @@ class CameraSource:
 
 
 def find_cameras(path: str | Path) -> CameraSource:
-    """Which cameras ``load_cameras`` reads for ``path``.
+    """Return which cameras ``load_cameras`` reads for ``path``.
 
     In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a
     COLMAP model in ``sparse``, then transforms.json, then a model in ``colmap/sparse``, then cameras.json.

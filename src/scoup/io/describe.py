@@ -1,4 +1,4 @@
-"""What is in a splat, in cameras, in region features or in a scene folder, as plain values for people and JSON."""
+"""Descriptions of splats, cameras, region features and scene folders, as plain values for people and JSON."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def describe_regions(store: RegionStore) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class DescribedFolder:
-    """What is said of a folder, and what was loaded for it: the splat's file and Gaussians, the cameras; None where
+    """The description of a folder, and what was loaded for it: the splat's file and Gaussians, the cameras; None where
     there are none.
     """
 

@@ -108,7 +108,7 @@ def _allowed(numpy_numbers: bool) -> AbstractContextManager[Any]:
 
 
 def _number_types() -> list[Any]:
-    """What a pickled numpy float consists of, under the names of old and new numpy."""
+    """The parts of a pickled numpy float, under the names of old and new numpy."""
     scalar = type(np.float64(0)).__reduce__(np.float64(0))[0]  # type: ignore[arg-type]
     names = ("numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar")
     kinds = [type(np.dtype(kind)) for kind in (np.float32, np.float64, np.int64)]

@@ -68,7 +68,7 @@ def heat_amounts(relevancy: np.ndarray, span: tuple[float, float]) -> NDArray[np
 
 
 def heat_opacity(amounts: np.ndarray) -> NDArray[np.float64]:
-    """How much of the heat shows, 0..1: none at the low end, so that the picture stays clear there."""
+    """Return how much of the heat shows, 0..1: none at the low end, so that the picture stays clear there."""
     share = ((amounts - 0.08) / 0.5).clip(0, 1)
     return share * share * (3 - 2 * share)
 
@@ -90,7 +90,7 @@ def label_colors(count: int) -> Picture:
 
 
 def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What turns codes into colours: ``code_picture`` of several views with one basis can be compared.
+    """Return the basis that turns codes into colours: ``code_picture`` of several views with one basis can be compared.
 
     Args:
         codes: [..., L] rendered codes; all-zero rows are left out.

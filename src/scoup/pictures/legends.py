@@ -78,8 +78,7 @@ def _ends(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], low: float,
 def swatch_legend(
     width: int, text: str, of: str, colors: Sequence[tuple[int, int, int]], names: Sequence[str]
 ) -> Picture:
-    """What the colours of a picture mean, and below it a row of some of them with their names: as many as there is
-    room for.
+    """Return a legend: what the colours of a picture mean, and below it some of them with names, as many as fit.
 
     Args:
         width: of the picture in pixels; at least 120.

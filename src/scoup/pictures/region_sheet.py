@@ -52,7 +52,7 @@ def regions_sheet(
 
 
 def _which(written: int, count: int) -> str:
-    """Which of the regions have their number on them, if not all."""
+    """A sentence about which regions have their number on them, if not all."""
     if written == count:
         return ""
     return f", numbers on the {written} with room" if written else ", no room for numbers"

@@ -24,7 +24,7 @@ def contact_sheet(
     footer: str = "",
     remarks: Sequence[str] = (),
 ) -> Picture:
-    """Pictures in rows, each under its title, scaled to fit.
+    """Return pictures in rows, each under its title, scaled to fit.
 
     Args:
         tiles: each [H, W, 3], float 0..1 or uint8; sizes may differ, proportions are kept.

@@ -15,7 +15,7 @@ _REMEDY = "export or train the splat again, or remove them (in the SuperSplat ed
 
 
 def oddities(gaussians: Gaussians) -> list[str]:
-    """What is absurd about Gaussians, one sentence each, with counts and what to do; empty for a sound scene.
+    """Return what is absurd about Gaussians, one sentence each, with counts and remedies; empty for a sound scene.
 
     The extent is that of the middle 90 % along each axis, so that some stray Gaussians do not hide themselves.
     """

@@ -83,7 +83,7 @@ class ThingTable:
 
     @property
     def spread(self) -> float:
-        """How far the cosines of one thing's regions with a text differ, in the median thing.
+        """Return how far the cosines of one thing's regions with a text differ, in the median thing.
 
         A region's embedding lies about sqrt(1 - agreement^2) from its thing's mean, in any of the D directions, one of
         which is the text's.

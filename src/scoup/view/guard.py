@@ -1,4 +1,4 @@
-"""What the viewer's server refuses before it looks at a request: strangers, other sites, giant messages."""
+"""Checks before the viewer's server reads a request: strangers, other sites and giant messages are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What visitors ask, read from JSON that nobody has checked."""
+"""Requests of visitors, read from untrusted JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page needs of a field as one file: splat, codes, cameras (docs/formats.md, "Scene of a page")."""
+"""The file from which the page shows a field: splat, codes, cameras (docs/formats.md, "Scene of a page")."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NO_OWNER = 65535
 def scene_metadata(
     field: CodedScene, name: str, words_problem: str | None = None, present_from: float | None = None
 ) -> dict[str, Any]:
-    """What the page is told of a field, but for its Gaussians: plain JSON values.
+    """Return the metadata of a field for the page as plain JSON values.
 
     Args:
         field: to be shown.

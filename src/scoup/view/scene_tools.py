@@ -1,4 +1,4 @@
-"""What a language model may do with fields, as plain functions: arguments in, JSON values or a picture out."""
+"""Tools for language models as plain functions: arguments in, JSON values or a picture out."""
 
 from __future__ import annotations
 

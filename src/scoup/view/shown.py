@@ -1,4 +1,4 @@
-"""Which Gaussians of a field the page shows, and in which order."""
+"""The Gaussians of a field that the page shows, and their order."""
 
 from __future__ import annotations
 

@@ -118,11 +118,11 @@ class ViewedField:
         return self._vocabulary
 
     def is_closed(self) -> bool:
-        """Whether only the names of a table can be asked."""
+        """Return whether only the names of a table can be asked."""
         return self.words_problem is None and self.field.text_encoder().names is not None
 
     def question(self, texts: str | Sequence[str], always: bool = False, **options: Any) -> Question:
-        """What ``field.question`` makes of texts and options.
+        """Return what ``field.question`` makes of texts and options.
 
         Raises:
             InputError: no text can be asked of this field.
@@ -134,8 +134,7 @@ class ViewedField:
 
     @cached_property
     def identity(self) -> str:
-        """The same for the same geometry, codebook and things: an open page goes on with a server of the same field
-        only."""
+        """A digest of geometry, codebook and things: an open page continues only with a server of the same field."""
         digest = hashlib.sha256(self.field.fingerprint.encode())
         digest.update(self.field.codebook.float().cpu().contiguous().numpy().tobytes())
         if self.field.thing_table is not None:  # answers name them by their numbers
@@ -143,7 +142,7 @@ class ViewedField:
         return digest.hexdigest()[:16]
 
     def metadata(self, exported: bool = False) -> dict[str, Any]:
-        """What the page is told of the field (``scene_metadata``); an exported one not where files are missing."""
+        """Return the metadata of the field for a page (``scene_metadata``); an exported page names no missing file."""
         present_from = None if self.words_problem is not None else self.question(self._probe).present_from
         problem = NO_WORDS if exported and self.words_problem is not None else self.words_problem
         return scene_metadata(self.field, self.name, problem, present_from)
@@ -174,7 +173,7 @@ class ViewedField:
         return self._pictures.picture(PictureRequest(camera, mode, question, level))
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
-        """What the scene says is at a pixel; see ``scoup.view.exact.what_is_at``."""
+        """Return what is at a pixel; see ``scoup.view.exact.what_is_at``."""
         projection = self._pictures.projected(camera)
         return what_is_at(self.field, self.codes.confidence, camera, pixel, self.vocabulary(), projection)
 
@@ -243,5 +242,5 @@ class ViewedField:
 
 
 def _is_file(name: str) -> bool:
-    """Whether a name is that of a file, not the id of a model."""
+    """True if a name is that of a file, not the id of a model."""
     return is_table(name) or Path(name).is_absolute() or name.endswith(".scoup")

@@ -101,7 +101,7 @@ class Viewer:
 
     @property
     def is_open(self) -> bool:
-        """Whether it still answers."""
+        """Return whether it still answers."""
         return not self._ended.is_set()
 
     def wait(self) -> None:

@@ -24,7 +24,7 @@ AT_A_TIME = 16  # words between two reports of progress
 
 
 def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
-    """The words of a page if no others are wanted: everyday words; of a table, all its names but the canonical phrases.
+    """Return the default words of a page: everyday words; of a table, all its names but the canonical phrases.
 
     Args:
         encoder: of the texts.
@@ -49,7 +49,7 @@ def read_words(path: Path) -> tuple[str, ...]:
 
 
 def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
-    """The file of words that an exported page holds (docs/formats.md, "Words of a page").
+    """Return the file of words in an exported page (docs/formats.md, "Words of a page").
 
     Args:
         field: that was asked.
@@ -86,7 +86,7 @@ def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
 def vocabulary_answers(
     field: CodedScene, question: Question, progress: Progress = no_progress
 ) -> list[PageAnswer]:
-    """The answers to all words; arguments as for ``scene_answers``."""
+    """Return the answers to all words; arguments as for ``scene_answers``."""
     answers = []
     progress("words", 0, len(question.texts))
     for answer in scene_answers(field, question):

@@ -1,4 +1,4 @@
-"""The work of several visitors on one field: one piece after another, none that nobody waits for."""
+"""A queue for the work of several visitors on one field; work that nobody waits for any more is dropped."""
 
 from __future__ import annotations
 

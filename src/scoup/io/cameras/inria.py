@@ -1,4 +1,4 @@
-"""What Inria's 3D Gaussian Splatting code leaves: cameras.json, cfg_args, point_cloud/iteration_*/."""
+"""Outputs of Inria's 3D Gaussian Splatting code: cameras.json, cfg_args, point_cloud/iteration_*/."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
 
 
 def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
-    """Which embedding rows belong to which level, by the label values.
+    """Return which embedding rows belong to which level, by the label values.
 
     Levels are consecutive blocks in the order of ``FILE_LEVELS``. Rows that no pixel names belong to the
     level before them.

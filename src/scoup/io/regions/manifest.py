@@ -42,7 +42,7 @@ class RegionManifest:
 
     @property
     def bits(self) -> int:
-        """Of an embedding number in the compact layout."""
+        """Return the bits of an embedding number in the compact layout."""
         return int(self.settings.get("bits", 16))
 
     @property
@@ -52,7 +52,7 @@ class RegionManifest:
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def differences(self, other: RegionManifest) -> list[str]:
-        """What differs from another manifest, as "name: this one, not the other"."""
+        """Return what differs from another manifest, as "name: this one, not the other"."""
         pairs: dict[str, tuple[Any, Any]] = {
             "layout": (self.layout, other.layout),
             "embedding model": (self.embedding_model, other.embedding_model),

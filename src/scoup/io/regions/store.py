@@ -95,12 +95,12 @@ class RegionStore:
 
     @property
     def endings(self) -> tuple[str, ...]:
-        """Of the files of a view."""
+        """Return the endings of the files of a view."""
         return _LAYOUTS[self.layout].ENDINGS
 
     @property
     def fingerprint(self) -> str:
-        """Of the manifest; "" without one."""
+        """Return the fingerprint of the manifest; "" without one."""
         return "" if self.manifest is None else self.manifest.fingerprint
 
     def files(self, stem: str) -> list[Path]:

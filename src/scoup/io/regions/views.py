@@ -76,11 +76,11 @@ class StoredView(Protocol):
 
 
 class RegionLayout(Protocol):
-    """How views lie in files; the modules ``compact`` and ``langsplat`` are two."""
+    """A layout of views in files; the modules ``compact`` and ``langsplat`` are two."""
 
     @property
     def ENDINGS(self) -> tuple[str, ...]:
-        """Of the files of a view, labels first; all of them must be there."""
+        """Endings of the files of a view, labels first; all of them must be there."""
         ...
 
     def open_view(self, folder: Path, stem: str) -> StoredView:

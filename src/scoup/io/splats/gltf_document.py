@@ -36,7 +36,7 @@ class GltfDocument:
         self._sources: dict[str, bytes] = {}
 
     def error(self, problem: str, remedy: str = _DAMAGED) -> FileFormatError:
-        """What is wrong with the file, to be raised."""
+        """Return the error that says what is wrong with the file."""
         return FileFormatError(self.path, problem, remedy)
 
     def whole(self, value: Any, what: str, low: int = 0, default: int | None = None) -> int:
@@ -72,7 +72,7 @@ class GltfDocument:
 
     @property
     def data_bytes(self) -> int:
-        """How many bytes of buffers were opened so far."""
+        """Return how many bytes of buffers were opened so far."""
         return (0 if self._binary is None else len(self._binary)) + sum(map(len, self._sources.values()))
 
     def view(self, index: Any, what: str) -> tuple[memoryview, int]:

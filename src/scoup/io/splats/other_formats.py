@@ -16,7 +16,7 @@ _ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2"
 
 
 def other_format(path: Path) -> tuple[str, str] | None:
-    """What is wrong with a file of a well-known format that is not read, and the remedy; None for other files."""
+    """Return why a file of a well-known format is not read, and the remedy; None for other files."""
     suffix = path.suffix.lower()
     if suffix in _SPLATS:
         return (

@@ -1,4 +1,4 @@
-"""The rows of a PLY element, as they stand in the file."""
+"""The rows of a PLY element, as they are in the file."""
 
 from __future__ import annotations
 

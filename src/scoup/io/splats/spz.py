@@ -111,7 +111,7 @@ def _one(header: SpzHeader) -> SpzHeader:
 
 
 def _fraction_bits(largest: float) -> int:
-    """As many bits after the binary point as leave room for the largest coordinate in 24 bits with a sign."""
+    """The most bits after the binary point that leave room for the largest coordinate in 24 bits with a sign."""
     bits = MOST_BITS
     while bits and round(largest * (1 << bits)) > (1 << 23) - 1:
         bits -= 1
