@@ -34,7 +34,7 @@ def nobody_reads(name: str) -> Iterator[None]:
             setattr(sys, name, before)
 
 
-@pytest.mark.parametrize("verb", [name for name in VERBS if name not in ("demo", "bench", "synthetic")])
+@pytest.mark.parametrize("verb", [name for name in VERBS if name not in ("demo", "bench")])
 def test_every_verb_ends_its_work(verb: str, tmp_path: Path) -> None:
     """With text and with JSON on the pipe; what is written is what is written otherwise."""
     assert run(*VERBS[verb])[0] == 0

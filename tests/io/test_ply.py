@@ -254,6 +254,17 @@ def test_errors_name_the_problem(tmp_path):
         read_ply(path)
 
 
+def test_text_that_does_not_fit_its_header(tmp_path):
+    path = file_of(tmp_path / "a.ply", raw_columns(5), "ascii")
+    whole = path.read_bytes()
+    path.write_bytes(b"\n".join(whole.splitlines()[:-1]))
+    with pytest.raises(FileFormatError, match="has 4 rows of 14 numbers, but its header says 5 of 14"):
+        read_ply(path)
+    path.write_bytes(whole[:-9] + b"kettle\n")
+    with pytest.raises(FileFormatError, match="not rows of numbers"):
+        read_ply(path)
+
+
 def test_point_clouds_and_compressed_files_are_named(tmp_path):
     cloud = {name: np.zeros(2, dtype=np.float32) for name in ("x", "y", "z")}
     with pytest.raises(FileFormatError, match="not a point cloud"):

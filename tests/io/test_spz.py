@@ -18,6 +18,7 @@ from io_samples import same_gaussians, some_gaussians
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.io import load_gaussians, read_spz, save_gaussians, write_ply, write_spz
 from scoup.io.splats.spz import MOST_BITS
+from scoup.io.splats.spz_container import _unpacked
 from scoup.raster.spherical_harmonics import _basis
 from scoup.scene.gaussians import Gaussians
 from support import examples
@@ -230,6 +231,12 @@ def test_damaged_files_are_named(tmp_path: Path, content: bytes, said: str) -> N
     with pytest.raises(FileFormatError, match=said) as error:
         load_gaussians(tmp_path / "a.spz")
     assert "\n" not in str(error.value)
+
+
+def test_a_stream_of_another_size_is_refused(tmp_path: Path) -> None:
+    zstandard = pytest.importorskip("zstandard")
+    with pytest.raises(FileFormatError, match="does not unpack to its 4 bytes"):
+        _unpacked(tmp_path / "a.spz", zstandard.ZstdCompressor().compress(b"abc"), 4)
 
 
 @pytest.mark.parametrize("version", [3, 4])

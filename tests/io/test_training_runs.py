@@ -231,6 +231,32 @@ def test_a_world_without_points_is_refused(tmp_path: Path) -> None:
         load_cameras(tmp_path / "results", missing_images="keep")
 
 
+def test_checkpoints_of_other_contents_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "step-000000009.ckpt"
+    save_splatfacto(some_gaussians(9, 0), path)
+    content = torch.load(path, weights_only=True)
+    content["pipeline"]["_model.gauss_params.scales"] = torch.zeros(8, 3)
+    for changed, said in ((content, "do not belong together"), ({"step": 1}, "has no 'pipeline' in it")):
+        torch.save(changed, path)
+        with pytest.raises(FileFormatError, match=said):
+            load_gaussians(path)
+
+
+def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    write_transforms(some_cameras(3), tmp_path / "data/transforms.json")
+    save_run(run, str(tmp_path / "data/transforms.json"))
+    assert len(load_cameras(run, missing_images="keep")) == 3
+    kind = "data: !!python/object/apply:pathlib.PosixPath\n"
+    for text, said in (
+        (kind + "other: 1\n", "does not say where the data"),
+        (kind + "- /\n- nowhere", "nowhere"),
+    ):
+        (run / "config.yml").write_text(text)
+        with pytest.raises(MissingFileError, match=said):
+            load_cameras(run)
+
+
 def test_a_checkpoint_is_known_by_its_name(tmp_path: Path) -> None:
     given = some_gaussians(9, 0)
     run = tmp_path / "run"

@@ -82,6 +82,20 @@ def test_entries_that_point_outside_are_refused_where_they_are_used(path: Path, 
         vote(sums.select([name], rows), codes, torch.ones(3, 2, 4), keep=1, backend="reference")
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda arrays: arrays.pop("places.0"),
+        lambda arrays: arrays.update({"weights.0": arrays["weights.0"].astype(np.float16)}),
+        lambda arrays: arrays.update({"starts.0": arrays["starts.0"][:-1]}),
+    ],
+    ids=["none", "types", "shapes"],
+)
+def test_entries_that_are_none_are_refused_at_once(path: Path, change) -> None:
+    with pytest.raises(FileFormatError, match=r"view_00-png.*is invalid"):
+        RegionSums.open(changed(path, change))
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_weight_that_is_no_number(path: Path) -> None:
     def signalling(arrays: Arrays) -> None:
