@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from benchmarks.scenes import LAYOUTS, find_layout
-from benchmarks.scenes import __main__ as scenes_script
+from benchmarks.scenes import find_layout
 from PIL import Image
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
@@ -85,15 +83,6 @@ def test_a_scene_for_each_seed(tmp_path: Path) -> None:
     assert PIXELS["lerf-ovs"].find(tmp_path) == list(names)
     first, second = (load_gaussians(tmp_path / name / "point_cloud.ply") for name in names)
     assert first.fingerprint() != second.fingerprint()
-
-
-def test_the_script_writes_a_scene_of_each_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    size: dict[str, Any] = {"n_gaussians": 2000, "width": 64, "height": 48, "views": 1, "labelled": 1}
-    assert scenes_script.Arguments("lerf-ovs", tmp_path).layout == tuple(LAYOUTS)
-    with one_light():
-        scenes_script.main(scenes_script.Arguments("lerf-ovs", tmp_path, ("yard", "hall"), **size))
-    assert "yard, hall" in capsys.readouterr().out
-    assert PIXELS["lerf-ovs"].find(tmp_path) == ["hall", "yard"]
 
 
 def test_refusals(tmp_path: Path) -> None:
