@@ -31,6 +31,7 @@ STUDIES = Family(
         "viewer": "benchmarks.viewer:ViewerCost",
         "city": "benchmarks.city:Cities",
         "endurance": "benchmarks.endurance:Endurance",
+        "power-loss": "benchmarks.power_loss:PowerLoss",
         "server-load": "benchmarks.server_load:ServerLoad",
         "hostile": "benchmarks.hostile.study:Hostile",
         "hostile-guided": "benchmarks.hostile.study:Guided",

@@ -55,12 +55,20 @@ def test_a_path(events: list[tuple[str, str]]) -> None:
     assert events == [("flush", "content"), ("rename", "a"), ("flush", "folder")]
 
 
+def test_folders_that_are_made(events: list[tuple[str, str]]) -> None:
+    with atomic_file("new/one/a") as stream:
+        assert events == [("flush", "folder")] * 2  # of the folders that "new" and "one" are in
+        stream.write(b"content")
+    assert events[2:] == [("flush", "content"), ("rename", "a"), ("flush", "folder")]
+
+
 def test_files_that_appear_together(events: list[tuple[str, str]], tmp_path: Path) -> None:
     with staged(tmp_path / "new") as hidden:
         (hidden / "a").write_text("first")
         (hidden / "b").write_text("second")
     assert events == [
-        ("flush", "first"), ("flush", "second"), ("rename", "a"), ("rename", "b"), ("flush", "folder")
+        ("flush", "first"), ("flush", "second"), ("flush", "folder"),  # of the folder that "new" is in
+        ("rename", "a"), ("rename", "b"), ("flush", "folder"),
     ]  # fmt: skip
 
 

@@ -280,8 +280,10 @@ def test_a_file_of_other_contents_is_no_lock(tmp_path: Path, contents: str) -> N
     assert path.read_text() == contents
 
 
-def test_an_empty_file_is_a_lock(tmp_path: Path) -> None:
-    (tmp_path / "a.scoup.lock").touch()  # of a process that was killed before it wrote its name
+@pytest.mark.parametrize("contents", [b"", bytes(90)])
+def test_a_file_without_a_record_is_a_lock(tmp_path: Path, contents: bytes) -> None:
+    """Of a process that was killed, or lost power, before its record was on the disk."""
+    (tmp_path / "a.scoup.lock").write_bytes(contents)
     with locked_output(tmp_path / "a.scoup"):
         pass
     assert not list(tmp_path.iterdir())

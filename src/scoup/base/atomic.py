@@ -61,6 +61,8 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError.of(output, error) from error
+        for place in missing:
+            flush_names(place.parent)
         yield
     except BaseException:
         for place in missing:

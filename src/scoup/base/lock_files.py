@@ -57,7 +57,7 @@ def _acquire(output: Path, lock: Path) -> int:
             if not _is_free(descriptor):
                 raise OutputInUseError(output, _holder(descriptor))
             if is_same(descriptor, lock):
-                if os.fstat(descriptor).st_size and _record(descriptor) is None:
+                if _record(descriptor) is None and not _is_blank(descriptor):
                     raise _foreign(lock)
                 return descriptor
         except BaseException:
@@ -131,6 +131,12 @@ def _record(descriptor: int) -> tuple[str, datetime] | None:
         return f"process {record['process']} on {record['host']}", datetime.fromisoformat(record["since"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
+
+
+def _is_blank(descriptor: int) -> bool:
+    """Return whether a lock file is empty, or zeros: power was lost before the record was on the disk."""
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    return not os.read(descriptor, _MOST_BYTES).strip(b"\0")
 
 
 def _holder(descriptor: int) -> str:
