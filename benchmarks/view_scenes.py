@@ -156,7 +156,7 @@ def observe_desk(gaussians: Gaussians, cameras: Cameras, choice: str, observed: 
     if not poses.exists():
         for camera in cameras:
             pixels = (render_colors(gaussians, camera).clamp(0, 1) * 255).round().byte()
-            save_png(pixels.numpy(), folder / "images" / _png(camera.name))
+            save_png(pixels.numpy(), folder / "images" / _png(camera.name), overwrite=True)
         renders = (replace(each, name=_png(each.name), image_path=None) for each in cameras)
         write_transforms(Cameras(renders), poses)
     kept = scoup.load_cameras(folder)
