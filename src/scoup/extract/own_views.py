@@ -6,17 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress, reported
-from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter
+from scoup.base.progress import Progress, no_progress
+from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
+from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
 from scoup.raster import prepare_gaussians
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 
-LEAST_GAIN = 0.03
+ROUNDS = 2  # of moving the best cameras a little
+PARENTS = 24
+CHILDREN = 4
+LEAST_GAIN = 0.02
 MOST_VIEWS = 64
 
 
@@ -49,29 +51,34 @@ def choose_cameras(
         >>> len(cameras)
         4
     """
+    from scipy.stats import qmc
+
     rows = find_matter(gaussians)
-    matter = measure_matter(gaussians, rows, _direction(up))
+    upwards = estimate_up_of_splat(gaussians, rows) if up is None else checked_direction(up)
+    matter = measure_matter(gaussians, rows, upwards)
     prepared = prepare_gaussians(gaussians)
     scorer = ViewScorer.of(prepared, matter)
-    candidates = candidate_cameras(matter, width, height)
-    found = [scorer.score(camera) for camera in reported(candidates, "views", len(candidates), progress)]
-    scores = Scores(
-        candidates,
-        torch.stack([shown.half() for shown, _, _ in found]),
-        torch.stack([direction for _, direction, _ in found]),
-        torch.tensor([quality for _, _, quality in found]),
-    )
-    means = prepared.gaussians.means[scorer.counted]
-    places = torch.stack([camera.position.float() for camera in candidates])
-    fronts = front_sides(scores, means, places)
+    draws = qmc.Halton(5, scramble=False).random(1 + ROUNDS * CHILDREN)[1:] * 2 - 1
+    cameras = candidate_cameras(matter, width, height)
+    total, done = len(cameras) + ROUNDS * PARENTS * CHILDREN, 0
+    progress("views", done, total)
+    parts: list[Scores] = []
+    for turn in range(ROUNDS + 1):
+        found = []
+        for camera in cameras:
+            found.append(scorer.score(camera))
+            done += 1
+            progress("views", done, total)
+        parts.append(Scores.of(cameras, found))
+        scores = Scores.joined(parts)
+        fronts = front_sides(scores, scorer.means)
+        if turn < ROUNDS:
+            parents = choose_views(scores, fronts, PARENTS, 0, PARENTS)
+            near = draws[turn * CHILDREN : (turn + 1) * CHILDREN]
+            cameras = nearby_cameras(
+                [scores.cameras[view] for view in parents], matter, torch.from_numpy(near)
+            )
     chosen = choose_views(scores, fronts, count, LEAST_GAIN, MOST_VIEWS)
     return Cameras(
-        replace(candidates[view], name=f"view_{number:03d}.png") for number, view in enumerate(chosen)
+        replace(scores.cameras[view], name=f"view_{number:03d}.png") for number, view in enumerate(chosen)
     )
-
-
-def _direction(up: Sequence[float] | None) -> Tensor:
-    direction = torch.as_tensor((0.0, -1.0, 0.0) if up is None else tuple(up), dtype=torch.float64).flatten()
-    if direction.shape != (3,) or not bool(direction.isfinite().all()) or not float(direction.norm()) > 0:
-        raise InputError(f"up: expected three numbers that are not all 0, got {list(up or ())}")
-    return direction / direction.norm()

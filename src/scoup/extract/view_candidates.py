@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +19,17 @@ LEAST_SHARE = 0.25  # of the Gaussians are matter, however transparent the splat
 ANGLE_OF_VIEW = math.radians(65)  # across the image
 ELEVATIONS = (8.0, 25.0, 50.0)  # degrees, of the circles around the scene
 AZIMUTHS = 12
-DISTANCES = (0.65, 1.0)  # of that from which the whole scene fills the image
-PLACES = 28  # in free space
+DISTANCES = (0.4, 0.65, 1.0)  # of that from which the whole scene fills the image
+PLACES = 20  # in free space
 HEADINGS = 8
 PITCHES = (-5.0, -25.0)  # degrees
+MOVE = (
+    0.15  # of the radius of the scene: how far a camera is moved along each axis to see whether it sees more
+)
+TURN = 15.0  # degrees, how far it is turned then
+LOWEST, HIGHEST = math.radians(-70), math.radians(30)  # pitch
+PARTS = 16  # of the matter, each with a half circle of cameras of its own
+AROUND_PART = 10  # cameras
 CELLS = 48  # along the longest side of the grid of free space
 
 
@@ -93,12 +101,45 @@ def measure_matter(gaussians: Gaussians, rows: Tensor, up: Tensor) -> Matter:
 def candidate_cameras(matter: Matter, width: int, height: int) -> list[Camera]:
     """Return cameras on circles around the matter, and in all directions from places in its free space."""
     focal = width / (2 * math.tan(ANGLE_OF_VIEW / 2))
-    poses = [*_around(matter, min(width, height) / focal), *_within(matter)]
+    opening = min(width, height) / focal
+    poses = [*_around(matter, opening), *_around_parts(matter, opening), *_within(matter)]
     return [
         camera
         for number, (eye, aim) in enumerate(poses)
         if (camera := look(eye, aim, matter, f"{number}", width, height, focal)) is not None
     ]
+
+
+def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> list[Camera]:
+    """Return cameras that stand a little beside each of some, and look a little beside what these look at.
+
+    Args:
+        draws: [D, 5] in -1..1: shares of the furthest move along the three axes of the matter, and of the furthest turns
+            aside and up.
+    """
+    found = []
+    for camera in cameras:
+        eye, forward = matter.axes @ camera.position, matter.axes @ camera.viewmat[2, :3]
+        heading, pitch = (
+            math.atan2(float(forward[1]), float(forward[0])),
+            math.asin(float(forward[2].clamp(-1, 1))),
+        )
+        for draw in draws:
+            place = eye + MOVE * matter.radius * draw[:3]
+            angle = heading + math.radians(TURN) * float(draw[3])
+            level = min(max(pitch + math.radians(TURN) * float(draw[4]), LOWEST), HIGHEST)
+            aim = place + _way(angle, level)
+            if (near := look(place, aim, matter, "", camera.width, camera.height, camera.fx)) is not None:
+                found.append(near)
+    return found
+
+
+def _way(angle: float, level: float) -> Tensor:
+    """Return the unit vector of a heading and a pitch in radians, along the axes of the matter."""
+    flat = math.cos(level)
+    return torch.tensor(
+        (math.cos(angle) * flat, math.sin(angle) * flat, math.sin(level)), dtype=torch.float64
+    )
 
 
 def look(
@@ -124,12 +165,31 @@ def _around(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]:
             for step in range(AZIMUTHS):
                 angle = 2 * math.pi * (step + 0.5 * (row % 2)) / AZIMUTHS
                 level = math.radians(elevation)
-                way = (
-                    math.cos(angle) * math.cos(level),
-                    math.sin(angle) * math.cos(level),
-                    math.sin(level),
-                )
-                poses.append((centre + distance * full * torch.tensor(way, dtype=torch.float64), centre))
+                poses.append((centre + distance * full * _way(angle, level), centre))
+    return poses
+
+
+def _around_parts(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]:
+    """Return poses at which one part of the matter each fills the image: where it is dense, parts are small."""
+    along = matter.means[:: -(-len(matter.means) // 20_000)] @ matter.axes.T
+    count = min(PARTS, len(along))
+    centres = along[torch.arange(count) * len(along) // count].clone()
+    for _ in range(12):
+        nearest = torch.cdist(along, centres).argmin(1)
+        for part in range(count):
+            if bool((nearest == part).any()):
+                centres[part] = along[nearest == part].mean(0)
+    nearest = torch.cdist(along, centres).argmin(1)
+    poses = []
+    for part, centre in enumerate(centres):
+        own = along[nearest == part]
+        if len(own) < 2:
+            continue
+        size = float((own - centre).norm(dim=1).quantile(0.9))
+        for step in range(AROUND_PART):
+            angle = 2 * math.pi * (step + 0.37 * part) / AROUND_PART
+            level = math.radians(ELEVATIONS[(step + part) % len(ELEVATIONS)])
+            poses.append((centre + 1.3 * size / (opening / 2) * _way(angle, level), centre))
     return poses
 
 
@@ -156,6 +216,5 @@ def _within(matter: Matter) -> list[tuple[Tensor, Tensor]]:
         for step in range(HEADINGS):
             angle = 2 * math.pi * (step + 0.37 * number) / HEADINGS
             level = math.radians(PITCHES[(step + number) % 2])
-            way = (math.cos(angle) * math.cos(level), math.sin(angle) * math.cos(level), math.sin(level))
-            poses.append((place, place + torch.tensor(way, dtype=torch.float64)))
+            poses.append((place, place + _way(angle, level)))
     return poses

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from scoup.extract.view_candidates import Matter
 from scoup.raster import PreparedGaussians, project, render_channels
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 
-MOST_COUNTED = 30_000  # Gaussians that are counted when views are compared
+MOST_COUNTED = 20_000  # Gaussians that are counted when views are compared
 SIDE = 160  # pixels of the longer side of a cheap render
 FIRM = (
     0.12  # standard deviation of depth along a ray, as a share of depth, from which there is no clear surface
@@ -34,6 +37,27 @@ class Scores:
     quality: Tensor
     """[V] float32, of each view as a picture, 0..1."""
 
+    @classmethod
+    def of(cls, cameras: list[Camera], found: Sequence[tuple[Tensor, Tensor, float]]) -> Scores:
+        """Return the scores that ``ViewScorer.score`` gave of each camera."""
+        shown, direction, quality = zip(*found, strict=True)
+        return cls(cameras, torch.stack(shown).half(), torch.stack(direction), torch.tensor(quality))
+
+    @property
+    def positions(self) -> Tensor:
+        """[V, 3] float32 of the cameras."""
+        return torch.stack([camera.position for camera in self.cameras]).float()
+
+    @classmethod
+    def joined(cls, parts: Sequence[Scores]) -> Scores:
+        """Return the scores of the cameras of all parts."""
+        return cls(
+            [camera for part in parts for camera in part.cameras],
+            torch.cat([part.shown for part in parts]),
+            torch.cat([part.direction for part in parts]),
+            torch.cat([part.quality for part in parts]),
+        )
+
 
 def prepared_order(prepared: PreparedGaussians, rows: Tensor) -> Tensor:
     """Return where ``rows`` of the scene are among the prepared Gaussians."""
@@ -53,6 +77,8 @@ class ViewScorer:
     """[M] int64, rows of the prepared Gaussians that count."""
     sizes: Tensor
     """[N] float32, standard deviation of each along its middle axis."""
+    full_size: float
+    """Standard deviation at which all matter side by side would fill an image, as a share of its width."""
     sectors: Tensor
     """[B, 3] float32 unit vectors, middles of the sectors of directions."""
     radius: float
@@ -64,7 +90,13 @@ class ViewScorer:
         step = -(-len(matter.rows) // MOST_COUNTED)
         counted = prepared_order(prepared, matter.rows[::step])
         sizes = gaussians.scales.sort(1).values[:, 1].contiguous()
-        return cls(prepared, counted, sizes, _sectors(), matter.radius)
+        full_size = (0.75 / (4 * math.pi * len(matter.rows))) ** 0.5
+        return cls(prepared, counted, sizes, full_size, _sectors(), matter.radius)
+
+    @property
+    def means(self) -> Tensor:
+        """[M, 3] of the counted Gaussians."""
+        return self.prepared.gaussians.means[self.counted]
 
     def score(self, camera: Camera) -> tuple[Tensor, Tensor, float]:
         """Return how well a camera shows each counted Gaussian [M], from which sector [M], and its quality."""
@@ -101,8 +133,9 @@ class ViewScorer:
         there = mean.flatten()[pixel]
         reach = spread.flatten()[pixel].clamp(max=0.1 * there) + 0.02 * there + self.sizes[rows]
         visible = inside & clear.flatten()[pixel] & (z < there + reach)
-        pixels = self.sizes[rows] * (camera.fx / camera.width * 1000) / z.clamp(min=1e-6)
-        sharp = (pixels / 0.7).clamp(max=1) * (2 - pixels / (1000 * BLURRED)).clamp(0, 1)
+        sizes = self.sizes[rows]
+        shares = sizes.clamp(min=float(sizes.median())) * (camera.fx / camera.width) / z.clamp(min=1e-6)
+        sharp = (shares / self.full_size).clamp(max=1) ** 2 * (2 - shares / BLURRED).clamp(0, 1)
         way = camera.position.float() - means
         direction = (way @ self.sectors.T).argmax(1).to(torch.uint8)
         return visible * sharp, direction
@@ -121,7 +154,7 @@ def choose_views(
         count: views to choose; by default as many as gain at least ``least_gain`` of the first.
         most: views, where ``count`` is None.
     """
-    worth = scores.shown.float() * scores.quality[:, None] * fronts
+    worth = scores.shown.float() * scores.quality[:, None] ** 2 * fronts
     n_sectors = int(scores.direction.max()) + 1
     state = torch.zeros(worth.shape[1], n_sectors)
     chosen: list[int] = []
@@ -151,25 +184,24 @@ def choose_views(
     return chosen
 
 
-def front_sides(scores: Scores, means: Tensor, positions: Tensor) -> Tensor:
+def front_sides(scores: Scores, means: Tensor) -> Tensor:
     """Return [V, M] bool: whether each view sees the side of a Gaussian from which the views that show the most see it.
 
     Args:
         means: [M, 3] of the Gaussians.
-        positions: [V, 3] of the cameras.
     """
     richness = scores.quality * scores.shown.float().mean(1)
     mean, total = torch.zeros_like(means), torch.zeros(len(means))
-    for view, place in enumerate(positions):
+    for view, place in enumerate(scores.positions):
         weight = richness[view] * scores.shown[view].float()
-        mean += weight[:, None] * torch.nn.functional.normalize(place - means, dim=1)
+        mean += weight[:, None] * normalize(place - means, dim=1)
         total += weight
     mean /= total.clamp(min=1e-9)[:, None]
+    length = mean.norm(dim=1)
     return torch.stack(
         [
-            ((torch.nn.functional.normalize(place - means, dim=1) * mean).sum(1) > -0.1 * mean.norm(dim=1))
-            | (mean.norm(dim=1) < 0.2)
-            for place in positions
+            ((normalize(place - means, dim=1) * mean).sum(1) > -0.1 * length) | (length < 0.2)
+            for place in scores.positions
         ]
     )
 
@@ -182,4 +214,4 @@ def _sectors() -> Tensor:
         for second in (-1, 1):
             near, far = first / golden, second * golden
             corners += [(0, near, far), (near, far, 0), (far, 0, near)]
-    return torch.nn.functional.normalize(torch.tensor(corners, dtype=torch.float32), dim=1)
+    return normalize(torch.tensor(corners, dtype=torch.float32), dim=1)
