@@ -12,7 +12,7 @@ from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
 from scoup.raster import prepare_gaussians
-from scoup.scene.cameras import Cameras
+from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 
 ROUNDS = 2  # of moving the best cameras a little
@@ -62,22 +62,22 @@ def choose_cameras(
     cameras = candidate_cameras(matter, width, height)
     total, done = len(cameras) + ROUNDS * PARENTS * CHILDREN, 0
     progress("views", done, total)
-    parts: list[Scores] = []
-    for turn in range(ROUNDS + 1):
+
+    def score(some: list[Camera]) -> Scores:
+        nonlocal done
         found = []
-        for camera in cameras:
+        for camera in some:
             found.append(scorer.score(camera))
             done += 1
             progress("views", done, total)
-        parts.append(Scores.of(cameras, found))
-        scores = Scores.joined(parts)
-        fronts = front_sides(scores, scorer.means)
-        if turn < ROUNDS:
-            parents = choose_views(scores, fronts, PARENTS, 0, PARENTS)
-            near = draws[turn * CHILDREN : (turn + 1) * CHILDREN]
-            cameras = nearby_cameras(
-                [scores.cameras[view] for view in parents], matter, torch.from_numpy(near)
-            )
+        return Scores.of(some, found)
+
+    scores = score(cameras)
+    for near in torch.from_numpy(draws).split(CHILDREN):
+        parents = choose_views(scores, front_sides(scores, scorer.means), PARENTS, 0, PARENTS)
+        moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
+        scores = Scores.joined([scores, score(moved)])
+    fronts = front_sides(scores, scorer.means)
     chosen = choose_views(scores, fronts, count, LEAST_GAIN, MOST_VIEWS)
     return Cameras(
         replace(scores.cameras[view], name=f"view_{number:03d}.png") for number, view in enumerate(chosen)

@@ -114,8 +114,8 @@ def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> 
     """Return cameras that stand a little beside each of some, and look a little beside what these look at.
 
     Args:
-        draws: [D, 5] in -1..1: shares of the furthest move along the three axes of the matter, and of the furthest turns
-            aside and up.
+        draws: [D, 5] in -1..1: shares of the furthest move along each of the three axes of the matter, and of the
+            furthest turns aside and up.
     """
     found = []
     for camera in cameras:
