@@ -7,6 +7,7 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.extract.own_views import choose_cameras
+from scoup.extract.scene_up import estimate_up_of_splat
 from scoup.scene.gaussians import Gaussians
 from support import random_gaussians
 
@@ -36,3 +37,38 @@ def test_what_cannot_be_seen_is_refused(case: str) -> None:
         parts["means"][:] = torch.nan
     with pytest.raises(InputError, match="gaussians: nothing"):
         choose_cameras(Gaussians(**parts), width=64, height=48)
+
+
+def floor(normal: int, seed: int = 3, count: int = 600) -> Gaussians:
+    """Flat Gaussians that lie in a plane across an axis, and round ones about it."""
+    gaussians = random_gaussians(count, seed=seed)
+    means, scales = gaussians.means.clone(), torch.full((count, 3), 0.05)
+    lying = torch.arange(count) < count // 2
+    means[lying, normal] = 0
+    scales[lying, normal] = 0.001
+    upright = torch.tensor([1.0, 0, 0, 0]).expand(count, 4).clone()
+    return Gaussians(means, upright, scales, torch.full((count,), 0.9), gaussians.sh)
+
+
+@pytest.mark.parametrize(
+    ("normal", "expected"), [(2, (0, 0, 1)), (1, (0, -1, 0)), (0, (0, -1, 0))], ids=["z", "y", "neither"]
+)
+def test_up_is_what_floors_face(normal: int, expected: tuple[float, ...]) -> None:
+    gaussians = floor(normal)
+    assert estimate_up_of_splat(gaussians, torch.arange(len(gaussians))).tolist() == list(expected)
+
+
+def test_a_tilted_floor_tilts_what_is_up() -> None:
+    angle = torch.tensor(0.35)
+    turn = torch.tensor([[1, 0, 0], [0, angle.cos(), -angle.sin()], [0, angle.sin(), angle.cos()]])
+    flat = floor(1)
+    quat = torch.tensor([(angle / 2).cos(), (angle / 2).sin(), 0, 0]).expand(len(flat), 4).clone()
+    tilted = Gaussians(flat.means @ turn.T, quat, flat.scales, flat.opacities, flat.sh)
+    up = estimate_up_of_splat(tilted, torch.arange(len(tilted))).float()
+    assert torch.allclose(up, turn @ torch.tensor([0.0, -1, 0]), atol=1e-3)
+
+
+@pytest.mark.parametrize("up", [(0, 0, 0), (0, 1), (0, float("nan"), 1)])
+def test_what_is_not_a_direction_is_refused(up: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match="up: expected three numbers"):
+        choose_cameras(random_gaussians(50, seed=1), width=64, height=48, up=up)
