@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from bisect import bisect_left
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,9 @@ from typing import Any
 
 import pytest
 from benchmarks import documents
+from benchmarks.__main__ import STUDIES
+
+from scoup.cli.parsing import parse
 
 MEASURED = [
     path
@@ -144,3 +148,19 @@ def test_a_figure_that_is_not_in_a_record_is_found() -> None:
     ]
     assert [is_in(each, known) for each in ("0.816", "81.6", "0.82", "1030", "1.03")] == [True] * 5
     assert not any(is_in(each, known) for each in ("0.817", "0.815", "81.7", "0.9", "13.0"))
+
+
+def commands() -> list[str]:
+    """All commands of the documents that run the benchmarks."""
+    texts = [path.read_text() for path in (*documents.DOCUMENTS, documents.ROOT / "CONTRIBUTING.md")]
+    lines = "\n".join(texts).replace("\\\n", "")
+    return sorted(set(re.findall(r"python -m (benchmarks[^`\n]*)", lines)))
+
+
+@pytest.mark.parametrize("command", commands())
+def test_commands_of_the_benchmarks_exist(command: str) -> None:
+    module, *words = shlex.split(command, comments=True)
+    place = documents.ROOT.joinpath(*module.split("."))
+    assert place.with_suffix(".py").is_file() or (place / "__main__.py").is_file()
+    if module == "benchmarks" and words and words[0] != "NAME":
+        parse(words, STUDIES, "python -m benchmarks")
