@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from benchmarks.endurance import Plain, run_undisturbed
 from benchmarks.endurance_runs import environment, snapshot
@@ -47,6 +47,8 @@ class PowerLoss(Study):
     """Folders of each verb in which it runs again; and, with and without flushing, runs that are timed."""
     seed: int = 0
     """Of the choice of these folders."""
+
+    rows_depend_on: ClassVar[tuple[str, ...]] = ("views", "width", "runs", "seed")
 
     def check(self) -> None:
         for name in self.verbs:
@@ -88,38 +90,30 @@ class Recorded:
     folders: list[Contents]  # that a power cut may leave, each once
     at_end: list[Contents]  # those that it may leave after the end
     flushes: list[float]  # seconds of each
-    seconds: float  # of the whole run
 
 
 def recorded(verb: Verb, scene: Scene, flush: bool = True) -> Recorded:
     """Run a verb and return what power cuts would have left."""
-    verb.prepare(scene)
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder)
-        command = [
-            sys.executable,
-            "-m",
-            "benchmarks.power_loss_child",
-            str(store),
-            str(scene.work),
-            str(int(flush)),
-        ]
-        start = time.perf_counter()
-        subprocess.run(
-            [*command, *verb.command(scene)],
-            cwd=scene.work,
-            env=environment(),
-            check=True,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        seconds = time.perf_counter() - start
+        run_child(verb, scene, folder, flush)
         lines = (store / "states.jsonl").read_text().splitlines()
         by_line = {line: _folders(store, line) for line in lines}
         flushes = store / "flushes"
         taken = [float(text) for text in flushes.read_text().split()] if flushes.exists() else []
     each = {tuple(sorted(found.items())): found for folders in by_line.values() for found in folders}
-    return Recorded(len(lines), list(each.values()), by_line[lines[-1]], taken, seconds)
+    return Recorded(len(lines), list(each.values()), by_line[lines[-1]], taken)
+
+
+def run_child(verb: Verb, scene: Scene, store: str, flush: bool) -> float:
+    """Run a verb by `benchmarks/power_loss_child.py`; return its seconds."""
+    verb.prepare(scene)
+    child = [sys.executable, "-m", "benchmarks.power_loss_child", store, str(scene.work), str(int(flush))]
+    quiet = subprocess.DEVNULL
+    start = time.perf_counter()
+    subprocess.run([*child, *verb.command(scene)], cwd=scene.work, env=environment(), check=True, stdout=quiet,
+                   stderr=quiet)  # fmt: skip
+    return time.perf_counter() - start
 
 
 def _folders(store: Path, line: str) -> list[Contents]:
@@ -178,7 +172,7 @@ def figures(verb: Verb, scene: Scene, runs: int, seed: int) -> dict[str, Any]:
     times: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(runs):
         for flush, taken in times.items():
-            taken.append(recorded(verb, scene, flush).seconds)
+            taken.append(run_child(verb, scene, "", flush))
     return {
         "moments": flushed.moments,
         "folders": len(flushed.folders),

@@ -6,11 +6,12 @@ Before each change of a file below FOLDER, and at the end, STORE/states.jsonl ge
 as they are, and the names that are on the disk for certain (as of the last ``os.fsync`` of each folder). Each maps a
 path to ``[number of the flushed content in STORE, size]``; ``[null, size]`` where the content was not flushed.
 STORE/flushes gets the seconds of each flush. With FLUSH 0 ``os.fsync`` does nothing: the control. Nothing else of the
-verb is changed. Linux only.
+verb is changed. An empty STORE records nothing. Linux only.
 """
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import shutil
@@ -85,6 +86,17 @@ def _names(folder: Path) -> Names:
 def main(arguments: list[str]) -> None:
     """Record, and run the verb."""
     store, folder, flush = Path(arguments[0]), Path(arguments[1]), arguments[2] == "1"
+    if arguments[0]:
+        _record(store, folder, flush)
+    elif not flush:
+        os.fsync = lambda descriptor: None
+    from scoup.cli.app import entry
+
+    sys.argv = ["scoup", *arguments[3:]]
+    entry()
+
+
+def _record(store: Path, folder: Path, flush: bool) -> None:
     disk, fsync = Disk(store, folder), os.fsync
 
     def noted(descriptor: int) -> None:
@@ -97,13 +109,7 @@ def main(arguments: list[str]) -> None:
 
     os.fsync = noted
     sys.addaudithook(disk.audit)
-    from scoup.cli.app import entry
-
-    sys.argv = ["scoup", *arguments[3:]]
-    try:
-        entry()
-    finally:
-        disk.pass_by("end")
+    atexit.register(disk.pass_by, "end")
 
 
 if __name__ == "__main__":
