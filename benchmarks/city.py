@@ -27,6 +27,7 @@ from scoup_lab.bench.measuring import timed
 
 STAGES = ("load", "coding", "region sums", "vote", "save", "total")
 """``total`` is the whole process, from its start to its end but for the start of Python."""
+VIEWS_PER_MILLION = 20  # while Gaussians and views grow, at the same sizes but the smallest
 SIZES = ("anonymous", "resident", "bytes_of_sums")
 
 
@@ -47,8 +48,6 @@ class Cities(Study):
     """Views while Gaussians grow."""
     size_of_views: int = 3_000_000
     """Gaussians while views grow."""
-    views_per_million: int = 20
-    """Views for a million Gaussians while both grow, at the same sizes but the smallest."""
     limit: float = 16
     """GB that a build may take, with what the system caches for it."""
     threads: int = 2
@@ -87,7 +86,7 @@ class Cities(Study):
 
     def _cases(self) -> list[tuple[str, int, int]]:
         """Return what grows, Gaussians and views."""
-        both = [("both", size, self.views_per_million * size // 1_000_000) for size in self.sizes[1:]]
+        both = [("both", size, VIEWS_PER_MILLION * size // 1_000_000) for size in self.sizes[1:]]
         sizes = [("gaussians", size, self.views_of_sizes) for size in self.sizes]
         return [*sizes, *(("views", self.size_of_views, views) for views in self.views), *both]
 

@@ -62,8 +62,6 @@ class Claims(Study):
     """Of the scenes of the entropy study and of glass (`benchmarks.scenes`)."""
     glass_things: int = 6
     """How many things become glass, one at a time."""
-    glass_opacity: float = 0.1
-    """Share of their opacity that is left."""
     seed: int = 0
     """Of everything."""
     repeats: int = 5
@@ -180,9 +178,7 @@ MEASURES: dict[Part, Callable[[Claims], Any]] = {
     "uplift": uplift,
     "views": views,
     "entropy": lambda study: entropy_rows(demo_scene(study, study.entropy_gaussians)),
-    "glass": lambda study: glass_rows(
-        demo_scene(study, study.n_gaussians), study.glass_things, study.glass_opacity
-    ),
+    "glass": lambda study: glass_rows(demo_scene(study, study.n_gaussians), study.glass_things),
 }
 
 

@@ -24,6 +24,7 @@ from scoup_lab.synthetic.scene import DemoScene
 
 OBJECTS = ("m",)  # the level whose names are queried
 PRESET = QUERY_PRESETS["scoup"]
+GLASS = 0.1  # share of a thing's opacity that is left when it becomes glass
 
 
 def study_scene(demo: DemoScene, gaussians: Gaussians) -> StudyScene:
@@ -50,13 +51,13 @@ def members(demo: DemoScene, name: str) -> Tensor:
     return torch.from_numpy(of_objects == demo.parts.names("m").index(name))
 
 
-def as_glass(gaussians: Gaussians, chosen: Tensor, share: float) -> Gaussians:
-    """Return the Gaussians with the opacity of those chosen [N] multiplied by ``share``."""
-    return replace(gaussians, opacities=torch.where(chosen, share * gaussians.opacities, gaussians.opacities))
+def as_glass(gaussians: Gaussians, chosen: Tensor) -> Gaussians:
+    """Return the Gaussians with the opacity of those chosen [N] multiplied by ``GLASS``."""
+    return replace(gaussians, opacities=torch.where(chosen, GLASS * gaussians.opacities, gaussians.opacities))
 
 
-def glass_rows(demo: DemoScene, things: int, share: float) -> list[dict[str, Any]]:
-    """Return mIoU and localisation of things before and after their opacity is multiplied by ``share``, one
+def glass_rows(demo: DemoScene, things: int) -> list[dict[str, Any]]:
+    """Return mIoU and localisation of things before and after their opacity is multiplied by ``GLASS``, one
     thing at a time, and of all other things of the scene. The masks and embeddings of the regions stay as they
     are.
     """
@@ -65,7 +66,7 @@ def glass_rows(demo: DemoScene, things: int, share: float) -> list[dict[str, Any
     labels = [pair.label for pair in before]
     rows = []
     for name in sorted(set(labels), key=lambda label: (-labels.count(label), label))[:things]:
-        scene = study_scene(demo, as_glass(demo.gaussians, members(demo, name), share))
+        scene = study_scene(demo, as_glass(demo.gaussians, members(demo, name)))
         after = scene.score(BASE.fit(scene.rasterised), PRESET).pairs
         row: dict[str, Any] = {"thing": name, "views": labels.count(name)}
         for which, pairs in (("before", before), ("after", after)):

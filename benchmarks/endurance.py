@@ -14,7 +14,6 @@ from typing import Any
 from benchmarks.endurance_runs import Run, snapshot
 from benchmarks.endurance_verbs import VERBS, Scene, Verb, make_scene
 from benchmarks.study import Record, Study
-from scoup.base.errors import looked_up
 from scoup_lab.bench import markdown
 
 AGAIN = 0.4
@@ -44,8 +43,6 @@ class Endurance(Study):
     """Kills that hit, shared out among the verbs."""
     seed: int = 0
     """Of the moments of the kills."""
-    verbs: tuple[str, ...] = tuple(VERBS)
-    """Which verbs."""
     views: int = 12
     """Of the scene."""
     width: int = 240
@@ -53,16 +50,12 @@ class Endurance(Study):
     outside: float = 0.5
     """Share of the kills that come from outside, after some time; the others come at a point of the work."""
 
-    def check(self) -> None:
-        for name in self.verbs:
-            looked_up("verb", name, VERBS)
-
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         with tempfile.TemporaryDirectory(prefix="scoup-endurance-") as folder:
             scene = make_scene(Path(folder) / "scene", self.views, self.width)
-            for number, name in enumerate(self.verbs):
+            for number, name in enumerate(VERBS):
                 if name not in known:
-                    share = len(range(number, self.kills, len(self.verbs)))
+                    share = len(range(number, self.kills, len(VERBS)))
                     yield (
                         name,
                         figures(endure(VERBS[name], scene, share, self.seed, self.outside), VERBS[name]),

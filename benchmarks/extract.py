@@ -38,6 +38,7 @@ WAYS = {
 """How MobileSAM is asked; the preset fast is the default without a GPU."""
 SECOND = "fast, SAM 2 tiny"
 FOUND = 0.5  # IoU from which a thing has a region, and a region its like
+UNLABELLED = 5  # photographs without labels
 DECODED = 48  # points whose decoding is timed in both decoders
 
 
@@ -54,8 +55,6 @@ class Extraction(Study):
     """MobileSAM's checkpoint."""
     onnx: Path | None = None
     """Folder of SAM 2 tiny as ONNX; left out if not given."""
-    unlabelled: int = 5
-    """Photographs without labels."""
 
     def check(self) -> None:
         if not (data_folder() / "desk").is_dir():
@@ -65,7 +64,7 @@ class Extraction(Study):
         folder = data_folder() / "desk"
         frames = {frame.name: frame for frame in read_labels(folder / "label")}
         paths = sorted((folder / "images_2").glob("*.jpg"))
-        unlabelled = spread([path for path in paths if path.stem not in frames], self.unlabelled)
+        unlabelled = spread([path for path in paths if path.stem not in frames], UNLABELLED)
         sam = open_sam(str(self.weights))
         if "decoder" not in known:
             yield "decoder", _decoders(sam, _pixels(paths[0]))

@@ -33,6 +33,7 @@ ACTIONS = {
     "query": 50, "picture": 20, "point": 10, "thumbnail": 10, "page": 4, "scene": 2, "selection": 2, "walk away": 2
 }  # fmt: skip
 """How often a visitor does what, in a hundred."""
+MINUTES = 10
 TIMEOUT = 120  # seconds for an answer
 
 
@@ -155,10 +156,8 @@ class ServerLoad(Study):
 
     clients: int = 100
     """Visitors at once."""
-    minutes: float = 10.0
-    """How long they come."""
     requests: int = 0
-    """Requests of each visitor, in place of minutes; 0 for as many as there is time for."""
+    """Requests of each visitor; 0 for as many as there is time for in ten minutes."""
     pause: float = 1.0
     """Mean seconds between an answer and the next question."""
     n_gaussians: int = 20_000
@@ -231,7 +230,7 @@ class ServerLoad(Study):
         def goes_on(done: int) -> bool:
             if self.requests:
                 return done < self.requests
-            return time.monotonic() - start < 60 * self.minutes
+            return time.monotonic() - start < 60 * MINUTES
 
         threads = []
         for number in range(self.clients):

@@ -101,7 +101,7 @@ def test_glass_changes_the_opacity_of_the_thing_alone() -> None:
     assert 0 < int(chosen.sum()) < 2500
     parts = demo.part_of_gaussian[chosen].unique().tolist()
     assert {demo.parts.objects[demo.parts.object_of_part[part]] for part in parts} == {name}
-    changed = as_glass(demo.gaussians, chosen, 0.1)
+    changed = as_glass(demo.gaussians, chosen)
     ratio = changed.opacities / demo.gaussians.opacities
     torch.testing.assert_close(ratio, torch.where(chosen, 0.1, 1.0))
     assert changed.means is demo.gaussians.means

@@ -28,7 +28,7 @@ PAIRS = {"figurines": 56, "teatime": 59, "ramen": 71, "waldo_kitchen": 22}  # of
 def scene(name: str, ious: dict[str, list[float]], protocol: str = "lerf-ovs 2D") -> SceneScore:
     localizes = protocol == "lerf-ovs 2D"
     pairs = [
-        PairScore(f"f{n}", label, value, value > 0.5 if localizes else None, n % 3, 0, 0.7, (1, 2))
+        PairScore(f"f{n}", label, value, value > 0.5 if localizes else None, n % 3, 0.7, (1, 2))
         for label, values in ious.items()
         for n, value in enumerate(values)
     ]

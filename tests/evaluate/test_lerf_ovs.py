@@ -107,7 +107,7 @@ def test_only_the_chosen_level_counts_and_levels_may_differ(tmp_path: Path) -> N
     relevancy[0, 0, 10:30, 20:40] = 0.9
     relevancy[1, 0, 0:8, 0:8] = 1.0
     (pair,) = PROTOCOL.score_frame(frame, relevancy)
-    assert (pair.level, pair.localization_level, pair.hit, pair.iou) == (1, 1, False, 0.0)
+    assert (pair.level, pair.hit, pair.iou) == (1, False, 0.0)
     (pair,) = PROTOCOL.score_frame(frame, relevancy[:1])
     assert pair.hit
     assert pair.iou == pytest.approx(

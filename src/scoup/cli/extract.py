@@ -34,7 +34,7 @@ class Extract(WritesCommon):
     option_groups: ClassVar[OptionGroups] = {
         "photograph": "images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
-        "mask": "preset points_per_side points_per_batch with_default",
+        "mask": "preset points_per_side with_default",
         "output": "out layout bits shard",
     }
 
@@ -66,8 +66,6 @@ class Extract(WritesCommon):
     early filters, 16 bits on a GPU. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
-    points_per_batch: OptionalInteger = None
-    """Points predicted at a time: fewer take less memory. Default: 64, or 256 with the preset fast."""
     layout: Literal["compact", "langsplat"] = "compact"
     """compact: one small file a view. langsplat: <image>_s.npy and _f.npy, as other programs read them."""
     bits: Literal[16, 32] = 16
@@ -141,8 +139,7 @@ class Extract(WritesCommon):
         segmenter = self.segmenter or ("sam-vit-h" if on_gpu else "mobile-sam")
         preset: Literal["langsplat", "fast"] = self.preset or ("langsplat" if on_gpu else "fast")
         console.say(f"segmenter {segmenter}, preset {preset}, embedder {self.embedder}")
-        points = {"points_per_side": self.points_per_side, "points_per_batch": self.points_per_batch}
-        return segmenter, mask_settings(preset, **points)
+        return segmenter, mask_settings(preset, points_per_side=self.points_per_side)
 
 
 def _list_models(console: Console) -> None:

@@ -45,15 +45,6 @@ class Slots:
         """[K, R]: softmax over the support."""
         return torch.softmax(self._logits[: self._k], dim=0)
 
-    def dense_logits(self) -> Tensor:
-        """[R, L]: all logits, as dense Adam would hold them."""
-        dense = torch.empty_like(self._initial[:-1]).scatter_(0, self._order[:-1], self._initial[:-1])
-        kept = torch.where(self._logits > -torch.inf, self._logits, dense.gather(0, self._atoms))
-        # Unused slots name atom 0: written first, so that a slot that is used has the last word.
-        for slot in reversed(range(len(kept))):
-            dense.scatter_(0, self._atoms[slot : slot + 1], kept[slot : slot + 1])
-        return dense.T
-
     def step(self, gradient: Tensor, step: Step, flush: bool) -> None:
         """One Adam step from the gradient [K, R] of the support; the other slots coast on their moments.
 

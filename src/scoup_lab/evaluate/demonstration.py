@@ -168,9 +168,7 @@ def answered(field: LanguageField, scene: DemoScene, labelled: LabelledScene) ->
             hit = any_inside(torch.tensor([answer.point]), frame.boxes[answer.text])
             level = field.level_index(answer.level)
             found = iou(answer.mask, frame.masks[answer.text])
-            pairs.append(
-                PairScore(frame.name, answer.text, found, hit, level, level, answer.score, answer.point)
-            )
+            pairs.append(PairScore(frame.name, answer.text, found, hit, level, answer.score, answer.point))
     return SceneScore("", "default", tuple(pairs))
 
 

@@ -20,7 +20,6 @@ class PairScore:
     # localisation
     hit: bool | None
     level: int  # position of the level of the mask; -1 where none has a say
-    localization_level: int  # position of the level of the point; -1 in protocols without localisation
     score: float  # the largest smoothed relevancy
     pixel: tuple[int, int] | None  # (x, y) of the point; None in protocols without localisation
 

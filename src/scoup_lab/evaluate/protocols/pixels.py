@@ -150,7 +150,7 @@ class PixelProtocol:
         if not self.localizes:
             found = segment(maps[rows], preset)
             score = iou(found.mask.cpu(), frame.resized(width, height).masks[label])
-            return PairScore(frame.name, label, score, None, rows[found.level], -1, found.score, None)
+            return PairScore(frame.name, label, score, None, rows[found.level], found.score, None)
         point, found = localize_and_segment(maps[rows], preset)
         truth = frame.only(label).resized(width, height)
         return PairScore(
@@ -159,7 +159,6 @@ class PixelProtocol:
             iou(found.mask.cpu(), truth.masks[label]),
             any_inside(point.pixels.cpu(), truth.boxes[label]),
             rows[found.level],
-            rows[point.level],
             found.score,
             point.pixel,
         )

@@ -82,7 +82,7 @@ def score_scene(
             shape = silhouette(gaussians, chosen[label], camera, raster_preset, preset.silhouette).cpu()
             # A selection that shows nothing scores 0, even where the truth is empty too.
             score = iou(shape, truth.masks[label]) if shape.any() else 0.0
-            pairs.append(PairScore(frame.name, label, score, None, -1, -1, float("nan"), None))
+            pairs.append(PairScore(frame.name, label, score, None, -1, float("nan"), None))
     return scene_score(scene, preset.name, pairs, PROTOCOL)
 
 
