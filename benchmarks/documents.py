@@ -31,6 +31,7 @@ from benchmarks.hostile.study import Hostile
 from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.locate import Locate
+from benchmarks.power_loss import PowerLoss
 from benchmarks.query import Query
 from benchmarks.selection import Selections
 from benchmarks.server_load import ServerLoad
@@ -190,6 +191,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "city": (Cities, "city"),
     "hostile": (Hostile, "hostile"),
     "endurance": (Endurance, "endurance"),
+    "power loss": (PowerLoss, "power_loss"),
     "server load": (ServerLoad, "server_load"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
