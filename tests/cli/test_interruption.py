@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import BUILD, QUICK, refused, run, run_json, snapshot
+from cli_support import BUILD, QUICK, RUN, refused, run, run_json, snapshot
 from scoup.base.locks import locked_folder, locked_output
 from scoup.base.shares import Share
 from scoup.io import save_png
@@ -179,3 +179,15 @@ def test_of_several_processes_none_extracts_into_a_folder_in_use(monkeypatch: py
     with locked_folder(Path("regions"), Share(1, 2)):  # the first has ended already
         assert f"by process {os.getpid()} on " in refused(*EXTRACT)
     assert snapshot(Path("regions")) == before
+
+
+def test_a_server_of_agents_ends_quietly_when_it_is_terminated() -> None:
+    pytest.importorskip("mcp", reason="needs scoup[mcp]")
+    command = [sys.executable, "-c", RUN, "mcp", "f.scoup"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as server:
+        assert server.stderr is not None
+        assert "serving f" in server.stderr.readline()
+        server.send_signal(signal.SIGTERM)
+        _, err = server.communicate(timeout=HANGS)
+    assert (server.returncode, err) == (143, "")

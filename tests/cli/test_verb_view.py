@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import subprocess
 import sys
+import threading
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,6 +22,7 @@ from support import HANGS
 
 PAGE = PageFiles(f"<head>{STYLE}{SETTINGS}</head>{PROGRAM}", b"", "", "")
 BUILT = page.page_files
+QUERY = json.dumps({"texts": ["kettle"]}).encode()
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
 SERVE = f"""
@@ -74,20 +79,53 @@ def test_a_page_that_was_not_built_is_said(monkeypatch: pytest.MonkeyPatch, tmp_
     assert "tools/build_viewer.py" in refused("view", "f.scoup")
 
 
-@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
-def test_it_serves_until_it_is_stopped(stop: signal.Signals, code: int):
-    command = [sys.executable, "-c", SERVE, "view", "f.scoup", "--port", "0", "--json"]
+@contextmanager
+def served(before: str = "") -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A server in a process of its own, which runs some Python before, and the address of its queries."""
+    command = [sys.executable, "-c", before + SERVE, "view", "f.scoup", "--port", "0", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         lines = []
         while not lines or lines[-1] != "}\n":
             lines.append(process.stdout.readline())
             assert lines[-1], process.stderr and process.stderr.read()
-        address = json.loads("".join(lines))["address"]
-        body = json.dumps({"texts": ["kettle"]}).encode()
-        with urllib.request.urlopen(urllib.request.Request(f"{address}api/query", body)) as answer:
+        yield process, f"{json.loads(''.join(lines))['address']}api/query"
+
+
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_it_serves_until_it_is_stopped(stop: signal.Signals, code: int):
+    with served() as (process, queries):
+        with urllib.request.urlopen(urllib.request.Request(queries, QUERY)) as answer:
             assert json.load(answer)["answers"][0]["text"] == "kettle"
         process.send_signal(stop)
         _, err = process.communicate(timeout=HANGS)
-    assert process.returncode == code
-    assert "Traceback" not in err
+    assert (process.returncode, err) == (code, "")
+
+
+SLOW = """
+import sys, time
+from scoup.view.viewed_field import ViewedField
+def answers(*_):
+    print("asked", flush=True)
+    time.sleep(4)  # longer than the server waits for answers
+ViewedField.answers = answers
+"""
+
+
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_it_stops_quietly_while_requests_wait(stop: signal.Signals, code: int):
+    def ask(queries: str) -> None:
+        with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
+            urllib.request.urlopen(urllib.request.Request(queries, QUERY), timeout=HANGS)
+
+    with served(SLOW) as (process, queries):
+        visitors = [threading.Thread(target=ask, args=(queries,)) for _ in range(3)]
+        for visitor in visitors:
+            visitor.start()
+        assert process.stdout is not None
+        assert process.stdout.readline() == "asked\n"
+        process.send_signal(stop)
+        _, err = process.communicate(timeout=HANGS)
+        for visitor in visitors:
+            visitor.join()
+    assert (process.returncode, err) == (code, "")

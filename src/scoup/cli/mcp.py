@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from scoup.cli.console import Console
+from scoup.cli.console import Console, Terminated
 from scoup.cli.options import Common, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import check_metres
 
@@ -33,8 +33,8 @@ class ServeAgents(Common):
     metres_per_unit: OptionalNumber = None
     """Length of the scenes' unit in metres, if you know it."""
 
-    def run(self, console: Console) -> None:
-        """Open the fields and serve them until the client leaves."""
+    def run(self, console: Console) -> int:
+        """Open the fields and serve them until the client leaves, or ends this process."""
         from scoup.base.errors import InputError, MissingFileError
         from scoup.field.language_field import LanguageField
         from scoup.view.mcp_server import make_server
@@ -55,5 +55,9 @@ class ServeAgents(Common):
             len(field.gaussians)  # a geometry that is missing is said now, not to the model
             fields[name] = field
         server = make_server(SceneTools(fields, self.out, self.metres_per_unit))
-        console.warn(f"serving {', '.join(names)} over standard input and output")
-        server.run("stdio")
+        try:
+            console.warn(f"serving {', '.join(names)} over standard input and output")
+            server.run("stdio")
+        except KeyboardInterrupt as stop:
+            return 143 if isinstance(stop, Terminated) else 0
+        return 0

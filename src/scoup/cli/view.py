@@ -50,13 +50,13 @@ class View(TextOptions):
     split: Flag = False
     """With --export: a folder, with the data in files beside the page."""
 
-    def run(self, console: Console) -> None:
+    def run(self, console: Console) -> int:
         """Serve or export."""
         self._check_options()
-        if self.export is not None:
-            self._export(console, self.export)
-        else:
-            self._serve(console)
+        if self.export is None:
+            return self._serve(console)
+        self._export(console, self.export)
+        return 0
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
@@ -103,30 +103,31 @@ class View(TextOptions):
         )
         console.result(report.record())
 
-    def _serve(self, console: Console) -> None:
+    def _serve(self, console: Console) -> int:
+        """Serve until the process is interrupted or terminated: both are the usual end."""
         from scoup.view.guard import is_loopback
         from scoup.view.viewer import Viewer
 
         viewed = self._viewed(console)
-        with Viewer(viewed, self.host, self.port, self.remote) as viewer:
-            if not is_loopback(self.host):
-                console.warn(
-                    f"{self.host}: other machines can reach this page; whoever has the address can ask the field "
-                    "and download its Gaussians, and what is sent is not encrypted"
-                )
-            record: dict[str, Any] = {"address": viewer.address, "field": self.field}
-            console.say(f"{self.field}: {viewer.address}\nCtrl-C ends it")
-            console.result(record)
-            if self.open_browser:
-                import webbrowser
+        try:
+            with Viewer(viewed, self.host, self.port, self.remote) as viewer:
+                if not is_loopback(self.host):
+                    console.warn(
+                        f"{self.host}: other machines can reach this page; whoever has the address can ask the field "
+                        "and download its Gaussians, and what is sent is not encrypted"
+                    )
+                record: dict[str, Any] = {"address": viewer.address, "field": self.field}
+                console.say(f"{self.field}: {viewer.address}\nCtrl-C ends it")
+                console.result(record)
+                if self.open_browser:
+                    import webbrowser
 
-                webbrowser.open(viewer.address)
-            try:
+                    webbrowser.open(viewer.address)
                 viewer.wait()
-            except Terminated:
-                raise
-            except KeyboardInterrupt:  # the usual end
-                console.say("\nclosed")
+        except KeyboardInterrupt as stop:
+            console.say("\nclosed")
+            return 143 if isinstance(stop, Terminated) else 0
+        return 0
 
 
 def _size(count: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import importlib.util
+import logging
 import socket
 import threading
 import time
@@ -111,9 +112,14 @@ class Viewer:
 
     def close(self) -> None:
         """Stop answering; open pages say so."""
-        self._server.should_exit = True
-        self._ended.wait(10)
-        self._socket.close()
+        log = logging.getLogger("uvicorn.error")
+        log.addFilter(_nothing)  # it would report each request that waits as a fault, with a traceback
+        try:
+            self._server.should_exit = True
+            self._ended.wait(10)
+            self._socket.close()
+        finally:
+            log.removeFilter(_nothing)
 
     def __enter__(self) -> Viewer:
         return self
@@ -158,6 +164,11 @@ def check_needed() -> None:
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise ScoupError(f'the viewer needs {" and ".join(missing)}: pip install "scoup[view]"')
+
+
+def _nothing(record: logging.LogRecord) -> bool:
+    """Filter that lets no message through."""
+    return False
 
 
 def _bound(host: str, port: int | None) -> socket.socket:
