@@ -25,10 +25,6 @@ def check_output(path: str | Path, overwrite: bool = False, is_folder: bool = Fa
 
     Returns:
         The path.
-
-    Raises:
-        OutputExistsError: it is there already and ``overwrite`` is false.
-        InputError: the path is of the other kind or special, or its folder is a file or cannot be written to.
     """
     path = Path(path)
     if os.path.isdir(path) and not is_folder:
@@ -81,10 +77,6 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     Args:
         path: the output.
         overwrite: replace what is there.
-
-    Raises:
-        OutputExistsError, InputError: as ``check_output``.
-        WriteError: the system refuses to write the temporary file; names ``path``.
     """
     # A folder, as libraries may write files of other names first, which nobody holds.
     with _appearing(path, overwrite, in_folder=True) as temporary:

@@ -63,11 +63,7 @@ class CodingBackend(Protocol):
 
 
 def coding_backend(device: torch.device, name: str | None = None) -> CodingBackend:
-    """The backend of that name, or by default the fastest for tensors on a device.
-
-    Raises:
-        UnknownNameError, InputError: see ``base.backends.load_backend``.
-    """
+    """The backend of that name, or by default the fastest for tensors on a device."""
     return cast(CodingBackend, load_backend(BACKENDS, device, name, "coding")[1])
 
 

@@ -57,10 +57,6 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         scene: a folder with cameras as ``load_cameras`` reads them (their photographs are taken), or a folder
             with ``images``, ``images_2`` and so on, or of photographs.
         images: the folder of the photographs, where it is another.
-
-    Raises:
-        MissingFileError: the scene or its photographs are missing.
-        FileFormatError: the cameras are damaged.
     """
     scene = Path(scene)
     if not scene.exists():

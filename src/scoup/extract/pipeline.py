@@ -83,10 +83,6 @@ def extract(
         share: of the photographs that this process extracts. Several processes may work on one folder; one that dies
             loses its current view.
 
-    Raises:
-        InputError: the folder was made with other settings, or two photographs share a stem.
-        ScoupError: no photograph could be read.
-
     Warns:
         ScoupWarning: photographs were skipped because they could not be read; says how many.
     """

@@ -107,9 +107,6 @@ def open_segmenter(
         settings: of the masks, for models.
         revision: branch, tag or commit of a hub model.
         with_default: also make LangSplat's level "default" (models only).
-
-    Raises:
-        ScoupError: the package or the weights that it needs are missing.
     """
     if name == felzenszwalb.NAME:
         if with_default:
@@ -132,9 +129,6 @@ def open_embedder(name: str, revision: str | None = None, device: torch.device |
     Args:
         name: of ``EMBEDDERS``.
         revision: branch, tag or commit of a hub model.
-
-    Raises:
-        ScoupError: the package or the weights that it needs are missing.
     """
     if name == plain_colors.NAME:
         return plain_colors.PlainColors(device)

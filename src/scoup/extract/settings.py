@@ -86,9 +86,6 @@ def mask_settings(preset: Preset = "langsplat", **changes: Any) -> MaskSettings:
 
     ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, leaves out points that lie in masks
     found before, filters the model's low-resolution masks before upscaling them, and runs in 16 bits on a GPU.
-
-    Raises:
-        InputError: the preset is unknown, or a value is out of range.
     """
     if preset not in get_args(Preset):
         raise InputError(f"there is no preset {preset!r}; use one of {', '.join(get_args(Preset))}")

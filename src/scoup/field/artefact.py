@@ -92,10 +92,6 @@ def read_field(path: Path) -> FieldParts:
 
     Everything in the file is read, once: header and tensors, embedded Gaussians included. All of it is compared with
     its checksums before any of it is used.
-
-    Raises:
-        MissingFileError, FileFormatError: it is not there, no language field, or damaged.
-        FieldVersionError: it is of a newer version.
     """
     text, header, tensors = _read(path)
     with field_damage_named(path):
@@ -188,11 +184,7 @@ def field_damage_named(path: Path) -> Iterator[None]:
 
 
 def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
-    """Text of the header, the header, and all tensors of a ``.scoup`` file.
-
-    Raises:
-        FileFormatError: it is something else, or damaged.
-    """
+    """Text of the header, the header, and all tensors of a ``.scoup`` file."""
     from safetensors import safe_open
 
     what = "a SCOUP language field"
@@ -214,11 +206,7 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
 
 
 def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
-    """Write a safetensors file.
-
-    Raises:
-        WriteError: the system refuses.
-    """
+    """Write a safetensors file."""
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 

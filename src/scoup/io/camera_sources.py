@@ -44,10 +44,6 @@ def find_cameras(path: str | Path) -> CameraSource:
 
     In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a
     COLMAP model in ``sparse``, then transforms.json, then a model in ``colmap/sparse``, then cameras.json.
-
-    Raises:
-        MissingFileError: there are none.
-        FileFormatError: the file is of another kind.
     """
     path = Path(path)
     if os.path.isfile(path):

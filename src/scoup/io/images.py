@@ -115,12 +115,7 @@ def read_mask(path: str | Path, above: int) -> np.ndarray:
 
 
 def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = False) -> None:
-    """Write a PNG: [H, W, 3] or [H, W, 4] uint8 colour, [H, W] uint8 grey, or [H, W] bool (true is white).
-
-    Raises:
-        InputError: another shape or dtype.
-        OutputExistsError: as ``atomic.check_output``.
-    """
+    """Write a PNG: [H, W, 3] or [H, W, 4] uint8 colour, [H, W] uint8 grey, or [H, W] bool (true is white)."""
     from PIL import Image
 
     array = image.detach().cpu().numpy() if isinstance(image, Tensor) else np.asarray(image)
@@ -149,10 +144,6 @@ def save_label_png(
     Args:
         numbers: [H, W] integers from -1 (none).
         colors: [C, 3] uint8 of the numbers.
-
-    Raises:
-        InputError: a number has no colour, or there are more than 65,535.
-        OutputExistsError: as ``atomic.check_output``.
     """
     from PIL import Image
 

@@ -99,12 +99,7 @@ def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
 
 
 def find_gaussians(path: str | Path) -> Path:
-    """Return the file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``.
-
-    Raises:
-        MissingFileError: there is none, or a folder holds several.
-        FileFormatError: the file is of a kind not supported.
-    """
+    """Return the file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``."""
     path = Path(path)
     if os.path.isfile(path):
         if path.suffix.lower() not in (*READERS, *_CHECKPOINTS):
@@ -214,10 +209,6 @@ def camera_photographs(path: str | Path, images: str | Path | None = None) -> li
 
     Args:
         path, images: as in ``load_cameras``.
-
-    Raises:
-        MissingFileError: there are no cameras, or ``images`` is not there.
-        FileFormatError: the cameras are damaged.
     """
     source = find_cameras(path)
     return image_files(_read(source, "undistort"), source.roots, images)

@@ -113,11 +113,7 @@ class DenseModel:
 def open_dense_model(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> DenseModel:
-    """Load an image model ("dense:" and a folder or hub id) as a dense encoder; in 16 bits on a GPU.
-
-    Raises:
-        ScoupError: the package, the weights (safetensors) or a part of them are missing, or the model has no head.
-    """
+    """Load an image model ("dense:" and a folder or hub id) as a dense encoder; in 16 bits on a GPU."""
     model_id = name.removeprefix(PREFIX)
     request = ModelRequest("embedder", name, WITHOUT_MODEL, model_id, revision)
     dtype = torch.float16 if torch.device(device).type == "cuda" else torch.float32

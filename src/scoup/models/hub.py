@@ -129,11 +129,7 @@ class Pretrained:
 
 
 def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded]) -> Loaded:
-    """Return ``load(files)`` with the files on this machine; only if that fails, with the network too.
-
-    Raises:
-        ScoupError: transformers, the weights (safetensors) or a part of them are missing, or ``load`` refused.
-    """
+    """Return ``load(files)`` with the files on this machine; only if that fails, with the network too."""
     if os.path.isfile(request.source):
         raise request.unusable(
             "it is a file; pass a folder with config.json and weights (safetensors), or a hub id"

@@ -47,11 +47,7 @@ class ImageModel:
 def open_image_model(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> ImageModel:
-    """Load an image model (folder, hub id or "open_clip:ARCHITECTURE/PRETRAINED"); in 16 bits on a GPU.
-
-    Raises:
-        ScoupError: a package, the weights (safetensors) or a part of them are missing.
-    """
+    """Load an image model (folder, hub id or "open_clip:ARCHITECTURE/PRETRAINED"); in 16 bits on a GPU."""
     request = ModelRequest("embedder", name, WITHOUT_MODEL, revision=revision)
     dtype = torch.float16 if torch.device(device).type == "cuda" else torch.float32
     if name.startswith(OPEN_CLIP):

@@ -104,11 +104,6 @@ def open_onnx_sam(name: str) -> OnnxSam:
     """Open a pair of ONNX models: "onnx:FOLDER" with one encoder and one decoder (.onnx or .ort), by the files' names.
 
     Of a decoder for single and one for several masks, that for several is taken.
-
-    Raises:
-        MissingFileError: the folder, the encoder or the decoder is missing.
-        FileFormatError: a file is not such a model, or the decoder gives fewer than three masks for a point.
-        ScoupError: ONNX Runtime is not installed.
     """
     folder = Path(name.removeprefix(PREFIX))
     runtime = ModelRequest("segmenter", name, WITHOUT_MODEL).package("onnxruntime", "onnx")

@@ -179,11 +179,7 @@ def normalize_and_pad(scaled: NDArray[np.uint8], side: int, normalization: Norma
 def open_sam(
     name: str, revision: str | None = None, device: torch.device | str = "cpu", half: bool = False
 ) -> Sam:
-    """Load a SAM model: of ``NAMES``, the path of MobileSAM's checkpoint (.pt), or a folder or hub id.
-
-    Raises:
-        ScoupError: transformers, the weights (safetensors) or a part of them are missing.
-    """
+    """Load a SAM model: of ``NAMES``, the path of MobileSAM's checkpoint (.pt), or a folder or hub id."""
     if name == MOBILE_SAM or name.endswith(".pt"):
         return _open_mobile_sam(name, revision, device, half)
     model_id = SHORT_NAMES.get(name, name)

@@ -44,11 +44,7 @@ class WordTable:
 
     @classmethod
     def of(cls, vectors: Mapping[str, Tensor | ArrayLike]) -> WordTable:
-        """Return a table in memory, of name -> vector [D].
-
-        Raises:
-            InputError: there is no name, or the vectors differ in size, are not vectors, zero or not finite.
-        """
+        """Return a table in memory, of name -> vector [D]."""
         if not all(isinstance(name, str) for name in vectors):
             raise InputError("a dict of text embeddings must have texts as its keys")
         try:
@@ -79,10 +75,6 @@ def load_table(path: str | Path) -> WordTable:
     Forms: .npz with arrays ``names`` [M] and ``vectors`` [M, D], or one array [D] per name; .json with
     ``{name: [numbers]}``; .safetensors with one tensor per name, or a tensor ``vectors`` and the names as a
     JSON list in its metadata entry ``names``. The embedding model may be named under ``model``.
-
-    Raises:
-        MissingFileError: the file is missing.
-        FileFormatError: it is damaged, or is not a table.
     """
     path = Path(path)
     if not path.is_file():
@@ -110,10 +102,6 @@ def save_table(
         path: must end in .npz.
         names: all different.
         model: id of the embedding model.
-
-    Raises:
-        InputError: names and vectors do not fit, or a vector is zero or not finite.
-        OutputExistsError: the file exists already.
     """
     if Path(path).suffix.lower() != ".npz":
         raise InputError(f"{path}: tables are written as .npz; change the file's extension")

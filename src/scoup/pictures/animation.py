@@ -23,9 +23,6 @@ def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: flo
             shorter, get a margin above.
         path: .webp or .gif.
         frames_per_second: its speed.
-
-    Raises:
-        InputError: the pictures differ in width, or the file cannot be written.
     """
     if len({frame.shape[1] for frame in frames}) > 1:
         raise InputError(f"{path.name}: the pictures differ in size, and an animation needs one size")

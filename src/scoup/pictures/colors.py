@@ -36,11 +36,7 @@ def as_array(values: ArrayOrTensor) -> np.ndarray:
 
 
 def as_picture(image: ArrayOrTensor) -> Picture:
-    """[H, W, 3] uint8 of a colour image: uint8, or float 0..1 (cut off outside; not finite counts as 0).
-
-    Raises:
-        InputError: another shape or dtype, or no pixels.
-    """
+    """[H, W, 3] uint8 of a colour image: uint8, or float 0..1 (cut off outside; not finite counts as 0)."""
     array = as_array(image)
     if array.ndim != 3 or array.shape[2] != 3 or not array.size:
         raise InputError(f"a colour image is [H, W, 3] and not empty, got {list(array.shape)}")
@@ -143,9 +139,6 @@ def code_picture(
 
     Returns:
         [H, W, 3] uint8; pixels without a code are black.
-
-    Raises:
-        InputError: another shape.
     """
     array = as_array(codes).astype(np.float64)
     if array.ndim != 3 or not array.size:

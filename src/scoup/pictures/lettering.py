@@ -25,11 +25,7 @@ _FONT_FILES = (
 
 @lru_cache(256)
 def font(size: float, file: str = "") -> Font:
-    """Return a font: Pillow's own without a file.
-
-    Raises:
-        OSError: the system has no such file.
-    """
+    """Return a font: Pillow's own without a file."""
     return ImageFont.truetype(file, size) if file else ImageFont.load_default(size=size)
 
 

@@ -48,9 +48,6 @@ def heat_map(
 
     Returns:
         [H + two strips, max(W, 120), 3] uint8.
-
-    Raises:
-        InputError: sizes disagree.
     """
     values = as_array(relevancy).astype(np.float64)
     span = heat_span(values)
@@ -79,9 +76,6 @@ def heat_overlay(
     Args:
         relevancy, rgb: as for ``heat_map``.
         span: relevancy at the two ends of the colours; ``heat_span`` of the map if None.
-
-    Raises:
-        InputError: sizes disagree.
     """
     values, picture = as_array(relevancy).astype(np.float64), as_picture(rgb)
     _check_size(values, picture, "relevancy")
@@ -112,9 +106,6 @@ def mask_overlay(
 
     Returns:
         [H (+ strip), W, 3] uint8.
-
-    Raises:
-        InputError: sizes disagree.
     """
     inside, picture = as_array(mask).astype(bool), as_picture(rgb)
     _check_size(inside, picture, "mask")
@@ -142,9 +133,6 @@ def answer_overlay(
 
     Returns:
         [H, W, 3] uint8.
-
-    Raises:
-        InputError: sizes disagree.
     """
     inside, heat = as_array(mask).astype(bool), heat_overlay(relevancy, rgb, span)
     _check_size(inside, heat, "mask")
@@ -181,9 +169,6 @@ def region_overlay(labels: ArrayOrTensor, rgb: ArrayOrTensor, opacity: float = 0
         labels: [H, W] integers, -1 for no region.
         rgb: [H, W, 3] float 0..1 or uint8.
         opacity: of the colours.
-
-    Raises:
-        InputError: sizes disagree.
     """
     numbers, picture = as_array(labels), as_picture(rgb)
     _check_size(numbers, picture, "labels")

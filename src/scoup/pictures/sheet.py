@@ -37,9 +37,6 @@ def contact_sheet(
 
     Returns:
         [height, width, 3] uint8.
-
-    Raises:
-        InputError: no tiles, or titles or remarks that do not fit their number.
     """
     if not tiles or columns < 1:
         raise InputError("a contact sheet needs at least one tile and one column")

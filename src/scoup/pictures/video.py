@@ -15,11 +15,7 @@ HOW_TO_GET_IT = "videos need the package imageio-ffmpeg: pip install 'scoup[vide
 
 
 def check_video_writer() -> None:
-    """Check that videos can be written, before the work.
-
-    Raises:
-        ScoupError: the package is missing, or it finds no ffmpeg.
-    """
+    """Check that videos can be written, before the work."""
     try:
         import imageio_ffmpeg
     except ImportError:
@@ -41,11 +37,6 @@ def save_video(frames: Iterable[Picture], path: Path, frames_per_second: float) 
             for.
         path: of the file.
         frames_per_second: its speed.
-
-    Raises:
-        ScoupError: as ``check_video_writer``.
-        InputError: there is no picture, one is of another size, or they are smaller than 2 x 2.
-        WriteError: ffmpeg fails.
     """
     check_video_writer()
     import imageio_ffmpeg

@@ -32,9 +32,6 @@ class AnswerFiles:
         pictures: "sheet", "all" (each picture by itself, too) or "none".
         npz: write relevancy and masks of each view as arrays.
         coco: write the masks of all views as COCO's JSON.
-
-    Raises:
-        InputError: two texts are equal, which COCO cannot tell apart.
     """
 
     def __init__(

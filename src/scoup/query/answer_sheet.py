@@ -63,9 +63,6 @@ class AnswerSheets:
     Args:
         texts: of the query.
         views: number of views that will be added.
-
-    Raises:
-        InputError: no text or no view.
     """
 
     def __init__(self, texts: Sequence[str], views: int) -> None:

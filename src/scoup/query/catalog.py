@@ -75,9 +75,6 @@ def make_catalog(field: CodedScene, question: Question, frame: Frame | None = No
         field: with a table of things.
         question: the words, from ``field.question``.
         frame: what up means; by default ``scene_frame``.
-
-    Raises:
-        InputError: the field has no things.
     """
     table = field.thing_table
     if table is None:

@@ -70,9 +70,6 @@ def code_drawing(field: CodedScene, level: str | int, plain: bool = False) -> Dr
     """Return what draws the codes of one level as colours: the same code has the same colour in every view.
 
     The legend lists the atoms that lead the codes of most Gaussians, each with the mean colour of these.
-
-    Raises:
-        InputError: there is no such level.
     """
     row = field.level_index(level)
     # The axes of the colours come from the Gaussians, not from the picture, so that they are those of every view.

@@ -35,11 +35,7 @@ def edit_picture(field: CodedScene, after: Gaussians, mask: Tensor, camera: Came
 
 
 def best_camera(field: CodedScene, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
-    """Return the camera in which a selection [N] takes the largest share, of at most ``MOST_TRIED``, evenly spread.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the camera in which a selection [N] takes the largest share, of at most ``MOST_TRIED``, evenly spread."""
     if not cameras:
         raise InputError("no camera to draw a picture with; pass at least one")
     shares: list[tuple[float, Camera]] = []

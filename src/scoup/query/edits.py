@@ -60,9 +60,6 @@ def edited(
             light and shade as far as they do not depend on the direction of view; "fade" scales its opacities.
         color: of "recolor": red, green and blue, 0 to 1.
         opacity: of "fade": factor, 0 to 1.
-
-    Raises:
-        InputError: a number is out of range.
     """
     if not 0 <= opacity <= 1 or not all(0 <= part <= 1 for part in color):
         raise InputError(f"opacity and colour must be 0 to 1, got {opacity} and {list(color)}")

@@ -59,11 +59,7 @@ class Expression:
 
     @property
     def targets(self) -> tuple[str | Phrase, ...]:
-        """Texts and phrases, any of which may answer.
-
-        Raises:
-            InputError: they are joined by "and" or "not", which say nothing about things.
-        """
+        """Texts and phrases, any of which may answer."""
         if any(operator != "or" for operator in _operators(self.root)):
             raise InputError(f'{self}: things are joined by "or" only; "and" and "not" are for selections')
         return tuple(_leaves(self.root))

@@ -80,9 +80,6 @@ def scene_frame(
         field: that is asked.
         camera: from which left, right, front and back are meant; by default the field's camera that sees the most.
         up: world direction; by default estimated from the field's cameras.
-
-    Raises:
-        InputError: ``up`` is not a direction, or there is no such camera.
     """
     cameras = list(field.cameras or ())
     if up is not None:

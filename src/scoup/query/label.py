@@ -75,9 +75,6 @@ def label(field: CodedScene, question: Question) -> GaussianLabels:
     A word fits the Gaussians that ``answer_scene`` returns for it. Of several words that fit, the one answered by the
     finest level counts, for the name of a part says more than that of its whole; of words of one level the most
     relevant.
-
-    Raises:
-        InputError: as ``answer_scene``, or words are equal or "none".
     """
     names, present_from = question.texts, question.present_from
     if len(set(names)) < len(names) or NONE_NAME in names:

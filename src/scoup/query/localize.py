@@ -77,11 +77,7 @@ def best_pixel(values: Tensor, mask: Tensor | None = None) -> tuple[int, int]:
 
 
 def averaged_relevancy(relevancy: Tensor, preset: QueryPreset) -> Tensor:
-    """Return the means [S, H, W] of relevancy over the preset's box, which ``localize`` and ``segment`` both use.
-
-    Raises:
-        InputError: relevancy has another shape, or is empty.
-    """
+    """Return the means [S, H, W] of relevancy over the preset's box, which ``localize`` and ``segment`` both use."""
     if relevancy.dim() != 3 or 0 in relevancy.shape:
         raise InputError(
             f"relevancy of one query must be [S, H, W] and not empty, got {list(relevancy.shape)}"

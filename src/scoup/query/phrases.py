@@ -89,9 +89,6 @@ def counted_text(text: str) -> str | None:
 def parse_phrase(text: str) -> Target:
     """Return the phrase that a text is, or the text itself if it names things without relation or order.
 
-    Raises:
-        InputError: it has a relation that is not known, a part is missing, or an ordinal does not say from which side.
-
     Example:
         >>> parse_phrase("the largest mug left of the laptop")
         Phrase(text='mug', relation='left of', anchors=('laptop',), order='largest', rank=1)

@@ -48,11 +48,7 @@ _AT_A_TIME = 8  # masks in one pass over a view
 
 
 def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float | None:
-    """Return the z-score from which a text counts as present; None with too few everyday words to judge it.
-
-    Raises:
-        InputError: a z-score is wanted, and there are too few words or it is not finite.
-    """
+    """Return the z-score from which a text counts as present; None with too few everyday words to judge it."""
     if wanted is not None and not math.isfinite(wanted):
         raise InputError(f"the z-score from which a text counts as present must be a number, got {wanted}")
     if texts.can_judge_presence:
@@ -106,9 +102,6 @@ def z_scores(embeddings: Tensor, queries: Tensor, words: Tensor) -> Tensor:
 
     Returns:
         [Q] float32 on the CPU; minus infinity where nothing was found.
-
-    Raises:
-        InputError: there are fewer than ``LEAST_WORDS`` words, or shapes do not fit.
     """
     if embeddings.shape != queries.shape or words.dim() != 2 or words.shape[1:] != queries.shape[1:]:
         raise InputError(

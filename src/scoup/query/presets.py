@@ -13,11 +13,7 @@ LevelChoice = Literal["peak", "mask", "evidence"]
 
 @dataclass(frozen=True)
 class QueryPreset:
-    """Rules by which relevancy maps become points and masks.
-
-    Raises:
-        InputError: a value is out of range.
-    """
+    """Rules by which relevancy maps become points and masks."""
 
     name: str
     """Name of the system it follows."""
@@ -76,12 +72,7 @@ DATASET_THRESHOLDS: dict[str, dict[str, float | None]] = {
 
 
 def query_preset(name: str, dataset: str = "lerf-ovs", threshold: float | None = None) -> QueryPreset:
-    """Return a preset by name, with the threshold of a data set or the one given.
-
-    Raises:
-        UnknownNameError: there is no such preset, or it has no threshold for that data set.
-        InputError: the threshold is not 0 to 1.
-    """
+    """Return a preset by name, with the threshold of a data set or the one given."""
     if name not in QUERY_PRESETS:
         raise UnknownNameError("query preset", name, QUERY_PRESETS)
     if threshold is None:

@@ -23,9 +23,6 @@ def relevancy(
         cosines: of Q queries, per level; the trailing shape is free (pixels, Gaussians).
         canonical: of P >= 1 canonical phrases.
         temperature: a.
-
-    Raises:
-        InputError: shapes do not fit together, or there is no canonical phrase.
     """
     if cosines.dim() < 2 or cosines.dim() != canonical.dim():
         raise InputError(

@@ -67,9 +67,6 @@ def select_each(
         canonical: [P, D] unit-norm embeddings of the canonical phrases.
         threshold, neighbours, rescaled, level: see ``scoup.query.question.Question``. Without a threshold, and not
             rescaled, it is ``ABSOLUTE_THRESHOLD``.
-
-    Raises:
-        InputError: shapes do not fit, ``neighbours`` is below 1, or the threshold is not 0 to 1.
     """
     if neighbours is not None and neighbours < 1:
         raise InputError(f"neighbours must be at least 1, got {neighbours}")

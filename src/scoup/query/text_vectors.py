@@ -64,11 +64,6 @@ def encode_texts(
 
     Warns:
         ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
-
-    Raises:
-        UnknownNameError: a text is not in the encoder's table; the nearest names are listed.
-        InputError: the vectors have other dimensions than the field's embeddings, or the table lacks the canonical
-            phrases and has too few names to replace them.
     """
     check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, CodedScene))
     source = source or encoder.name or "the word table"

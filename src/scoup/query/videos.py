@@ -30,9 +30,6 @@ def moving_cameras(
 
     "path" leads through the cameras; "turntable" goes around the thing at ``place``, from the camera that sees most of
     it.
-
-    Raises:
-        InputError: the thing is not in the scene, or the cameras do not make a path.
     """
     if motion == "path":
         return camera_path(cameras, count)

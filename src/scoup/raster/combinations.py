@@ -34,11 +34,7 @@ class CombinedLabels:
 
 
 def combine(labels: Tensor) -> CombinedLabels:
-    """Return the combinations of label maps [S, H, W] of integers; every number below 0 means no region.
-
-    Raises:
-        InputError: they are not of this form, or a region is beyond 32 bits.
-    """
+    """Return the combinations of label maps [S, H, W] of integers; every number below 0 means no region."""
     check_labels(labels)
     if not labels.dtype.is_signed:
         labels = labels.long()

@@ -94,9 +94,6 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
 
     Returns:
         A field whose provenance has, per level, the mean cosine of decoded codes and features.
-
-    Raises:
-        InputError: features do not match the Gaussians, all are zero, or a number is out of range.
     """
     rows = features if isinstance(features, (np.ndarray, Tensor)) else np.asarray(features)
     if rows.ndim == 2:

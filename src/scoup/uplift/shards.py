@@ -174,9 +174,6 @@ def merge(
         device, backend: of coding and vote.
         progress: as for ``build``.
 
-    Raises:
-        InputError: no shards, shards of different scenes, different sums of one view, or views without regions.
-
     Warns:
         ScoupWarning: views of the scene are in no shard.
     """

@@ -107,9 +107,6 @@ def what_is_at(
     Returns:
         "position": [3] world units, None if nothing is there; "distance": from the camera; "levels": of each level its
         name, confidence 0..1, and words with relevancy, best first; levels without a code there have no words.
-
-    Raises:
-        InputError: the pixel is outside of the view.
     """
     x, y = pixel
     if not (0 <= x < camera.width and 0 <= y < camera.height):

@@ -63,10 +63,6 @@ def export_page(
         split: write the data beside the page, as scripts that it loads.
         overwrite: replace what is there.
         progress: called for the stages "words" and "pictures".
-
-    Raises:
-        ScoupError: the page was not built.
-        OutputExistsError, WriteError: the file is there, or the system refuses.
     """
     out = Path(out)
     check_outputs(out, FOLDER_FILES, overwrite) if split else check_output(out, overwrite)

@@ -68,11 +68,7 @@ class PageFiles:
 
 @cache
 def page_files(folder: Path = PAGE_FOLDER) -> PageFiles:
-    """Return the files of the page, as they were built.
-
-    Raises:
-        ScoupError: the page was not built, with what to do about it.
-    """
+    """Return the files of the page, as they were built."""
     try:
         index, style, licences = (
             (folder / name).read_text(encoding="utf-8")

@@ -49,10 +49,6 @@ class ViewedField:
             same, and ``words_problem`` says why no text can be asked.
         words: the vocabulary that a click chooses from; by default everyday words, or the names of the table.
         most: Gaussians that the page shows at most.
-
-    Raises:
-        ScoupError: an encoder was given and cannot be opened, or does not fit the field.
-        InputError: ``most`` is below 1, or the geometry cannot be loaded.
     """
 
     def __init__(
@@ -107,11 +103,7 @@ class ViewedField:
         return {**facts, "open": command, "field": path, "text": table}
 
     def vocabulary(self) -> Question | None:
-        """The words that a click chooses from; None if no text can be asked.
-
-        Raises:
-            UnknownNameError: a word that was wanted is not in the table.
-        """
+        """The words that a click chooses from; None if no text can be asked."""
         if self._vocabulary is None and self.words_problem is None:
             words = self._wanted_words or everyday_vocabulary(self.field.text_encoder())
             self._vocabulary = self.question(words)
@@ -122,12 +114,7 @@ class ViewedField:
         return self.words_problem is None and self.field.text_encoder().names is not None
 
     def question(self, texts: str | Sequence[str], always: bool = False, **options: Any) -> Question:
-        """Return what ``field.question`` makes of texts and options.
-
-        Raises:
-            InputError: no text can be asked of this field.
-            UnknownNameError: a text is not in the table.
-        """
+        """Return what ``field.question`` makes of texts and options."""
         if self.words_problem is not None:
             raise InputError(self.words_problem)
         return self.field.question(texts if isinstance(texts, str) else list(texts), always=always, **options)
@@ -185,11 +172,7 @@ class ViewedField:
         rest: bool = False,
         always: bool = False,
     ) -> PlyTable:
-        """Return the Gaussians that answer any of the texts, or all others, as `scoup select` writes them.
-
-        Raises:
-            InputError: there would be none, or a value is out of range.
-        """
+        """Return the Gaussians that answer any of the texts, or all others, as `scoup select` writes them."""
         question = self.question(texts, always, threshold=threshold)
         levels = [level] * len(texts)
         if threshold is not None and level is None:  # the page moves the threshold and leaves the level
@@ -209,9 +192,6 @@ class ViewedField:
         Args:
             names: of the things, by their numbers.
             rest: return all other Gaussians.
-
-        Raises:
-            InputError: the field has no such thing, or there would be no Gaussian.
         """
         table = self.field.thing_table
         count = 0 if table is None else len(table)

@@ -36,11 +36,7 @@ def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
 
 
 def read_words(path: Path) -> tuple[str, ...]:
-    """Read a list of words, one per line; empty lines and repetitions are left out.
-
-    Raises:
-        InputError: there is no such file, or no word in it.
-    """
+    """Read a list of words, one per line; empty lines and repetitions are left out."""
     text = read_text(existing_file(path, "a list of words"))
     words = tuple(dict.fromkeys(" ".join(line.split()) for line in text.splitlines() if line.strip()))
     if not words:

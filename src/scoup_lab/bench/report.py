@@ -123,11 +123,7 @@ def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], left: int = 
 
 
 def write_json(path: str | Path, record: dict[str, Any], overwrite: bool = False) -> None:
-    """Write a record, all or nothing.
-
-    Raises:
-        OutputExistsError: the file is there and ``overwrite`` is false.
-    """
+    """Write a record, all or nothing."""
     write_text(path, record_text(record) + "\n", overwrite)
 
 

@@ -127,9 +127,6 @@ def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES
         work: what to work on.
         backend: of the rasteriser.
         names: stages, in the order wanted.
-
-    Raises:
-        InputError: there is no such stage.
     """
     names = tuple(names)
     projection = raster.project(work.gaussians, work.camera, backend=backend)
@@ -204,9 +201,6 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
 
     Returns:
         (names, {name: reason}); of the names wanted, or of all.
-
-    Raises:
-        InputError: one that was wanted by name does not work here (UnknownNameError: does not exist).
     """
     found: list[str] = []
     reasons: dict[str, str] = {}

@@ -58,9 +58,6 @@ def write_demo_scene(
 
     Returns:
         The folder.
-
-    Raises:
-        OutputExistsError: a file exists and ``overwrite`` is false; then nothing is written.
     """
     folder = Path(folder)
     with staged(folder, [*FILES, *(f"images/{name}" for name in scene.building.names)], overwrite) as hidden:

@@ -40,9 +40,6 @@ def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
     Args:
         n_gaussians: N, 1 or more.
         seed: of everything.
-
-    Raises:
-        InputError: N is below 1.
     """
     if n_gaussians < 1:
         raise InputError(f"a random scene needs at least one Gaussian, not {n_gaussians}")
@@ -211,9 +208,6 @@ def random_scene_regions(
         dim: D.
         seed: of maps and embeddings.
         distinct: the number of different sets of label maps.
-
-    Raises:
-        InputError: there are no cameras, or not one to three counts.
     """
     if not 1 <= len(counts) <= len(LEVELS) or not len(cameras):
         raise InputError(f"regions need views and 1 to {len(LEVELS)} counts, got {len(counts)} counts")

@@ -60,22 +60,14 @@ class DemoScene:
         return self.text_vectors(CANONICAL)
 
     def text_vectors(self, texts: tuple[str, ...] | list[str]) -> Tensor:
-        """Return [Q, D] float32 unit vectors.
-
-        Raises:
-            UnknownNameError: a text has no vector; lists the nearest.
-        """
+        """Return [Q, D] float32 unit vectors."""
         for text in texts:
             if text not in self.words.texts:
                 raise UnknownNameError("word", text, self.words.texts, "the word table of the demo")
         return torch.from_numpy(np.stack([self.words.vector(text) for text in texts])).float()
 
     def level_of(self, name: str) -> str:
-        """Return the level of a name: "m" for objects, else "l" for groups, else "s" for parts.
-
-        Raises:
-            UnknownNameError: nothing in the scene has that name; lists the nearest.
-        """
+        """Return the level of a name: "m" for objects, else "l" for groups, else "s" for parts."""
         for level in ("m", "l", "s"):
             if name in self.parts.names(level):
                 return level
@@ -128,9 +120,6 @@ def make_demo_scene(
         n_building: views with regions.
         n_held_out: views without, for scoring.
         layout: the kind of scene.
-
-    Raises:
-        InputError: a number is too small for a scene.
     """
     if n_gaussians < 2000 or min(width, height) < 32 or n_building < 1 or n_held_out < 0:
         raise InputError(

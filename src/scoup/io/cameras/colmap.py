@@ -28,10 +28,6 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
     SIMPLE_PINHOLE and PINHOLE are read as they are; SIMPLE_RADIAL, RADIAL and OPENCV count as pinhole if
     their coefficients are zero, and otherwise need ``distorted="undistort"``; other models are refused.
 
-    Raises:
-        MissingFileError: the folder or its files are not there.
-        FileFormatError: a file is damaged, or a camera is distorted or of a model not supported.
-
     Warns:
         ScoupWarning: names of images leave the folder of images.
     """
@@ -66,10 +62,6 @@ def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         [P, 3] float64 positions and [P, 3] uint8 colours.
-
-    Raises:
-        MissingFileError: there is no points3D.bin or points3D.txt.
-        FileFormatError: the file is damaged.
     """
     folder = existing_folder(folder, "a COLMAP model folder")
     if (folder / "points3D.bin").is_file():
@@ -85,10 +77,6 @@ def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
     Returns:
         [P, 3] float64 positions, and for each point the names of the images in its track (none in models that keep no
         tracks).
-
-    Raises:
-        MissingFileError: points3D or images, both .bin or both .txt, are not there.
-        FileFormatError: a file is damaged.
     """
     folder = existing_folder(folder, "a COLMAP model folder")
     for end, parser in ((".bin", colmap_binary), (".txt", colmap_text)):
@@ -110,9 +98,6 @@ def write_colmap(
 
     Args:
         points: [P, 3] positions and [P, 3] uint8 colours; no points if None. Their tracks are left empty.
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
     """
     lenses: dict[Lens, int] = {}
     shots = []

@@ -96,11 +96,7 @@ def read_shots(path: Path) -> list[Shot]:
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """points3D.bin: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped.
-
-    Raises:
-        MissingFileError, FileFormatError: the file is missing or damaged.
-    """
+    """points3D.bin: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
     cursor = _Cursor(path)
     count = cursor.count(_POINT.size, "points")
     positions, colors = np.empty((count, 3)), np.empty((count, 3), dtype=np.uint8)
@@ -112,11 +108,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
-    """points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name.
-
-    Raises:
-        MissingFileError, FileFormatError: a file is missing or damaged, or they do not belong together.
-    """
+    """points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
     cursor = _Cursor(images)
     names: dict[int, str] = {}
     for _ in range(cursor.count(_SHOT.size + 9, "images")):

@@ -52,11 +52,7 @@ def read_shots(path: Path) -> list[Shot]:
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """points3D.txt: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped.
-
-    Raises:
-        MissingFileError, FileFormatError: the file is missing or damaged.
-    """
+    """points3D.txt: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
     positions: list[list[float]] = []
     colors: list[list[int]] = []
     for place, line in _lines(path):
@@ -75,11 +71,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
-    """points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name.
-
-    Raises:
-        MissingFileError, FileFormatError: a file is missing or damaged, or they do not belong together.
-    """
+    """points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name."""
     names: dict[int, str] = {}
     lines = _lines(images)
     for place, line in lines:

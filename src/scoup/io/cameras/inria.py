@@ -37,10 +37,6 @@ _REMEDY = (
 def read_inria_cameras(path: str | Path) -> Cameras:
     """Read cameras.json, sorted by name. Principal points are the image centres; names may lack an extension.
 
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not what Inria's code writes.
-
     Warns:
         ScoupWarning: names of images leave the file's folder.
     """
@@ -59,11 +55,7 @@ def read_inria_cameras(path: str | Path) -> Cameras:
 
 
 def write_inria_cameras(cameras: Cameras, path: str | Path, overwrite: bool = False) -> None:
-    """Write cameras.json. The layout has no principal point; readers take the image centre.
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
-    """
+    """Write cameras.json. The layout has no principal point; readers take the image centre."""
     entries = []
     for position, camera in enumerate(cameras):
         entries.append(
@@ -82,12 +74,7 @@ def write_inria_cameras(cameras: Cameras, path: str | Path, overwrite: bool = Fa
 
 
 def read_cfg_args(path: str | Path) -> dict[str, Any]:
-    """Return the settings in a cfg_args file, a printed ``Namespace(...)`` of plain values.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is anything but such a Namespace. Nothing in it is ever run.
-    """
+    """Return the settings in a cfg_args file, a printed ``Namespace(...)`` of plain values; it is not run."""
     path = existing_file(path, "cfg_args of Inria's code")
     try:
         tree = ast.parse(read_text(path).strip(), mode="eval").body

@@ -35,10 +35,6 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
 
     Cameras are named by the file names of their images, or by whole paths where two would be alike.
 
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged, lacks intrinsics, or a frame is distorted while that is refused.
-
     Warns:
         ScoupWarning: frames were skipped because neither the file nor their (missing) image gives their size, or name
             images outside of the file's folder, which are not opened.
@@ -72,9 +68,6 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
 def write_transforms(cameras: Cameras, path: str | Path, overwrite: bool = False) -> None:
     """Write transforms.json with intrinsics for each frame. Images are named relative to the file where they
     lie below it, and as ``images/NAME`` where a camera has none.
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
     """
     base = Path(path).absolute().parent
     frames = []

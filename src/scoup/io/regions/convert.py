@@ -58,13 +58,6 @@ def convert_regions(
         embedding_model: id of the model that made the embeddings, where the source does not tell.
         overwrite: replace views that are there already.
         decode: what turns the stored numbers of regions into embeddings (``langsplat_autoencoder.read_autoencoder``).
-
-    Raises:
-        MissingFileError: there is no such folder, or it has no region features.
-        FileFormatError: a file is damaged.
-        InputError: the target is the source, or holds other things, or features of another layout.
-        OutputExistsError: a view is there already and ``overwrite`` is false; nothing is written then.
-        WriteError: the system refuses; nothing is written then either.
     """
     store = RegionStore.open(source)
     target = Path(target)

@@ -91,11 +91,6 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
     """Write regions with levels s, m, l in the LangSplat layout, at their own size; "default" stays empty.
 
     Files are named by the view names cut at their first dot.
-
-    Raises:
-        OutputExistsError: a file is there already and ``overwrite`` is false; then nothing is written.
-        WriteError: the system refuses; then nothing is written either.
-        InputError: other levels, levels of different sizes, or two views with one stem.
     """
     if regions.levels != LEVELS:
         raise InputError(f"the LangSplat layout contains levels {list(LEVELS)}, not {list(regions.levels)}")

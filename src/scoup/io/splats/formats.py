@@ -51,9 +51,6 @@ def check_splat_name(path: str | Path, also: str = "") -> None:
     Args:
         path: the output.
         also: what else the caller writes, for the message.
-
-    Raises:
-        InputError: its suffix is that of no splat that is written.
     """
     suffix = written_suffix(path)
     if suffix not in WRITERS:

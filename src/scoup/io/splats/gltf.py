@@ -52,10 +52,6 @@ def read_gltf(path: str | Path) -> Gaussians:
 
     Buffers may be inside, or in files beside or below it. Values that no node transforms are kept bit by bit.
 
-    Raises:
-        MissingFileError: it, or a file that it needs, is not there.
-        FileFormatError: it is not glTF 2, holds no Gaussians, holds them compressed, or is damaged.
-
     Warns:
         ScoupWarning: rows with values that are not finite (or no rotation) were dropped, or the file asks for
             another kernel, colour space, projection or sorting than Gaussians here have.
@@ -68,9 +64,6 @@ def read_gltf_features(path: str | Path) -> GaussianFeatures | None:
     """Return the classes of the Gaussians that ``read_gltf`` gives, in the same order; None where the file has none.
 
     Of several sets of feature ids the first one with a property table counts.
-
-    Raises:
-        MissingFileError, FileFormatError: as ``read_gltf``, or several property tables are in use.
     """
     document = read_document(path)
     placed: list[tuple[dict[str, Any], int]] = []
@@ -112,10 +105,6 @@ def write_gltf(
     Args:
         gaussians: at least one.
         features: the class of each, for viewers that style by class.
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``; or the suffix is another, no Gaussians are left, or
-            ``features`` is not of as many.
 
     Warns:
         ScoupWarning: rows or coefficients were left out.

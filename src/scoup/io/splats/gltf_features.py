@@ -25,11 +25,7 @@ _OFFSETS = {f"UINT{8 * size}": np.dtype(f"<u{size}") for size in (1, 2, 4, 8)}
 
 @dataclass(frozen=True, eq=False)
 class GaussianFeatures:
-    """The class of every Gaussian, as glTF viewers find it.
-
-    Raises:
-        InputError: an attribute is not as above.
-    """
+    """The class of every Gaussian, as glTF viewers find it."""
 
     ids: Tensor
     """[N] int64 on the CPU, the position of a name in ``names``; -1 for none of them. Any integers are taken."""

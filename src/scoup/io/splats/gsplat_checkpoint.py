@@ -32,10 +32,6 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
 
     Pickles are read with torch's restricted loader: nothing in them is run.
 
-    Raises:
-        MissingFileError: there is no checkpoint, or a rank of the latest step is missing.
-        FileFormatError: a file is damaged or holds something else.
-
     Warns:
         ScoupWarning: rows with values that are not finite were dropped.
     """

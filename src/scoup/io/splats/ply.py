@@ -88,21 +88,13 @@ def read_ply_table(path: str | Path) -> PlyTable:
     """Read the vertices of a PLY file (binary of either byte order, or ASCII) without interpreting them.
 
     A file longer than its header says is read as far as the header says, with a ScoupWarning.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is not a PLY file, is cut short, or has list properties.
     """
     header = read_header(path)
     return PlyTable(header.path, read_rows(header), header.comments)
 
 
 def write_ply_table(table: PlyTable, path: str | Path, overwrite: bool = False) -> None:
-    """Write a table as binary PLY, its rows byte for byte (from ASCII: little endian).
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
-    """
+    """Write a table as binary PLY, its rows byte for byte (from ASCII: little endian)."""
     with atomic_file(path, overwrite) as stream:
         stream.write(format_header(table.rows.dtype, len(table), table.comments))
         for start in range(0, len(table), _CHUNK):
@@ -114,9 +106,6 @@ def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
 
     Scales are exponentials, opacities logistic (+inf gives 1), quaternions normalised. Rows with values that
     are not finite (a zero quaternion is one) are dropped.
-
-    Raises:
-        FileFormatError: properties are missing, or the colours have no whole SH degree.
 
     Warns:
         ScoupWarning: some rows were dropped.
@@ -147,10 +136,6 @@ def read_ply(path: str | Path) -> Gaussians:
 
     Compressed files as PlayCanvas and SuperSplat write them are read too. Of more than ``MOST_ROWS_IN_MEMORY`` rows in
     a binary file, the values are in temporary files (TMPDIR).
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: see ``read_ply_table`` and ``gaussians_from_table``.
 
     Warns:
         ScoupWarning: rows were dropped, or the file is longer than its header says.
@@ -192,9 +177,6 @@ def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
 
     Gaussians that were read from a PLY file or a checkpoint read back bit by bit. Others are rounded to the
     float32 logarithm and logit the layout holds (``as_stored`` gives them as they will be read).
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
     """
     write_ply_table(table_from_gaussians(gaussians), path, overwrite)
 

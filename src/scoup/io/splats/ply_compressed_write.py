@@ -20,10 +20,6 @@ def write_compressed_ply(gaussians: Gaussians, path: str | Path, overwrite: bool
 
     The Gaussians stay in their order, so that a field built on them fits the file. The format's own tools sort them
     first, by which blocks get smaller and values finer.
-
-    Raises:
-        InputError: some values are not finite.
-        OutputExistsError: as ``atomic.check_output``.
     """
     arrays = finite_arrays(gaussians, path)
     count = len(gaussians)

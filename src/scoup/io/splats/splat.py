@@ -20,10 +20,6 @@ _ROW = np.dtype([("center", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), 
 def read_splat(path: str | Path) -> Gaussians:
     """Read a .splat file: linear scales, RGBA bytes, quaternion bytes (b - 128) / 128 as w, x, y, z.
 
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: its size is not a whole number of 32-byte records.
-
     Warns:
         ScoupWarning: rows with values that are not finite (or no rotation) were dropped.
     """
@@ -54,11 +50,7 @@ def read_splat(path: str | Path) -> Gaussians:
 
 
 def write_splat(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
-    """Write a .splat file. Colour, opacity and rotation are rounded to bytes; SH above degree 0 is left out.
-
-    Raises:
-        OutputExistsError, InputError: as ``atomic.check_output``.
-    """
+    """Write a .splat file. Colour, opacity and rotation are rounded to bytes; SH above degree 0 is left out."""
     rows = np.zeros(len(gaussians), dtype=_ROW)
     rows["center"] = gaussians.means.detach().cpu().numpy()
     rows["scale"] = gaussians.scales.detach().cpu().numpy()

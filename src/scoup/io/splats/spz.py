@@ -33,11 +33,6 @@ _SH_SIGNS = np.array([1 if sign == "+" else -1 for sign in "--+-++-+-+--+-+-+-++
 def read_spz(path: str | Path) -> Gaussians:
     """Read a .spz file of version 1 to 4.
 
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is damaged, cut short, or of a newer version.
-        ScoupError: version 4 needs the package zstandard.
-
     Warns:
         ScoupWarning: rows with values that are not finite were dropped.
     """
@@ -70,11 +65,6 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
         path: of the file.
         overwrite: replace what is there.
         version: 1 to 4. Most software reads 2 and 3.
-
-    Raises:
-        InputError: another version, a value that is not finite, or coordinates beyond 8,388,607 (65,504 in version 1).
-        OutputExistsError: as ``atomic.check_output``.
-        ScoupError: version 4 needs the package zstandard.
 
     Warns:
         ScoupWarning: coefficients of SH degree 4 were left out, which versions before 4 have no place for.

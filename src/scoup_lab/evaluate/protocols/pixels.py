@@ -41,23 +41,14 @@ class PixelProtocol:
     at_label_size: bool = False  # bring features to the size of the label; else labels to that of the render
 
     def preset(self, system: str = "scoup") -> QueryPreset:
-        """Return the constants of a system for this data set.
-
-        Raises:
-            UnknownNameError: the system names none for it.
-        """
+        """Return the constants of a system for this data set."""
         if system not in self.systems:
             raise UnknownNameError(f"system with a rule for {self.name}", system, self.systems)
         found = query_preset(system, self.thresholds)
         return found if self.level_choice is None else replace(found, level_choice=self.level_choice)
 
     def find(self, root: Path, wanted: Sequence[str] = ()) -> list[str]:
-        """Return the scenes below ``root`` that have labels: those wanted, or all, the published ones first.
-
-        Raises:
-            MissingFileError: there is no such folder, or no labelled scene in it.
-            UnknownNameError: a scene wanted is not there.
-        """
+        """Return the scenes below ``root`` that have labels: those wanted, or all, the published ones first."""
         check_root(root, self.name)
         names = sorted(
             path.name for path in root.iterdir() if path.is_dir() and self.labels(root, path.name).is_dir()
@@ -66,12 +57,7 @@ class PixelProtocol:
         return choose_scenes(root, names, wanted, self.scenes, expected)
 
     def open(self, root: Path, name: str, places: Places = USUAL) -> LabelledScene:
-        """Read cameras and labels of a scene, and find its splat and features.
-
-        Raises:
-            MissingFileError: something is not there.
-            InputError: labels and cameras are of different scenes, or no label is in sight.
-        """
+        """Read cameras and labels of a scene, and find its splat and features."""
         files = places.open(root / name, name)
         frames = self.read(root, name)
         if not frames:
@@ -93,9 +79,6 @@ class PixelProtocol:
             maps: its relevancy.
             preset: how maps become masks and points; by default SCOUP's for this data set.
             levels: names of the S levels, where only some may answer.
-
-        Raises:
-            InputError: a label has no map, a level is missing, or maps are not of the size that the protocol has.
         """
         settings = preset or self.preset()
         pairs = []
@@ -115,21 +98,13 @@ class PixelProtocol:
         preset: QueryPreset | None = None,
         levels: Sequence[str] = LEVELS,
     ) -> SceneScore:
-        """Score all frames of a scene, given with their relevancy (a generator is fine).
-
-        Raises:
-            InputError: there is not a single label.
-        """
+        """Score all frames of a scene, given with their relevancy (a generator is fine)."""
         settings = preset or self.preset()
         pairs = [pair for frame, maps in frames for pair in self.score_frame(frame, maps, settings, levels)]
         return scene_score(scene, settings.name, pairs, self.title)
 
     def rows(self, levels: Sequence[str]) -> list[int]:
-        """Return the positions of the levels that may answer.
-
-        Raises:
-            InputError: one is missing.
-        """
+        """Return the positions of the levels that may answer."""
         if self.levels is None:
             return list(range(len(levels)))
         for level in self.levels:

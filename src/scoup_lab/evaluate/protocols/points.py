@@ -97,30 +97,18 @@ class PointProtocol:
     truth: Callable[[Path, ClassList, Gaussians], PointTruth]  # of the scene in a folder
 
     def find_class_list(self, name: str) -> ClassList:
-        """Return a list of classes by name.
-
-        Raises:
-            UnknownNameError: there is none of that name.
-        """
+        """Return a list of classes by name."""
         return looked_up(f"list of classes of {self.name}", name, self.class_lists)
 
     def find(self, root: Path, wanted: Sequence[str] = ()) -> list[str]:
         """Return the names of the scenes below ``root`` whose points have classes: those wanted, or all, the published
         ones first.
-
-        Raises:
-            MissingFileError: there is no such folder, or no such scene in it.
-            UnknownNameError: a scene wanted is not there.
         """
         check_root(root, self.name)
         return choose_scenes(root, self.names(root), wanted, self.scenes, self.expected)
 
     def open(self, root: Path, name: str, places: Places = USUAL) -> PointScene:
-        """Read the cameras of a scene, and find its splat and features.
-
-        Raises:
-            MissingFileError: something is not there.
-        """
+        """Read the cameras of a scene, and find its splat and features."""
         folder = self.folder(root, name)
         if places.gaussians is None and (folder / SPLAT).is_file():
             places = replace(places, gaussians=str(folder / SPLAT))
