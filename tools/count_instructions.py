@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "benchmarks" / "instruction_counts.json"
-MODES = ("project", "alpha", "channels", "regions", "vote", "codes", "cosines")
+MODES = ("project", "alpha", "channels", "regions", "vote", "codes", "cosines", "relevancy", "select")
 MARGIN = 0.05
 
 

@@ -8,9 +8,12 @@
 namespace nb = nanobind;
 
 namespace scoup {
+void bind_code_sums(nb::module_& m);
 void bind_coder(nb::module_& m);
+void bind_neighbours(nb::module_& m);
 void bind_raster(nb::module_& m);
 void bind_sums(nb::module_& m);
+void bind_selection(nb::module_& m);
 void bind_smoothing(nb::module_& m);
 }  // namespace scoup
 
@@ -21,8 +24,11 @@ NB_MODULE(_native, m) {
           "Use the kernels for an instruction set: baseline, v3, v4 or best. False if there is none or the CPU lacks it.");
     m.def("current_isa", [] { return std::string(scoup::name_of(scoup::current_isa())); }, "The instruction set in use.");
     m.def("measure_clock_hz", &scoup::measure_clock_hz, "Cycles a second of this core; 0 where it cannot be told.");
+    scoup::bind_code_sums(m);
     scoup::bind_coder(m);
+    scoup::bind_neighbours(m);
     scoup::bind_raster(m);
     scoup::bind_sums(m);
+    scoup::bind_selection(m);
     scoup::bind_smoothing(m);
 }

@@ -90,25 +90,6 @@ nb::tuple py_render_channels(const Projection& projection, const Array& values, 
                           to_numpy(std::move(alpha), {height, width}));
 }
 
-// float16 weights come as the uint16 of their bits.
-// Whether the atoms exist is found out when they are met.
-GaussianCodes gaussian_codes(int64_t n, const Array& indices, const Array& weights, int64_t n_atoms) {
-    if (indices.ndim() != 3) throw std::invalid_argument("code indices must be [N, levels, k]");
-    if (n_atoms < 1 || n_atoms > 65536) throw std::invalid_argument("there must be 1 to 65536 atoms");
-    const auto levels = int64_t(indices.shape(1)), k = int64_t(indices.shape(2));
-    if (levels > 1024 || k > n_atoms + 65536) throw std::invalid_argument("codes of too many levels or entries");
-    GaussianCodes codes{nullptr, nullptr, nullptr, nullptr, int32_t(levels), int32_t(k), int32_t(n_atoms)};
-    if (indices.dtype() == nb::dtype<uint8_t>())
-        codes.indices8 = data_of<uint8_t>(indices, "code indices", {n, levels, k});
-    else
-        codes.indices16 = data_of<uint16_t>(indices, "code indices", {n, levels, k});
-    if (weights.dtype() == nb::dtype<uint16_t>())
-        codes.half_weights = data_of<uint16_t>(weights, "code weights", {n, levels, k});
-    else
-        codes.weights = data_of<float>(weights, "code weights", {n, levels, k});
-    return codes;
-}
-
 nb::object py_render_codes(const Projection& projection, const Array& indices, const Array& weights, int64_t n_atoms, int threads) {
     const GaussianCodes codes = gaussian_codes(projection.n_gaussians, indices, weights, n_atoms);
     Buffer<float> out(int64_t(projection.width) * projection.height * codes.atoms_of_all_levels());
@@ -136,20 +117,6 @@ nb::tuple py_render_cosines(const Projection& projection, const Array& indices, 
     const auto levels = size_t(codes.levels), height = size_t(projection.height), width = size_t(projection.width);
     return nb::make_tuple(to_numpy(std::move(out), {levels, size_t(n_queries), height, width}),
                           to_numpy(std::move(norms), {levels, height, width}));
-}
-
-nb::object py_code_scores(const Array& indices, const Array& weights, const Array& scores, int threads) {
-    if (scores.ndim() != 3) throw std::invalid_argument("scores must have three axes");
-    const auto n = int64_t(indices.ndim() > 0 ? indices.shape(0) : 0);
-    const auto n_atoms = int64_t(scores.shape(1)), columns = int64_t(scores.shape(2));
-    const GaussianCodes codes = gaussian_codes(n, indices, weights, n_atoms);
-    if (columns > 65536) throw std::invalid_argument("too many columns of scores");
-    const float* table = data_of<float>(scores, "scores", {codes.levels, n_atoms, columns});
-    Buffer<float> out(n * codes.levels * columns);
-    without_lock([&] {
-        code_scores(n, codes, table, int32_t(columns), out.data(), sane(threads), python_signals());
-    });
-    return to_numpy(std::move(out), {size_t(n), size_t(codes.levels), size_t(columns)});
 }
 
 nb::dict py_count_work(const Projection& projection, int threads) {
@@ -189,7 +156,6 @@ void bind_raster(nb::module_& m) {
           nb::arg("threads"));
     m.def("render_cosines", &py_render_cosines, nb::arg("projection"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),
           nb::arg("scores"), nb::arg("threads"));
-    m.def("code_scores", &py_code_scores, nb::arg("indices"), nb::arg("weights"), nb::arg("scores"), nb::arg("threads"));
     m.def("count_work", &py_count_work, nb::arg("projection"), nb::arg("threads"));
 }
 

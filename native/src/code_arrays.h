@@ -8,6 +8,7 @@
 #include <string>
 
 #include "arrays.h"
+#include "code_kernels.h"
 
 namespace scoup {
 
@@ -37,6 +38,25 @@ inline Indices code_indices(const Array& indices, const char* name, std::initial
         if (n_atoms < 65536) check_indices(found.wide, count, n_atoms);
     }
     return found;
+}
+
+// float16 weights come as the uint16 of their bits.
+// Whether the atoms exist is found out when they are met.
+inline GaussianCodes gaussian_codes(int64_t n, const Array& indices, const Array& weights, int64_t n_atoms) {
+    if (indices.ndim() != 3) throw std::invalid_argument("code indices must be [N, levels, k]");
+    if (n_atoms < 1 || n_atoms > 65536) throw std::invalid_argument("there must be 1 to 65536 atoms");
+    const auto levels = int64_t(indices.shape(1)), k = int64_t(indices.shape(2));
+    if (levels > 1024 || k > n_atoms + 65536) throw std::invalid_argument("codes of too many levels or entries");
+    GaussianCodes codes{nullptr, nullptr, nullptr, nullptr, int32_t(levels), int32_t(k), int32_t(n_atoms)};
+    if (indices.dtype() == nanobind::dtype<uint8_t>())
+        codes.indices8 = data_of<uint8_t>(indices, "code indices", {n, levels, k});
+    else
+        codes.indices16 = data_of<uint16_t>(indices, "code indices", {n, levels, k});
+    if (weights.dtype() == nanobind::dtype<uint16_t>())
+        codes.half_weights = data_of<uint16_t>(weights, "code weights", {n, levels, k});
+    else
+        codes.weights = data_of<float>(weights, "code weights", {n, levels, k});
+    return codes;
 }
 
 }  // namespace scoup

@@ -234,56 +234,8 @@ void cosines(const Tile& tile, const GaussianCodes& codes, const Cosines& cosine
     found.clear();
 }
 
-// Sums of `k` neighbours each.
-template <int K>
-SCOUP_INLINE void add_up(const float* products, int64_t count, int32_t k, float* out, int64_t step) {
-    const int32_t length = K > 0 ? K : k;
-    for (int64_t i = 0; i < count; ++i) {
-        float total = 0;
-        for (int32_t j = 0; j < length; ++j) total += products[i * length + j];
-        out[i * step] = total;
-    }
-}
-
-template <class Index, class Weight>
-SCOUP_INLINE int32_t scores_of(const GaussianCodes& codes, const Index* all_indices, const Weight* all_weights,
-                               const CodeScores& scores, int64_t first, int64_t last, const ScoreScratch& scratch) {
-    const int32_t entries = codes.levels * codes.k;
-    const auto values = int32_t(codes.index_values());
-    for (int32_t e = 0; e < kScoreRows * entries; ++e) scratch.base[e] = e % entries / codes.k * values;
-    Index largest = 0;
-    for (int64_t row = first; row < last; row += kScoreRows) {
-        const int64_t rows = last - row < kScoreRows ? last - row : kScoreRows;
-        const auto count = int32_t(rows * entries);
-        const Index* __restrict indices = all_indices + row * entries;
-        const float* __restrict weights = from_stored(all_weights + row * entries, count, scratch.weights);
-        const int32_t* __restrict base = scratch.base;
-        float* __restrict products = scratch.products;
-        for (int32_t e = 0; e < count; ++e) largest = indices[e] > largest ? indices[e] : largest;
-        for (int32_t c = 0; c < scores.columns; ++c) {
-            const float* __restrict table = scores.table + int64_t(c) * codes.levels * values;
-            for (int32_t e = 0; e < count; ++e) products[e] = weights[e] * table[base[e] + int32_t(indices[e])];
-            float* out = scores.out + row * codes.levels * scores.columns + c;
-            const int64_t sums = rows * codes.levels;
-            if (codes.k == 4 && scores.columns == 1) add_up<4>(products, sums, 4, out, 1);
-            else if (codes.k == 4) add_up<4>(products, sums, 4, out, scores.columns);
-            else add_up<0>(products, sums, codes.k, out, scores.columns);
-        }
-    }
-    return largest;
-}
-
-int32_t scores(const GaussianCodes& codes, const CodeScores& scores, int64_t first, int64_t last,
-               const ScoreScratch& scratch) {
-    if (codes.indices8 != nullptr)
-        return codes.weights != nullptr ? scores_of(codes, codes.indices8, codes.weights, scores, first, last, scratch)
-                                        : scores_of(codes, codes.indices8, codes.half_weights, scores, first, last, scratch);
-    return codes.weights != nullptr ? scores_of(codes, codes.indices16, codes.weights, scores, first, last, scratch)
-                                    : scores_of(codes, codes.indices16, codes.half_weights, scores, first, last, scratch);
-}
-
 }  // namespace
 
-const CodeKernels code_kernels = {render, cosines, scores};
+const CodeKernels code_kernels = {render, cosines};
 
 }  // namespace scoup::SCOUP_ISA

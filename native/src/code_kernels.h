@@ -57,28 +57,10 @@ struct Cosines {
     float* norms;         // [levels, height, width], sqrt(W G W^T); or null
 };
 
-// What codes are worth by a table: out[i, s, c] = sum over k of weights[i, s, k] * table[c, s, indices[i, s, k]].
-struct CodeScores {
-    const float* table;  // [columns, levels, index_values()]: zeros beyond the atoms
-    int32_t columns;
-    float* out;          // [N, levels, columns]
-};
-
-constexpr int kScoreRows = 16;  // Gaussians that are looked up together
-
-// Scratch of one worker, each [kScoreRows, levels * k].
-struct ScoreScratch {
-    int32_t* base;  // where the table of the entry's level begins
-    float *weights, *products;
-};
-
 struct CodeKernels {
     // out [levels, height, width, n_atoms]
     void (*render)(const Tile& tile, const GaussianCodes& codes, float* out, const CodeScratch& scratch);
     void (*cosines)(const Tile& tile, const GaussianCodes& codes, const Cosines& cosines, const CodeScratch& scratch);
-    // Rows first .. last - 1. The largest index met.
-    int32_t (*scores)(const GaussianCodes& codes, const CodeScores& scores, int64_t first, int64_t last,
-                      const ScoreScratch& scratch);
 };
 
 SCOUP_KERNEL_TABLE(CodeKernels, code_kernels)

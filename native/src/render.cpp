@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "code_sums.h"
 #include "projection_tile.h"
 
 namespace scoup {
@@ -53,15 +54,10 @@ class CodeMemory {
     Buffer<int32_t> no_atom_;
 };
 
-void check_atoms(int32_t largest, int32_t n_atoms) {
-    if (largest >= n_atoms)
-        throw std::invalid_argument("a code refers to atom " + std::to_string(largest) + " of " + std::to_string(n_atoms));
-}
-
 void check_atoms(const std::vector<CodeMemory>& memory, const GaussianCodes& codes) {
     int32_t largest = -1;
     for (const CodeMemory& own : memory) largest = std::max(largest, own.no_atom());
-    check_atoms(largest, codes.n_atoms);
+    scoup::check_atoms(largest, codes.n_atoms);
 }
 
 std::vector<CodeMemory> code_memory(const GaussianCodes& codes, int32_t n_queries, int n_threads) {
@@ -98,40 +94,6 @@ void render_cosines(const Projection& projection, const GaussianCodes& codes, co
         kernels.cosines(tile, codes, cosines, memory[size_t(worker)].scratch());
     });
     check_atoms(memory, codes);
-}
-
-void code_scores(int64_t n, const GaussianCodes& codes, const float* table, int32_t columns, float* out, int n_threads,
-                 const Interrupted& interrupted) {
-    const auto& kernels = pick(baseline::code_kernels, v3::code_kernels, v4::code_kernels);
-    const int64_t entries = int64_t(codes.levels) * codes.k, scratch = kScoreRows * entries;
-    if (n == 0 || columns == 0 || codes.levels == 0) return;
-    if (scratch > std::numeric_limits<int32_t>::max() || codes.levels * codes.index_values() > std::numeric_limits<int32_t>::max())
-        throw std::invalid_argument("codes of too many levels or entries");
-    if (entries == 0) {
-        std::fill_n(out, n * codes.levels * columns, 0.0f);
-        return;
-    }
-    const int64_t padded_level = codes.index_values(), column = codes.levels * padded_level;
-    Buffer<float> padded(columns * column);
-    padded.fill(0.0f);
-    for (int64_t level = 0; level < codes.levels; ++level)
-        for (int64_t atom = 0; atom < codes.n_atoms; ++atom)
-            for (int64_t c = 0; c < columns; ++c)
-                padded[c * column + level * padded_level + atom] = table[(level * codes.n_atoms + atom) * columns + c];
-
-    constexpr int64_t kRows = 16384;
-    const int64_t chunks = (n + kRows - 1) / kRows;
-    n_threads = int(std::min<int64_t>(n_threads, chunks));
-    Buffer<int32_t> base(n_threads * scratch);
-    Buffer<float> weights(n_threads * scratch), products(n_threads * scratch);
-    std::vector<int32_t> largest(size_t(chunks), -1);
-    for_chunks(chunks, n_threads, interrupted, [&](int64_t chunk, int worker) {
-        const int64_t own = worker * scratch;
-        largest[size_t(chunk)] =
-            kernels.scores(codes, {padded.data(), columns, out}, chunk * kRows, std::min(n, (chunk + 1) * kRows),
-                           {base.data() + own, weights.data() + own, products.data() + own});
-    });
-    for (const int32_t of_chunk : largest) check_atoms(of_chunk, codes.n_atoms);
 }
 
 ViewCounts count_work(const Projection& projection, int n_threads, const Interrupted& interrupted) {

@@ -19,10 +19,6 @@ void render_codes(const Projection& projection, const GaussianCodes& codes, floa
 void render_cosines(const Projection& projection, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
                     const Interrupted& interrupted);
 
-// Of Gaussians 0 .. n - 1, seen or not. The table is as long as there are atoms: [levels, n_atoms, columns].
-void code_scores(int64_t n, const GaussianCodes& codes, const float* table, int32_t columns, float* out, int n_threads,
-                 const Interrupted& interrupted);
-
 struct ViewCounts {
     TileCounts all;
     int lanes;

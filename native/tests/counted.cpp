@@ -13,10 +13,12 @@
 #include <numeric>
 #include <vector>
 
+#include "code_sums.h"
 #include "combinations.h"
 #include "region_sums.h"
 #include "render.h"
 #include "projection.h"
+#include "selection.h"
 #include "vote.h"
 
 namespace {
@@ -154,6 +156,30 @@ void cosines(const Work& work, const scoup::Projection& projection) {
     scoup::render_cosines(projection, codes_of(work), {work.grams.data(), work.scores.data(), kQueries, out.data(), nullptr}, 1, kNever);
 }
 
+// Norms, the best of some phrases, and the relevancy of as many texts.
+std::vector<float> relevancy(const Work& work) {
+    const scoup::GaussianCodes codes = codes_of(work);
+    const scoup::AtomScores scores{work.scores.data(), kQueries};
+    std::vector<float> norms(size_t(kGaussians * kLevels)), best(norms.size()), out(norms.size() * kQueries);
+    scoup::inverse_code_norms(kGaussians, codes, work.grams.data(), norms.data(), 1, kNever);
+    scoup::best_code_cosines(kGaussians, codes, scores, norms.data(), best.data(), 1, kNever);
+    scoup::code_relevancy(kGaussians, codes, scores, {norms.data(), best.data(), 10.0f}, out.data(), 1, kNever);
+    return out;
+}
+
+// Of the relevancy above, made beforehand.
+void select(const Work& work) {
+    static const std::vector<float> values = relevancy(work);
+    const scoup::ValueRows rows{values.data(), nullptr, kLevels * kQueries, kGaussians};
+    std::vector<float> spans(size_t(2 * rows.count));
+    std::vector<int64_t> bins(size_t(rows.count) * scoup::kBins);
+    std::vector<uint8_t> masks(values.size());
+    std::vector<scoup::SumAbove> found(size_t(rows.count));
+    const std::vector<float> thresholds(size_t(rows.count), 0.6f);
+    scoup::count_stretched(rows, 0.695f, spans.data(), bins.data(), 1, kNever);
+    scoup::above_thresholds(rows, spans.data(), thresholds.data(), masks.data(), found.data(), 1, kNever);
+}
+
 struct Mode {
     const char* name;
     void (*run)(const Work& work, const scoup::Projection& projection);
@@ -166,6 +192,8 @@ constexpr Mode kModes[] = {
     {"vote", vote},
     {"codes", codes},
     {"cosines", cosines},
+    {"relevancy", [](const Work& work, const scoup::Projection&) { relevancy(work); }},
+    {"select", [](const Work& work, const scoup::Projection&) { select(work); }},
 };
 
 }  // namespace

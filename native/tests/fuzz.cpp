@@ -5,8 +5,11 @@
 // Rounds do not depend on each other: one that failed is run again by `fuzz 1 SEED ROUND`.
 #include <cstdio>
 
+#include "fuzz_code_sums.h"
 #include "fuzz_coder.h"
+#include "fuzz_neighbours.h"
 #include "fuzz_raster.h"
+#include "fuzz_selection.h"
 #include "fuzz_smoothing.h"
 #include "fuzz_vote.h"
 
@@ -21,6 +24,9 @@ void run_round(uint64_t seed, long long round, const std::vector<const char*>& s
         scoup::fuzz_damaged_sums(random, int(random.between(1, 4)));
     }
     for (int i = 0; i < 4; ++i) scoup::fuzz_coder(random);
+    scoup::fuzz_code_sums(random, int(random.between(1, 4)));
+    scoup::fuzz_neighbours(random, int(random.between(1, 4)));
+    scoup::fuzz_selection(random, int(random.between(1, 4)));
     scoup::fuzz_smoothing(random, int(random.between(1, 4)));
 }
 

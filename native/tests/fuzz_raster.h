@@ -242,17 +242,6 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
     render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
     render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, again.data(), nullptr}, 1, never);
     check_same(cosines, again, "cosines: threads");
-    Exact<float> worth(random, n * levels * n_queries), alike(random, worth.size());
-    code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never);
-    code_scores(n, table, scores.data(), n_queries, alike.data(), 1, never);
-    check_same(worth, alike, "code scores: threads");
-    for (int64_t i = 0; i < worth.size(); ++i) {
-        const int64_t row = i / n_queries, query = i % n_queries;  // row: of a Gaussian and level
-        double expected_worth = 0;
-        for (int64_t j = row * k; j < (row + 1) * k; ++j)
-            expected_worth += double(codes.weights[j]) * scores[(row % levels * n_atoms + codes.index(j)) * n_queries + query];
-        check_near(worth[i], expected_worth, 1e-5, "code scores");
-    }
     for (int64_t i = 0; i < cosines.size(); ++i) {
         const int64_t level = i / (n_queries * seen.pixels()), query = i / seen.pixels() % n_queries;
         const float* mine = &rendered[level * image + i % seen.pixels() * n_atoms];
@@ -280,7 +269,6 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
         if (random.chance(0.1)) grams[i] = hostile_float(random);
     render_codes(seen.projection, table, rendered.data(), seen.threads, never);
     render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
-    code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never);
 
     // Atoms that there are not: refused where they are met, and never read beyond.
     Exact<uint8_t> any8(random, n * levels * k);
@@ -297,7 +285,6 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
     refused([&] {
         render_cosines(seen.projection, table, {grams.data(), scores.data(), n_queries, cosines.data(), norms.data()}, seen.threads, never);
     });
-    refused([&] { code_scores(n, table, scores.data(), n_queries, worth.data(), seen.threads, never); });
 }
 
 // Of a chunk that is passed over, no row is visible.

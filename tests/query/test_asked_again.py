@@ -13,7 +13,8 @@ from query.conftest import WORDS, random_vectors
 from scoup.field.language_field import LanguageField
 from scoup.query.recent import Recent
 from scoup.query.relevancy import relevancy
-from scoup.scene.codes import SparseCodes, code_norms, cosines_from_codes
+from scoup.scene.code_sums import inverse_code_norms
+from scoup.scene.codes import SparseCodes, cosines_from_codes
 
 
 def dense(field: LanguageField, level: int) -> Tensor:
@@ -43,9 +44,10 @@ def test_norms_are_those_of_decoded_codes(n_atoms: int) -> None:
             atoms = codebook[level][indices[row, level]]
             expected[row, level] = (weights[row, level].float()[:, None] * atoms).sum(0).norm()
     kind = torch.uint8 if n_atoms <= 256 else torch.uint16
-    found = code_norms(indices.to(kind), weights, codebook)
+    found = inverse_code_norms(indices.to(kind), weights, codebook)
+    expected = torch.where(expected > 0, 1 / expected, 0.0)
     torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
-    assert code_norms(indices[:0].to(kind), weights[:0], codebook).shape == (0, 2)
+    assert inverse_code_norms(indices[:0].to(kind), weights[:0], codebook).shape == (0, 2)
 
 
 def test_relevancy_of_gaussians_is_that_of_dense_codes(field: LanguageField) -> None:

@@ -16,7 +16,13 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.query.relevancy import TEMPERATURE, relevancy
-from scoup.scene.codes import code_norms, code_scores, float32_products, stable_products
+from scoup.scene.code_sums import (
+    atom_products,
+    best_code_cosines,
+    code_relevancy,
+    code_scores,
+    inverse_code_norms,
+)
 
 MOST_CHANNELS = 18
 """Further queries and phrases times levels: beyond, it takes longer to render channels than cosines."""
@@ -47,7 +53,7 @@ class FieldCodes:
 
 @dataclass(frozen=True, eq=False)
 class KeptCosines:
-    """What is kept of the pixels of one projection, [H, W, S], or of all Gaussians, [S, N]."""
+    """What is kept of the pixels of one projection, [H, W, S], or of all Gaussians, [N, S]."""
 
     codes: FieldCodes  # kept alive, so that no other tensor can get the id of theirs
     versions: tuple[int, ...]  # of the codes at that time
@@ -94,21 +100,14 @@ class FieldCosines:
         """Return the relevancy [S, Q, N] of each Gaussian to queries [Q, D] beside canonical phrases [P, D]."""
         kept, coded = self._known_gaussians(codes)
         if not torch.equal(kept.canonical, canonical):
-            best = torch.full_like(kept.best, -torch.inf)
-            found = torch.empty_like(best)
-            for phrase in canonical:
-                _gaussian_cosines(kept, phrase, found)
-                torch.maximum(best, found, out=best)
+            scores = _atom_scores(codes, canonical)
+            best = best_code_cosines(codes.indices, codes.weights, kept.inverse_norms, scores)
             kept = replace(kept, canonical=canonical.clone(), best=best)
             self._gaussians = kept, coded
-        levels, count = kept.best.shape
-        out = torch.empty(levels, len(queries), count, device=queries.device)
-        # One by one, which is faster than columns beside each other.
-        for number, query in enumerate(queries):
-            _gaussian_cosines(kept, query, out[:, number])
-            for own, best in zip(out[:, number], kept.best, strict=True):
-                own.sub_(best).mul_(TEMPERATURE).sigmoid_()
-        return out
+        scores = _atom_scores(codes, queries)
+        return code_relevancy(
+            codes.indices, codes.weights, kept.inverse_norms, kept.best, scores, TEMPERATURE
+        )
 
     def coded(self, codes: FieldCodes) -> Tensor:
         """Return which Gaussians have a code at each level, boolean [S, N]; do not change it."""
@@ -120,8 +119,7 @@ class FieldCosines:
             coded = torch.zeros(codes.weights.shape[:2], dtype=torch.bool, device=codes.weights.device)
             for weights in codes.weights.unbind(-1):
                 coded |= weights > 0
-            norms = code_norms(codes.indices, codes.weights, codes.codebook)
-            inverse_norms = torch.where(norms > 0, 1 / norms, 0.0).T.contiguous()
+            inverse_norms = inverse_code_norms(codes.indices, codes.weights, codes.codebook)
             none = codes.codebook.new_zeros(0, codes.codebook.shape[2])
             kept = KeptCosines(codes, versions, inverse_norms, none, torch.zeros_like(inverse_norms))
             self._gaussians = known = kept, coded.T.contiguous()
@@ -160,15 +158,11 @@ def _channel_cosines(
     return image.view(projection.height, projection.width, *values.shape[1:]).mul_(inverse_norms[..., None])
 
 
-def _gaussian_cosines(kept: KeptCosines, vector: Tensor, out: Tensor) -> None:
-    """Write the cosines with a vector [D] into [S, N]; level by level, which reads and writes in order."""
-    products = _code_products(kept.codes, vector[None])
-    for level, norms in enumerate(kept.inverse_norms):
-        torch.mul(products[:, level, 0], norms, out=out[level])
-
-
 def _code_products(codes: FieldCodes, vectors: Tensor) -> Tensor:
     """[N, S, Q] products W A of the codes with vectors [Q, D]."""
-    products = stable_products if vectors.device.type == "cpu" else float32_products
-    scores = torch.stack([products(atoms, vectors) for atoms in codes.codebook])  # [S, L, Q]
-    return code_scores(codes.indices, codes.weights, scores)
+    return code_scores(codes.indices, codes.weights, _atom_scores(codes, vectors))
+
+
+def _atom_scores(codes: FieldCodes, vectors: Tensor) -> Tensor:
+    """[S, L, Q] products of the atoms with vectors [Q, D]."""
+    return torch.stack([atom_products(atoms, vectors) for atoms in codes.codebook])

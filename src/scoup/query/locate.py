@@ -14,6 +14,7 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
 from scoup.query.coded_scene import CodedScene
+from scoup.query.neighbours import linked_parts, nearest_points
 from scoup.query.select import true_rows
 from scoup.query.thing_shapes import OrientedBox, ThingPoints
 from scoup.query.things import things_in_mask
@@ -103,7 +104,7 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
     members = true_rows(answer.mask)
     rows = members.to(field.gaussians.device)
     means, scales, opacities = (
-        part[rows].cpu()
+        part.index_select(0, rows).cpu()  # much faster than part[rows]
         for part in (field.gaussians.means, field.gaussians.scales, field.gaussians.opacities)
     )
     usable = torch.isfinite(means).all(1) & torch.isfinite(scales).all(1)
@@ -148,20 +149,11 @@ def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
 
     Each point is linked to its nearest others, and links much longer than usual are cut.
     """
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
     count = min(NEIGHBOURS, len(points) - 1)
     if count < 1:
         return np.zeros(len(points), np.int64)
-    # Cells halved in space, not by points: built in half the time, queried no slower.
-    tree = KDTree(points, leafsize=16, balanced_tree=False)
-    lengths, nearest = (np.asarray(each) for each in tree.query(points, k=count + 1, workers=-1))
-    near = lengths <= LONGEST_LINK * np.median(lengths[:, -1])
-    starts = np.append(0, near.sum(1).cumsum())
-    links = csr_array((np.ones(starts[-1]), nearest[near], starts), (len(points),) * 2)
-    return np.asarray(connected_components(links, directed=True, connection="weak")[1], np.int64)
+    nearest, lengths = nearest_points(points, count)
+    return linked_parts(nearest, lengths, LONGEST_LINK * float(np.median(lengths[:, -1])))
 
 
 def _rounded(vector: Tensor) -> list[float]:

@@ -159,7 +159,8 @@ def scene_z_scores(
 def mean_embedding(field: CodedScene, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """Return the sum of the decoded codes of Gaussians [M] by weights [M] at one level, [D] on the CPU."""
     # On the CPU: sums by index on a GPU are not the same twice.
-    atoms = signed(field.code_indices)[gaussians, level].view(field.code_indices.dtype).cpu().long()
-    shares = (field.code_weights[gaussians, level].float() * weights[:, None]).cpu()
+    own = signed(field.code_indices)[:, level].index_select(0, gaussians)
+    atoms = own.view(field.code_indices.dtype).cpu().long()
+    shares = (field.code_weights[:, level].index_select(0, gaussians).float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
     return code.float() @ field.codebook[level].cpu()

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.query.locate import LONGEST_LINK, NEIGHBOURS, connected_parts
+from scoup.query.neighbours import nearest_points
 from scoup.scene.gaussians import Gaussians
 
 MOST_STEPS = 1000
@@ -103,15 +104,10 @@ class _Neighbours:
     """Links from points to their nearest others, as long as usual among those inside."""
 
     def __init__(self, points: NDArray[np.float64], inside: NDArray[np.bool_]) -> None:
-        from scipy.spatial import KDTree
-
-        count = min(NEIGHBOURS, len(points) - 1)
-        lengths, nearest = (
-            np.asarray(each) for each in KDTree(points).query(points, k=count + 1, workers=-1)
-        )
+        nearest, lengths = nearest_points(points, min(NEIGHBOURS, len(points) - 1))
         self._nearest = nearest
         self._linked = lengths <= LONGEST_LINK * np.median(lengths[inside][:, -1])
 
     def any_of(self, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return which points are linked to any of these, themselves included, [N] boolean."""
-        return (members[self._nearest] & self._linked).any(1)
+        return members | (members[self._nearest] & self._linked).any(1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -15,8 +14,9 @@ from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.query.coded_scene import CodedScene
 from scoup.query.neighbours import Neighbourhood
+from scoup.query.selection import above_thresholds, stretched_counts
 from scoup.query.smoothing import rescale
-from scoup.query.stable_threshold import STABILITY, stable_thresholds
+from scoup.query.stable_threshold import STABILITY, thresholds_of_counts
 
 ABSOLUTE_THRESHOLD = 0.6
 """Default threshold on relevancy that is not rescaled. The most stable one nearly always selects something, but here
@@ -92,7 +92,7 @@ def select_by_relevancy(
     """Select by the relevancy of one query among coded Gaussians, as ``select_each`` does."""
     values = relevancy if around is None else around.blend(relevancy, coded)
     if threshold is None and rescaled:
-        return _most_stable([_Level.of(*rows) for rows in zip(values, coded, strict=True)])
+        return _most_stable(values, coded)
     masked = torch.where(coded, values, -torch.inf)
     peaks = masked.amax(1) if masked.shape[1] else masked.new_full((len(masked),), -torch.inf)
     threshold = ABSOLUTE_THRESHOLD if threshold is None else threshold
@@ -103,52 +103,19 @@ def select_by_relevancy(
 
 def level_thresholds(values: Tensor, coded: Tensor) -> Tensor:
     """Return the most stable threshold of relevancy [S, N] rescaled over the coded Gaussians [S, N], [S] on the CPU."""
-    return torch.tensor([_Level.of(*rows).threshold for rows in zip(values, coded, strict=True)])
+    return thresholds_of_counts(stretched_counts(values, coded, STABILITY.lowest_share)[1])[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Level:
-    """The Gaussians of one level that a stable threshold may select: a few per cent of all, as a rule."""
-
-    values: Tensor  # [N] relevancy of all Gaussians
-    rows: Tensor  # [M] those above the lowest threshold
-    rescaled: Tensor  # [M] their rescaled relevancy
-    peak: float  # the largest relevancy of a coded Gaussian; minus infinity if there is none
-    threshold: float  # the most stable one
-
-    @classmethod
-    def of(cls, values: Tensor, coded: Tensor) -> _Level:
-        """Find them in relevancy [N] of the coded Gaussians [N]."""
-        low, high = values.new_tensor(torch.inf), values.new_tensor(-torch.inf)
-        all_coded = bool(coded.view(torch.uint8).amin()) if len(coded) else False  # much faster than all()
-        if all_coded:
-            low, high = values.aminmax()
-        elif len(coded):
-            low = torch.where(coded, values, torch.inf).amin()
-            high = torch.where(coded, values, -torch.inf).amax()
-        rows = true_rows(values >= STABILITY.lowest_counted(low, high))
-        rows = rows if all_coded else rows[coded[rows]]
-        rescaled = rescale(values[rows], low, high)
-        return cls(
-            values, rows, rescaled, float(high), float(stable_thresholds(rescaled[None], is_rescaled=True)[0])
-        )
-
-
-def _most_stable(levels: list[_Level]) -> Selection:
+def _most_stable(values: Tensor, coded: Tensor) -> Selection:
     """Select by the most stable threshold of each level."""
-    found = [level.rows[level.rescaled > level.threshold] for level in levels]
-    # In float64, so that levels alike to the last bit have equal means, and the first of them answers.
-    means = [
-        float(level.values[rows].double().mean()) if len(rows) else -math.inf
-        for level, rows in zip(levels, found, strict=True)
-    ]
-    peaks = [level.peak for level in levels]
-    order = means if max(means) > -math.inf else peaks
-    number = order.index(max(order))
-    level = levels[number]
-    mask = torch.zeros(len(level.values), dtype=torch.bool, device=level.values.device)
-    mask[found[number]] = True
-    return Selection(mask, level.values, number, level.peak, level.threshold)
+    spans, counts = stretched_counts(values, coded, STABILITY.lowest_share)
+    thresholds = thresholds_of_counts(counts)[0]
+    masks, areas, sums = above_thresholds(values, coded, spans, thresholds)
+    peaks = spans[:, 1].tolist()
+    means = torch.where(areas > 0, sums / areas, -torch.inf).tolist()
+    order = means if bool(areas.any()) else peaks
+    number = order.index(max(order))  # the first of levels alike
+    return Selection(masks[number], values[number], number, peaks[number], float(thresholds[number]))
 
 
 def _above(values: Tensor, members: Tensor, threshold: float, rescaled: bool = True) -> Tensor:

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.query.smoothing import rescale
-
-_BINS = 100
+from scoup.query.selection import BINS, stretched_counts
 
 
 @dataclass(frozen=True)
@@ -32,20 +30,17 @@ class Stability:
     centre: float = 0.64
     pull: float = 0.05
 
-    def lowest_counted(self, low: Tensor, high: Tensor) -> Tensor:
-        """Return where the lowest window begins between two values, before rescaling; lower values do not count."""
-        # A little lower than needed, for rounding.
-        return low + (high - low) * (0.5 + 0.5 * (self.lowest - self.window / 2)) - 1e-6
+    @property
+    def lowest_share(self) -> float:
+        """The share of the span, before rescaling, where the lowest window begins; lower values do not count."""
+        return 0.5 + 0.5 * (self.lowest - self.window / 2)
 
 
 STABILITY = Stability()
 
 
 def stable_thresholds(
-    values: Tensor,
-    fixed: float | None = None,
-    stability: Stability = STABILITY,
-    is_rescaled: bool = False,
+    values: Tensor, fixed: float | None = None, stability: Stability = STABILITY
 ) -> tuple[Tensor, Tensor]:
     """Return the most stable threshold of each row, and the instability of the answer there.
 
@@ -53,38 +48,30 @@ def stable_thresholds(
         values: [S, M] relevancy of pixels or Gaussians, finite.
         fixed: take this threshold instead.
         stability: the rule.
-        is_rescaled: the values are rescaled already; those that do not count may be left out.
 
     Returns:
         thresholds [S] on the rescaled relevancy (``rescale``), and the change [S] of the logarithm of the area over the
         window there: 0 for a step, 2 and more for what fades away. Both float32 on the CPU. Rows that are empty,
         constant or not finite have the centre and 0.
     """
-    middle = stability.centre if fixed is None else fixed
-    found = []
-    for row in values:
-        if fixed is None and row.numel() and not is_rescaled:
-            low, high = row.aminmax()
-            row = rescale(row[row >= stability.lowest_counted(low, high)], low, high)
-        elif row.numel() and not is_rescaled:
-            row = rescale(row)
-        found.append(_stable(row, fixed, stability) if row.numel() else (middle, 0.0))
-    thresholds, changes = zip(*found, strict=True) if found else ((), ())
-    return torch.tensor(thresholds, dtype=torch.float32), torch.tensor(changes, dtype=torch.float32)
+    counts = stretched_counts(values, None, stability.lowest_share if fixed is None else 0.0)[1]
+    return thresholds_of_counts(counts, fixed, stability)
 
 
-def _stable(rescaled: Tensor, fixed: float | None, stability: Stability) -> tuple[float, float]:
-    """Threshold and change of rescaled relevancy [M]."""
-    counts = torch.histc(rescaled.float(), _BINS, 0, 1).double().cpu()
-    above = counts.flip(0).cumsum(0).flip(0)  # values in bin b and further up
+def thresholds_of_counts(
+    counts: Tensor, fixed: float | None = None, stability: Stability = STABILITY
+) -> tuple[Tensor, Tensor]:
+    """Return ``stable_thresholds`` of rows with these counts [S, ``BINS``] (``stretched_counts``)."""
+    above = counts.double().flip(1).cumsum(1).flip(1)  # values in bin b and further up
     area = above.clamp(min=1).log()
-    half = round(stability.window / 2 * _BINS)
+    half = round(stability.window / 2 * BINS)
     if fixed is not None:
-        at = min(max(round(fixed * _BINS), half), _BINS - 1 - half)
-        return fixed, float(area[at - half] - area[at + half])
-    bins = torch.arange(round(stability.lowest * _BINS), round(stability.highest * _BINS) + 1)
-    bins = bins[(bins >= half) & (bins < _BINS - half)]
-    change = area[bins - half] - area[bins + half]
-    at = bins / _BINS
-    best = int((change + stability.pull * (at - stability.centre).abs()).argmin())
-    return float(at[best]), float(change[best])
+        at = min(max(round(fixed * BINS), half), BINS - 1 - half)
+        change = area[:, at - half] - area[:, at + half]
+        return torch.full((len(counts),), fixed, dtype=torch.float32), change.float()
+    bins = torch.arange(round(stability.lowest * BINS), round(stability.highest * BINS) + 1)
+    bins = bins[(bins >= half) & (bins < BINS - half)]
+    change = area[:, bins - half] - area[:, bins + half]
+    at = bins / BINS
+    best = (change + stability.pull * (at - stability.centre).abs()).argmin(1)
+    return at[best], change.gather(1, best[:, None])[:, 0].float()

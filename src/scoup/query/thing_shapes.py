@@ -109,7 +109,8 @@ class ThingPoints:
         filled = np.flatnonzero(np.diff(self.starts))
         owners = self.owners
         for axis in range(values.shape[1]):
-            order = np.lexsort((values[:, axis], owners))
+            along = np.ascontiguousarray(values[:, axis])
+            order = np.argsort(along) if len(self) == 1 else np.lexsort((along, owners))
             sums = np.concatenate([[0.0], np.cumsum(self.weights[order])])
             first, last = sums[self.starts[filled]], sums[self.starts[filled + 1]]
             for place, share in enumerate(shares):

@@ -221,7 +221,7 @@ def render_cosines_and_norms(
     """Return ``render_cosines``, and the norm of each pixel's rendered feature, which no query changes.
 
     A cosine is a sum over Gaussians, W A, by this norm: where it is known, another query is a render of few channels
-    (``codes.code_scores``, then ``render_channels``).
+    (``code_sums.code_scores``, then ``render_channels``).
 
     Args:
         projection: from ``project``.

@@ -14,8 +14,6 @@ from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.base.native import native_core
 
-ROWS_AT_A_TIME = 16384
-
 
 def index_dtype(n_atoms: int) -> torch.dtype:
     """Return the dtype of code indices: uint8 up to 256 atoms, uint16 beyond."""
@@ -145,66 +143,6 @@ def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Te
     norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
     cosines = torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
     return cosines, torch.where(squared_norm > 0, norm, 0.0)[..., 0]
-
-
-def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
-    """Return the products W A of sparse codes with a table of scores, in the compiled core where there is one.
-
-    Args:
-        indices: [N, S, K] atoms, each below L.
-        weights: [N, S, K] float16 or float32.
-        scores: [S, L, Q] float32, the score A of each atom.
-
-    Returns:
-        [N, S, Q] float32.
-    """
-    core = native_core() if indices.device.type == "cpu" else None
-    if core is None or indices.dtype not in (torch.uint8, torch.uint16):
-        return plain_code_scores(indices, weights, scores)
-    arrays = *code_arrays(indices, weights), scores.detach().float().contiguous().numpy()
-    try:
-        return torch.from_numpy(core.code_scores(*arrays, torch.get_num_threads()))
-    except ValueError as error:
-        raise InputError(str(error)) from None
-
-
-def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
-    """``code_scores`` in plain torch, on any device."""
-    check_atoms(indices, scores.shape[1])
-    levels = [
-        (scores[level][indices[:, level].long()] * weights[:, level, :, None].float()).sum(1)
-        for level in range(len(scores))
-    ]
-    return torch.stack(levels, 1)
-
-
-def code_norms(indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
-    """Return the norms of decoded sparse codes, sqrt(W G W^T) with G = C C^T.
-
-    Args:
-        indices: [N, S, K] atoms, each below L.
-        weights: [N, S, K] float16 or float32.
-        codebook: [S, L, D].
-
-    Returns:
-        [N, S] float32.
-    """
-    count, levels, k = weights.shape
-    n_atoms = codebook.shape[1]
-    grams = (codebook.float() @ codebook.float().transpose(1, 2)).flatten()
-    kind = torch.int32 if len(grams) < 2**31 else torch.int64
-    starts = torch.arange(levels, dtype=kind, device=weights.device) * n_atoms**2
-    squares = torch.zeros(count, levels, device=weights.device)
-    for first in range(0, count, ROWS_AT_A_TIME):
-        part = slice(first, first + ROWS_AT_A_TIME)
-        atoms = indices[part].permute(2, 0, 1).to(kind).contiguous()  # one contiguous plane per entry
-        some = weights[part].permute(2, 0, 1).float().contiguous()
-        for one in range(k):
-            rows = starts + atoms[one] * n_atoms
-            for other in range(one, k):
-                products = grams.index_select(0, (rows + atoms[other]).flatten()).view(rows.shape)
-                squares[part].addcmul_(some[one] * some[other], products, value=1.0 if one == other else 2.0)
-    return squares.clamp_(min=0).sqrt_()
 
 
 def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup.query.coded_scene import CodedScene
-from scoup.scene.codes import code_scores
-
-GAUSSIANS_AT_A_TIME = 65536
+from scoup.scene.code_sums import code_scores, inverse_code_norms
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,18 +32,10 @@ class UnitCodes:
         """Return those of a field."""
         indices, codebook = field.code_indices.cpu(), field.codebook.float().cpu()
         weights = field.code_weights.float().cpu()
-        norms = torch.zeros(weights.shape[:2])
-        for level, atoms in enumerate(codebook):
-            gram = atoms @ atoms.T
-            for start in range(0, len(weights), GAUSSIANS_AT_A_TIME):
-                rows = slice(start, start + GAUSSIANS_AT_A_TIME)
-                own, some = indices[rows, level].long(), weights[rows, level]
-                products = gram[own[:, :, None], own[:, None, :]]  # [M, K, K]
-                squared = (some[:, :, None] * products * some[:, None, :]).sum((1, 2))
-                norms[rows, level] = squared.clamp(min=0).sqrt()
-        sums = weights.sum(-1)
-        confidence = torch.where(sums > 0, norms / sums, 0.0).clamp(0, 1)
-        unit = torch.where(norms[..., None] > 0, weights / norms[..., None], 0.0)
+        inverse_norms = inverse_code_norms(indices, weights, codebook)
+        lengths = weights.sum(-1) * inverse_norms
+        confidence = torch.where(lengths > 0, 1 / lengths, 0.0).clamp(0, 1)
+        unit = weights * inverse_norms[..., None]
         return cls(indices, unit, confidence)
 
     def __len__(self) -> int:

@@ -1,0 +1,151 @@
+"""Sums over codes in the compiled core against torch, and against decoding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from raster.parity import needs_native
+from scoup.base.errors import InputError
+from scoup.query.relevancy import relevancy
+from scoup.scene import code_sums
+from scoup.scene.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
+from scoup.scene.codes import SparseCodes, cosines_from_codes
+from support import examples, unit
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Codes [N, S, K], some of them empty, a codebook [S, L, 6], and the scores of some vectors [Q, 6]."""
+
+    indices: Tensor
+    weights: Tensor
+    codebook: Tensor
+    vectors: Tensor
+
+    @property
+    def scores(self) -> Tensor:
+        return self.codebook @ self.vectors.T
+
+    @property
+    def grams(self) -> Tensor:
+        return self.codebook @ self.codebook.transpose(1, 2)
+
+
+@st.composite
+def coded(draw: st.DrawFn, least_columns: int = 0) -> Coded:
+    generator = torch.Generator().manual_seed(draw(st.integers(0, 999)))
+    count, levels, k = draw(st.integers(0, 140)), draw(st.integers(1, 4)), draw(st.integers(0, 6))
+    n_atoms = draw(st.sampled_from([1, 7, 256, 300]))
+    indices = torch.randint(n_atoms, (count, levels, k), generator=generator)
+    weights = torch.rand(count, levels, k, generator=generator)
+    weights[torch.rand(count, levels, generator=generator) < 0.2] = 0  # no code
+    weights[torch.rand(count, levels, k, generator=generator) < 0.2] = 0  # fewer atoms
+    return Coded(
+        indices.to(torch.uint8 if n_atoms <= 256 else torch.uint16),
+        weights.half() if draw(st.booleans()) else weights,
+        unit(torch.randn(levels, n_atoms, 6, generator=generator)),
+        unit(torch.randn(draw(st.integers(least_columns, 5)), 6, generator=generator)),
+    )
+
+
+@needs_native
+@settings(max_examples=examples(60))
+@given(coded())
+def test_scores_and_norms_are_those_of_torch(codes: Coded) -> None:
+    arrays = codes.indices, codes.weights
+    found, expected = code_scores(*arrays, codes.scores), code_sums.plain_code_scores(*arrays, codes.scores)
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
+    found = inverse_code_norms(*arrays, codes.codebook)
+    torch.testing.assert_close(found, _inverse_norms(codes), rtol=2e-3, atol=1e-6)
+    assert found[~(codes.weights > 0).any(-1)].eq(0).all()
+
+
+@needs_native
+@settings(max_examples=examples(60))
+@given(coded(least_columns=1), st.floats(0.1, 40))
+def test_relevancy_is_that_of_torch(codes: Coded, temperature: float) -> None:
+    arrays, norms = (
+        (codes.indices, codes.weights),
+        inverse_code_norms(codes.indices, codes.weights, codes.codebook),
+    )
+    best = best_code_cosines(*arrays, norms, codes.scores)
+    expected = code_sums.plain_best_code_cosines(*arrays, norms, codes.scores)
+    torch.testing.assert_close(best, expected, rtol=1e-4, atol=1e-5)
+    others = codes.scores.flip(-1)[..., 1:]  # perhaps none
+    found = code_relevancy(*arrays, norms, best, others, temperature)
+    expected = code_sums.plain_code_relevancy(*arrays, norms, best, others, temperature)
+    assert found.shape == (len(codes.scores), others.shape[-1], len(codes.indices))
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5 * temperature)
+
+
+@settings(max_examples=examples(30))
+@given(coded(least_columns=2), st.booleans())
+def test_relevancy_is_that_of_decoded_codes(codes: Coded, by_torch: bool) -> None:
+    prefix, arrays = "plain_" if by_torch else "", (codes.indices, codes.weights)
+    norms = _inverse_norms(codes) if by_torch else inverse_code_norms(*arrays, codes.codebook)
+    canonical, queries = codes.scores[..., :1].contiguous(), codes.scores[..., 1:].contiguous()
+    best = getattr(code_sums, f"{prefix}best_code_cosines")(*arrays, norms, canonical)
+    found = getattr(code_sums, f"{prefix}code_relevancy")(*arrays, norms, best, queries, 10.0)
+    for level, atoms in enumerate(codes.codebook):
+        rows = SparseCodes(codes.indices[:, level], codes.weights[:, level].float(), len(atoms)).to_dense()
+        cosines = cosines_from_codes(rows.double(), atoms.double(), codes.vectors.double()).T[None]
+        expected = relevancy(cosines[:, 1:], cosines[:, :1])[0]
+        torch.testing.assert_close(found[level].double(), expected, rtol=0, atol=2e-3)
+
+
+@needs_native
+@settings(max_examples=examples(10))
+@given(st.integers(1, 3), st.integers(0, 99))
+def test_the_same_bytes_for_any_number_of_threads(levels: int, seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    indices = torch.randint(9, (40_000, levels, 4), generator=generator).to(torch.uint8)
+    weights = torch.rand(40_000, levels, 4, generator=generator).half()
+    codebook, scores = (
+        torch.randn(levels, 9, 5, generator=generator),
+        torch.randn(levels, 9, 3, generator=generator),
+    )
+
+    def all_sums() -> list[Tensor]:
+        norms = inverse_code_norms(indices, weights, codebook)
+        best = best_code_cosines(indices, weights, norms, scores)
+        return [
+            norms,
+            best,
+            code_relevancy(indices, weights, norms, best, scores, 10.0),
+            code_scores(indices, weights, scores),
+        ]
+
+    threads, found = torch.get_num_threads(), []
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            found.append(all_sums())
+    finally:
+        torch.set_num_threads(threads)
+    assert all(one.equal(other) for one, other in zip(*found, strict=True))
+
+
+@pytest.mark.parametrize("n_atoms", [7, 300])
+def test_atoms_there_are_not_are_refused(n_atoms: int) -> None:
+    indices = torch.zeros(100, 1, 2, dtype=torch.uint8 if n_atoms == 7 else torch.uint16)
+    indices[-1] = n_atoms
+    weights, scores, norms = torch.ones(100, 1, 2), torch.zeros(1, n_atoms, 1), torch.ones(100, 1)
+    calls = [
+        lambda: code_scores(indices, weights, scores),
+        lambda: inverse_code_norms(indices, weights, torch.ones(1, n_atoms, 2)),
+        lambda: best_code_cosines(indices, weights, norms, scores),
+        lambda: code_relevancy(indices, weights, norms, norms, scores, 10.0),
+    ]
+    for call in calls:
+        with pytest.raises(InputError, match=r"code"):
+            call()
+
+
+def _inverse_norms(codes: Coded) -> Tensor:
+    return code_sums.plain_inverse_code_norms(codes.indices, codes.weights, codes.grams)
