@@ -139,5 +139,5 @@ def test_versions_of_sums_that_are_not_known_are_refused(tmp_path: Path, version
             "update it: pip install -U scoup"
         )
     else:
-        sentence = f"{scene}: makes no sense (its format version is {version!r}); make it again"
+        sentence = f"{scene}: has an invalid format version ({version!r}); make it again"
         assert str(caught.value) == sentence

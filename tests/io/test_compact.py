@@ -137,7 +137,7 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
         ({"levels": ["s", "m", "x"]}, "is not a file of region features or is damaged"),
         ({"levels": ["s", "m"]}, "has levels"),
         ({"version": 2}, r"written by a newer SCOUP \(format version 2, this one reads up to 1\); update it"),
-        ({"version": "1"}, "makes no sense"),
+        ({"version": "1"}, "has an invalid format version"),
         ({"schema": "other"}, "schema is 'other', expected scoup.regions"),
     ):
         save_file(tensors, path, {"scoup": json.dumps({**header, **change})})

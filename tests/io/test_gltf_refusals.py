@@ -34,7 +34,7 @@ def refusals() -> dict[str, tuple[Any, str]]:
         "spz": (compress, "are compressed"),
         "required": (lambda root: root.update(extensionsRequired=["KHR_meshopt"]), "needs the extension"),
         "mesh": (lambda root: primitive(root).update(extensions={}), "contains no Gaussians"),
-        "no node": (lambda root: root.update(scenes=[{"nodes": []}]), "stand in no node"),
+        "no node": (lambda root: root.update(scenes=[{"nodes": []}]), "no node of its scene contains"),
         "triangles": (lambda root: primitive(root).update(mode=4), "not points"),
         "draft": (
             lambda root: primitive(root)["attributes"].pop(f"{SPLATS}:SCALE"),

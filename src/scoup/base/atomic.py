@@ -78,7 +78,7 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
         path: the output.
         overwrite: replace what is there.
     """
-    # A folder, as libraries may write files of other names first, which nobody holds.
+    # A folder, as libraries may write files of other names first, which no process holds.
     with _appearing(path, overwrite, in_folder=True) as temporary:
         yield temporary
 
@@ -99,7 +99,7 @@ def atomic_file(path: str | Path, overwrite: bool = False, flush: bool = True) -
 
 
 def flush_to_disk(path: Path) -> None:
-    """Have the system write a file, or a folder with its files, to the disk: else a rename may get there first."""
+    """Write a file, or a folder with its files, to the disk: otherwise a rename may get there first."""
     if path.is_dir():
         for file in path.iterdir():
             flush_to_disk(file)
@@ -113,7 +113,7 @@ def flush_to_disk(path: Path) -> None:
 
 
 def flush_names(folder: Path) -> None:
-    """Have the system write to the disk which files are in a folder, where the file system can."""
+    """Write the names of a folder's files to the disk, where the file system can."""
     with suppress(OSError):
         _flush(folder)
 
@@ -231,7 +231,7 @@ class _Output(io.BufferedIOBase):
 
 @contextmanager
 def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
-    """Let refusals to write a temporary file or folder name the output that it would become.
+    """Let refusals to write a temporary file or folder name the final output.
 
     A file that cannot be read in the block is not mistaken for one that cannot be written.
     """
@@ -255,7 +255,7 @@ def refusals_named(output: Path, temporary: Path) -> Iterator[None]:
 
 
 def _final(path: Any, output: Path, temporary: Path) -> Path | None:
-    """The final path of one at, or below, ``temporary``; None for other paths."""
+    """Return the final path of one at, or below, ``temporary``; None for other paths."""
     if not isinstance(path, (str, Path)) or not Path(path).is_relative_to(temporary):
         return None
     return output / Path(path).relative_to(temporary)

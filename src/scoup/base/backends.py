@@ -79,7 +79,7 @@ def require_backend(name: str, device: torch.device) -> None:
 
 
 def triton_problem(device: torch.device) -> str | None:
-    """One sentence: why Triton kernels cannot serve tensors on this device. None if they can.
+    """Return a sentence: why Triton kernels cannot serve tensors on this device. None if they can.
 
     Imports triton, if it is there.
     """

@@ -1,11 +1,11 @@
-"""Dataclasses of tensors as one line: shapes and types in the place of numbers."""
+"""Dataclasses of tensors as one line: shapes and types in place of numbers."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from typing import Any
 
-_LONGEST = 60  # characters of a value that is no tensor
+_LONGEST = 60  # characters of a value that is not a tensor
 
 
 def brief(self: Any) -> str:

@@ -1,4 +1,4 @@
-"""Numbers of things and their names in messages, in the singular where there is one."""
+"""Counts in messages: a number and what it counts, in the singular or the plural."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def none_of(count: int, thing: str) -> str:
 
 
 def share_of(count: int, total: int, thing: str, things: str = "") -> str:
-    """Some of all: "1 of 8 views", "8 of 8 views", and "the only view" where there is one; its verb is that of count.
+    """Return some of all: "1 of 8 views", "8 of 8 views", and "the only view" where there is one; its verb is that of
+    count.
 
     Args:
         thing, things: see ``counted``.

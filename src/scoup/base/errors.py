@@ -17,7 +17,7 @@ NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.
 
 
 class ScoupError(Exception):
-    """Base of every error that a user can cause and mend. The command line prints it as one line.
+    """Base of every error that a user can cause and fix. The command line prints it as one line.
 
     Example:
         >>> try:
@@ -89,7 +89,7 @@ def check_format_version(path: str | Path, version: object, newest: int) -> None
         newest: of the versions that are read; all from 1 on are.
     """
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        raise FileFormatError(path, f"makes no sense (its format version is {version!r})", "make it again")
+        raise FileFormatError(path, f"has an invalid format version ({version!r})", "make it again")
     if version > newest:
         raise FieldVersionError(path, version, newest)
 
@@ -149,7 +149,7 @@ class ProcessLostError(ScoupError):
         problem: what was seen of that.
     """
 
-    exit_code = 1  # nobody has to mend anything: a second try may do
+    exit_code = 1  # nothing has to be fixed: a second try may do
 
     def __init__(self, problem: str) -> None:
         self.problem = problem

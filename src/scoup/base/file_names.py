@@ -16,7 +16,7 @@ def slug(text: str) -> str:
 
 
 def unique_slugs(texts: Iterable[str]) -> list[str]:
-    """Slugs of the texts, numbered where they would be equal."""
+    """Return slugs of the texts, numbered where they would be equal."""
     names: list[str] = []
     for text in texts:
         name, number = slug(text), 1

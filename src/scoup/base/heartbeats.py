@@ -1,8 +1,8 @@
-"""Processes that each make a part of one output wait for each other, by the lock files that they hold.
+"""Barriers between processes that each make a part of one output, by their lock files.
 
 Nothing but a file system that all of them see is needed. A record in a lock file that does not change for ``SILENCE``
-seconds is one of a process that is lost. What earlier, killed processes have left is never taken for a sign of the
-present ones: whoever is ready names the record that it is ready for.
+seconds is that of a lost process. What killed processes have left is never mistaken for a heartbeat: a process that is
+ready names the record that it is ready for.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ PREVIEW = (320, 240)
 
 
 def card(title: str, facts: Mapping[str, Any], picture: NDArray[np.uint8] | None = None) -> str:
-    """HTML of a card.
+    """Return the HTML of a card.
 
     Args:
         title: above.

@@ -51,7 +51,7 @@ def require_core() -> ModuleType:
 
 
 def missing_reason() -> str | None:
-    """One sentence: why there is no compiled core, and the remedy. None if there is one."""
+    """Return a sentence: why there is no compiled core, and the remedy. None if there is one."""
     return load_core().reason
 
 

@@ -16,7 +16,7 @@ def no_progress(stage: str, done: int, total: int) -> None:
 
 
 def reported(items: Iterable[Item], stage: str, total: int, progress: Progress) -> Iterator[Item]:
-    """Items as they come; each counts as done when the next one is wanted."""
+    """Yield items as they come; each counts as done when the next one is requested."""
     progress(stage, 0, total)
     for done, item in enumerate(items, start=1):
         yield item

@@ -46,7 +46,7 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """Zeros in a temporary file that is mapped into memory; the file is gone with the array."""
+    """Return zeros in a temporary file that is mapped into memory; the file disappears with the array."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if not size:
         return np.zeros(shape, dtype)

@@ -100,7 +100,7 @@ def read_field(path: Path) -> FieldParts:
 
 
 def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
-    """The parts of a file whose checksums all agree."""
+    """Return the parts of a file whose checksums all agree."""
     checksum = header["checksum"]
     if text_checksum(_replaced(text, checksum, NO_CHECKSUM)) != checksum:
         raise FileFormatError(path, "is damaged (checksum of the header)", _REBUILD)
@@ -143,7 +143,7 @@ def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[
 
 
 def tensor_checksum(tensor: Tensor) -> str:
-    """CRC-32 over type, shape and bytes of a tensor on the CPU, as eight hexadecimal digits.
+    """Return the CRC-32 over type, shape and bytes of a tensor on the CPU, as eight hexadecimal digits.
 
     CRC-32 finds every error of a few bits, and is the fastest checksum of the standard library.
     """
@@ -153,7 +153,7 @@ def tensor_checksum(tensor: Tensor) -> str:
 
 
 def text_checksum(text: str) -> str:
-    """CRC-32 of a text in UTF-8, as eight hexadecimal digits."""
+    """Return the CRC-32 of a text in UTF-8, as eight hexadecimal digits."""
     return f"{zlib.crc32(text.encode()):08x}"
 
 
@@ -161,19 +161,19 @@ NO_CHECKSUM = "0" * 8
 
 
 def _with_checksum(header: dict[str, Any]) -> str:
-    """The header as JSON, with a checksum of this very text, taken with zeros in the checksum's place."""
+    """Return the header as JSON, with a checksum of this very text, taken with zeros in the checksum's place."""
     text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
     return _replaced(text, NO_CHECKSUM, text_checksum(text))
 
 
 def _replaced(text: str, checksum: str, other: str) -> str:
-    """The JSON text with another checksum in it."""
+    """Return the JSON text with another checksum in it."""
     return text.replace(f'"checksum": "{checksum}"', f'"checksum": "{other}"', 1)
 
 
 @contextmanager
 def field_damage_named(path: Path) -> Iterator[None]:
-    """Failures while putting a field together become one FileFormatError that names the file."""
+    """Turn failures to assemble a field into one FileFormatError that names the file."""
     try:
         yield
     except FileFormatError:
@@ -184,7 +184,7 @@ def field_damage_named(path: Path) -> Iterator[None]:
 
 
 def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
-    """Text of the header, the header, and all tensors of a ``.scoup`` file."""
+    """Return the text of the header, the header, and all tensors of a ``.scoup`` file."""
     from safetensors import safe_open
 
     what = "a SCOUP language field"
@@ -200,7 +200,7 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
             raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
         tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
     if "codebook" in tensors:
-        # In the file it begins anywhere; products of matrices are the same bytes only where both begin alike.
+        # In the file it begins anywhere; products of matrices have the same bytes only with the same alignment.
         tensors["codebook"] = tensors["codebook"].clone()
     return text, header, tensors
 
@@ -218,7 +218,7 @@ def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]
     except OSError as error:
         raise WriteError.of(temporary, error) from error
     except SafetensorError as error:
-        # The system's own number stands in the text alone: "(os error 28)", or "code: 28" in older versions.
+        # Only the text contains the system's own number: "(os error 28)", or "code: 28" in older versions.
         number = re.search(r"(?:os error|code:) (\d+)", str(error))
         if number is None:
             raise
@@ -248,7 +248,7 @@ def _things(tensors: dict[str, Tensor]) -> ThingTable | None:
 
 
 def _thing_tensors(things: ThingTable) -> dict[str, Tensor]:
-    """Their numbers take two bytes in a file; the largest stands for none."""
+    """Return the tensors of things, with numbers of two bytes; the largest means none."""
     tensors = {f"things.{name}": tensor for name, tensor in vars(things).items()}
     for name in ("things.owners", "things.parents"):
         tensors[name] = torch.where(tensors[name] == NO_THING, MOST_THINGS, tensors[name]).to(torch.uint16)

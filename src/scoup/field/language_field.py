@@ -66,10 +66,10 @@ class LanguageField(FieldQueries):
         return moved
 
     def __getitem__(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
-        """The field of some of the Gaussians, to be queried and saved as any other.
+        """Return the field of some of the Gaussians, to be queried and saved as any other.
 
         Args:
-            chosen: a boolean mask [N], indices [M] in the order wanted, or a slice.
+            chosen: a boolean mask [N], indices [M] in any order, or a slice.
 
         Returns:
             A field with a geometry of its own, which ``save`` embeds in the file. It has no region sums: to add or
@@ -103,7 +103,7 @@ class LanguageField(FieldQueries):
     def _of(
         self, gaussians: Gaussians, indices: Tensor, weights: Tensor, thing_table: ThingTable | None
     ) -> LanguageField:
-        """A field of these Gaussians and their codes, made from this one."""
+        """Return a field of these Gaussians and their codes, made from this one."""
         provenance = {**self.info.provenance, "selected_from": self.fingerprint}
         info = replace(
             self.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
@@ -123,7 +123,7 @@ class LanguageField(FieldQueries):
         remote: bool = False,
         height: int = 640,
     ) -> Viewer:
-        """The field in the browser, as `scoup view` shows it; in a notebook the page itself.
+        """Show the field in the browser, as `scoup view` does; in a notebook return the page itself.
 
         Args:
             encoder: see ``text_encoder``.

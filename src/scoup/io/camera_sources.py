@@ -126,7 +126,7 @@ def scene_folder(path: str | Path) -> Path:
 
 
 def _models(folder: Path) -> list[Path]:
-    """COLMAP's models in a folder: its numbered ones in order, and the folder itself."""
+    """Return COLMAP's models in a folder: its numbered ones in order, and the folder itself."""
     if not folder.is_dir():
         return []
     numbered = sorted(

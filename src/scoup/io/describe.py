@@ -21,7 +21,7 @@ from scoup.scene.oddities import oddities
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
-    """Number, extent, medians and fingerprint of Gaussians."""
+    """Return the number, extent, medians and fingerprint of Gaussians."""
     for oddity in oddities(gaussians):
         warnings.warn(oddity, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
@@ -36,7 +36,7 @@ def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
 
 
 def describe_cameras(cameras: Cameras) -> dict[str, Any]:
-    """Number, sizes and names of cameras, and how many have an image or lens distortion."""
+    """Return the number, sizes and names of cameras, and how many have an image or lens distortion."""
     distorted = sum(bool(camera.distortion) for camera in cameras)
     sizes = sorted({(camera.width, camera.height) for camera in cameras})
     return {
@@ -57,7 +57,7 @@ def describe_unreadable(path: Path) -> dict[str, Any]:
 
 
 def describe_regions(store: RegionStore) -> dict[str, Any]:
-    """Views, sizes, regions and manifest of region features, without the cameras they belong to.
+    """Return views, sizes, regions and manifest of region features, without the cameras they belong to.
 
     ``regions`` is their number at each level, or of all levels where headers do not tell them apart.
     """

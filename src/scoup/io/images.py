@@ -34,9 +34,8 @@ def image_size(path: str | Path) -> tuple[int, int]:
 
 
 def size_in_header(path: str | Path) -> tuple[int, int]:
-    """``image_size`` with Pillow's warnings. For threads: filters of warnings belong to the process, and threads would
-    restore those of each other.
-    """
+    """Return ``image_size`` with Pillow's warnings. For threads: filters of warnings belong to the process, and threads
+    would restore those of each other."""
     from PIL import Image
 
     path = existing_file(path, "an image")
@@ -55,7 +54,7 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
 
 
 def image_fault(path: Path) -> str:
-    """Why an image file cannot be decoded; "" where it can. Files that end as they should are not decoded."""
+    """Return why an image file cannot be decoded; "" where it can. Files that end as they should are not decoded."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -20,7 +20,9 @@ def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
         if not scene.exists():
             raise FileFormatError(scene, "there is no such scene", "check the path") from error
         if scene.is_dir():
-            find_cameras(scene)  # a folder without cameras either is no scene; this says which may be meant
+            find_cameras(
+                scene
+            )  # a folder without cameras is not a scene; the error names those that may be meant
         problem = error.problem if scene.is_dir() else "is not a splat, and none is named"
         raise FileFormatError(error.path, problem, "name the trained splat with `gaussians`") from error
 

@@ -200,7 +200,7 @@ def _means_of(results: Path) -> np.ndarray | None:
     """Return [N, 3] finite means of the splat in a folder of results; None where there is none."""
     try:
         return load_gaussians(results).means.double().numpy()
-    except InputError:  # the cameras may be wanted alone
+    except InputError:  # the cameras may be all that is needed
         return None
 
 

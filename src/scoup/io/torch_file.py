@@ -49,7 +49,7 @@ def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers:
         with _allowed(numpy_numbers):
             return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        if "GLOBAL" not in str(error):  # so torch calls what is no tensor
+        if "GLOBAL" not in str(error):  # torch's word for what is not a tensor
             raise FileFormatError(path, "is damaged", "copy it again") from error
         raise FileFormatError(path, _OBJECTS, without_objects) from error
     except Exception as error:  # damaged or foreign archives raise nearly everything inside torch
@@ -101,14 +101,14 @@ def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what
 
 
 def _allowed(numpy_numbers: bool) -> AbstractContextManager[Any]:
-    """In this context torch's restricted loader takes single numpy numbers, if that is wanted; since torch 2.5."""
+    """Let torch's restricted loader take single numpy numbers in this context, if requested; since torch 2.5."""
     if not numpy_numbers or not hasattr(torch.serialization, "safe_globals"):
         return nullcontext()
     return torch.serialization.safe_globals(_number_types())
 
 
 def _number_types() -> list[Any]:
-    """The parts of a pickled numpy float, under the names of old and new numpy."""
+    """Return the parts of a pickled numpy float, under the names of old and new numpy."""
     scalar = type(np.float64(0)).__reduce__(np.float64(0))[0]  # type: ignore[arg-type]
     names = ("numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar")
     kinds = [type(np.dtype(kind)) for kind in (np.float32, np.float64, np.int64)]

@@ -16,7 +16,7 @@ from scoup.pictures.lettering import PAPER
 
 
 def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: float) -> None:
-    """Write an endless animation, atomically, replacing what is there.
+    """Write an endless animation, atomically, replacing an existing file.
 
     Args:
         frames: [H, W, 3] uint8 each, of one width. Those that are less high than others, since their titles are

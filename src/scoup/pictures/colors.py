@@ -31,12 +31,12 @@ STRONGEST = 0.92  # opacity of the heat where relevancy is highest
 
 
 def as_array(values: ArrayOrTensor) -> np.ndarray:
-    """A numpy array of a tensor (from any device) or of an array."""
+    """Return a numpy array of a tensor (from any device) or of an array."""
     return values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
 
 
 def as_picture(image: ArrayOrTensor) -> Picture:
-    """[H, W, 3] uint8 of a colour image: uint8, or float 0..1 (cut off outside; not finite counts as 0)."""
+    """Return [H, W, 3] uint8 of a colour image: uint8, or float 0..1 (cut off outside; not finite counts as 0)."""
     array = as_array(image)
     if array.ndim != 3 or array.shape[2] != 3 or not array.size:
         raise InputError(f"a colour image is [H, W, 3] and not empty, got {list(array.shape)}")
@@ -48,7 +48,7 @@ def as_picture(image: ArrayOrTensor) -> Picture:
 
 
 def heat_colors(amounts: ArrayOrTensor) -> NDArray[np.float64]:
-    """[..., 3] sRGB 0..255 of amounts [...] 0..1: from near black over red to light yellow."""
+    """Return [..., 3] sRGB 0..255 of amounts [...] 0..1: from near black over red to light yellow."""
     place = np.nan_to_num(as_array(amounts).astype(np.float64)).clip(0, 1) * (len(_HEAT) - 1)
     low = np.minimum(place.astype(int), len(_HEAT) - 2)
     share = (place - low)[..., None]
@@ -56,7 +56,7 @@ def heat_colors(amounts: ArrayOrTensor) -> NDArray[np.float64]:
 
 
 def heat_amounts(relevancy: np.ndarray, span: tuple[float, float]) -> NDArray[np.float64]:
-    """Place of each relevancy on the colours from one end of the span to the other, 0..1; 0 if it has no extent."""
+    """Return the place of each relevancy between the two ends of the span, 0..1; 0 if the ends are equal."""
     low, high = span
     if high - low <= 1e-6:
         return np.zeros(relevancy.shape)
@@ -70,12 +70,12 @@ def heat_opacity(amounts: np.ndarray) -> NDArray[np.float64]:
 
 
 def grey(picture: Picture) -> NDArray[np.float64]:
-    """[H, W, 1] lightness 0..255."""
+    """Return [H, W, 1] lightness 0..255."""
     return (picture.astype(np.float64) @ _LIGHTNESS)[..., None]
 
 
 def label_colors(count: int) -> Picture:
-    """[count, 3] uint8 colours that are easy to tell apart, the same for the same number each time."""
+    """Return [count, 3] uint8 colours that are easy to tell apart, the same for the same number each time."""
     number = np.arange(count)
     hue = (0.07 + number * _GOLDEN) % 1.0
     saturation = np.array([0.62, 0.85, 0.48])[number % 3]
@@ -101,7 +101,7 @@ def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.fl
     axes = np.zeros((length, 3))
     if not len(rows):
         return np.concatenate([axes, np.zeros((1, 3))]), np.array([[0.0] * 3, [1.0] * 3])
-    # Each leading atom counts alike: walls would take all the colours otherwise.
+    # Each leading atom has the same weight: walls would take all the colours otherwise.
     leading = rows.argmax(1)
     weights = 1.0 / np.bincount(leading, minlength=length)[leading]
     weights /= weights.sum()
@@ -130,8 +130,7 @@ def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.fl
 def code_picture(
     codes: ArrayOrTensor, basis: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 ) -> Picture:
-    """Codes as colours: their three principal components as red, green and blue. Alike colours mean alike
-    codes.
+    """Return codes as colours: three principal components as red, green and blue. Similar codes have similar colours.
 
     Args:
         codes: [H, W, L], for example one level of ``render_codes``.

@@ -63,7 +63,7 @@ def _bar(relevancy: np.ndarray, low: float, high: float, height: int) -> Image.I
 
 
 def _ends(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], low: float, high: float) -> None:
-    """Written into the bar: where the picture stays clear, and where the scale ends, if there is room."""
+    """Draw into the bar where the picture stays clear, and where the scale ends, if there is room."""
     start, top, end, bottom = box
     face = font(max(9, (bottom - top) * 0.7))
     middle, gap = (top + bottom) / 2, 6

@@ -30,12 +30,13 @@ def font(size: float, file: str = "") -> Font:
 
 
 def text_width(text: str, face: Font) -> int:
-    """Pixels."""
+    """Return the width of a text in pixels."""
     return int(face.getlength(text) + 0.999)
 
 
 def lines_of(text: str, width: int, size: float, most: int = MOST_LINES) -> tuple[list[str], Font]:
-    """The text in at most ``most`` lines of ``width`` pixels, broken between words where it can be, and its font."""
+    """Return the text in at most ``most`` lines of ``width`` pixels, broken between words where it can be, and its
+    font."""
     text, file = writable(text)
     face = font(size, file)
     lines: list[str] = []
@@ -67,7 +68,7 @@ def _shortened(text: str, width: int, face: Font) -> str:
 
 @lru_cache(256)
 def writable(text: str) -> tuple[str, str]:
-    """The text as it can be written, in one line, and the file of the font that has most of its letters.
+    """Return the text as it can be written, in one line, and the file of the font that has most of its letters.
 
     Letters that it has not are written without their accents, or by number, such as \\u8336.
     """
@@ -85,7 +86,7 @@ def _spelt(char: str, file: str) -> str:
 
 
 def _missing(text: str, file: str) -> set[str]:
-    """The letters that a font draws as it draws what it does not have; all if there is no such font."""
+    """Return the letters that a font draws as a missing glyph; all if there is no such font."""
     letters = {char for char in text if not char.isspace()}
     if not file and text.isascii():
         return set()
@@ -122,7 +123,7 @@ def caption(width: int, text: str, right: str = "", one_line: bool | None = None
         width: in pixels.
         text: what is shown; of more than three lines the end is left out.
         right: a remark such as the score; the same.
-        one_line: whether they stand beside each other; if they fit, if None.
+        one_line: place both on one line; by default, if they fit.
 
     Returns:
         [height, width, 3] uint8.

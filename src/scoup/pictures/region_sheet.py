@@ -26,7 +26,7 @@ def regions_sheet(
     remark: str = "",
     width: int = 1800,
 ) -> Picture:
-    """The photograph and its regions at each level, two and two, with the number of each region that has room.
+    """Return the photograph and its regions at each level, two and two, with the number of each region that has room.
 
     Args:
         image: [H, W, 3].
@@ -52,14 +52,14 @@ def regions_sheet(
 
 
 def _which(written: int, count: int) -> str:
-    """A sentence about which regions have their number on them, if not all."""
+    """Return a sentence about which regions have their number on them, if not all."""
     if written == count:
         return ""
     return f", numbers on the {written} with room" if written else ", no room for numbers"
 
 
 def numbered(picture: Picture, labels: np.ndarray, size: int = 13) -> tuple[Picture, int]:
-    """The picture with the number of each region that has room for it, where the region is thickest.
+    """Return the picture with the number of each region that has room for it, where the region is thickest.
 
     A number is written only where it lies inside its own region as a whole, so that no two can touch.
 

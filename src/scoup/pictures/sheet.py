@@ -56,16 +56,15 @@ def contact_sheet(
 
 
 def sheet_tile_width(width: int, columns: int) -> int:
-    """Pixels of a tile on a sheet of this width."""
+    """Return the width of a tile, in pixels, on a sheet of this width."""
     return (width - GAP * (columns + 1)) // columns
 
 
 def _titled(
     tiles: list[Picture], titles: Sequence[str], remarks: Sequence[str], columns: int
 ) -> list[Picture]:
-    """Tiles under their titles, all of which are laid out alike; those of a row take the same height, so that the
-    pictures stand in line.
-    """
+    """Return tiles under their titles, in one layout; titles of a row take the same height, so that the pictures are
+    aligned."""
     width = tiles[0].shape[1]
     texts = list(zip(titles, remarks, strict=True))
     one_line = all(fits_one_line(max(width, LEAST_WIDTH), *both) for both in texts)
@@ -95,7 +94,7 @@ def _row(tiles: list[Picture], width: int) -> Picture:
 
 
 def _footer(text: str, width: int) -> Picture:
-    """The text in lines, or only a margin."""
+    """Return the text in lines, or only a margin."""
     lines, face = lines_of(text, width - 2 * GAP, FOOTER_FONT, 12)
     canvas = Image.new("RGB", (width, GAP + 20 * len(lines) + (GAP if lines else 0)), PAPER)
     for number, line in enumerate(lines):

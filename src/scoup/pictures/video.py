@@ -29,7 +29,7 @@ def check_video_writer() -> None:
 
 
 def save_video(frames: Iterable[Picture], path: Path, frames_per_second: float) -> None:
-    """Write an mp4 (H.264), one picture after the other, replacing what is there. The same pictures give the same
+    """Write an mp4 (H.264), replacing an existing file. The same pictures give the same
     bytes.
 
     Args:

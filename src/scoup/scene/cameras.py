@@ -161,7 +161,7 @@ class Camera:
         return f"Camera({self.name!r}, {self.width} x {self.height}, focal {self.fx:.4g}, at ({place}))"
 
     def fingerprint(self) -> str:
-        """SHA-256 of everything that decides what the camera sees; its name and photograph are left out."""
+        """Return the SHA-256 of everything that decides what the camera sees; its name and photograph are left out."""
         digest = hashlib.sha256(json.dumps([self.width, self.height, self.distortion]).encode())
         digest.update(torch.cat([self.viewmat.flatten(), self.K.flatten()]).double().numpy().data)
         return digest.hexdigest()

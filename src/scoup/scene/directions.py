@@ -65,7 +65,7 @@ def unit_rows(vectors: Tensor | ArrayLike, what: str = "embeddings", lengthen: b
 def query_vectors(
     vectors: Tensor | ArrayLike, dim: int, what: str = "queries", lengthen: bool = True
 ) -> Tensor:
-    """One direction or several as [Q, D] float32 of unit norm.
+    """Return one direction or several as [Q, D] float32 of unit norm.
 
     Args:
         vectors: [D] or [Q, D] floating point, Q >= 1, a tensor or an array; of any norm but zero.

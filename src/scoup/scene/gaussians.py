@@ -120,8 +120,8 @@ class Gaussians:
         return rows & ~torch.isnan(self.opacities) & (self.opacities != -torch.inf)
 
     def fingerprint(self) -> str:
-        """SHA-256 of means, quats, scales and opacities, which decide all blending weights. Colour is left out: a
-        recoloured scene keeps its language field."""
+        """Return the SHA-256 of means, quats, scales and opacities, which decide all blending weights.
+        Colour is left out: a recoloured scene keeps its language field."""
         digest = hashlib.sha256(f"scoup-geometry-1:{len(self)}".encode())
         for tensor in (self.means, self.quats, self.scales, self.opacities):
             digest.update(tensor.detach().cpu().contiguous().numpy().data)

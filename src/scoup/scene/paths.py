@@ -19,7 +19,8 @@ LEAST_TURN = 0.02  # mean squared sine of angles between horizontal axes from wh
 
 
 def camera_path(cameras: Cameras, count: int) -> Cameras:
-    """Cameras on a smooth path through those of a scene, in the order of their names, with the lens of the first.
+    """Return cameras on a smooth path through those of a scene, in the order of their names, with the lens of the
+    first.
 
     Args:
         cameras: of the scene; of more than ``MOST_STOPS`` so many, evenly spread.
@@ -47,7 +48,8 @@ def camera_path(cameras: Cameras, count: int) -> Cameras:
 
 
 def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike, count: int) -> Cameras:
-    """Cameras on a circle around a point, which all look at it, with the lens and distance of one; they begin there.
+    """Return cameras on a circle around a point, which all look at it, with the lens and distance of one; they begin
+    there.
 
     Args:
         camera: where the circle begins.

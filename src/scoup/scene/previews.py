@@ -15,7 +15,7 @@ _GREY = 245
 
 
 def points_preview(points: Tensor, colors: Tensor) -> NDArray[np.uint8]:
-    """Points in their colours, seen along the direction in which they spread least: [H, W, 3].
+    """Return points in their colours, seen along the direction in which they spread least: [H, W, 3].
 
     Args:
         points: [M, 3], finite.
@@ -64,7 +64,8 @@ def cameras_preview(viewmats: Tensor) -> NDArray[np.uint8]:
 
 
 def labels_preview(labels: Tensor) -> NDArray[np.uint8]:
-    """Regions [H, W] in colours of their own, black where there is none: [H, W, 3], no larger than a card's picture."""
+    """Return regions [H, W] in colours of their own, black where there is none: [H, W, 3], no larger than a card's
+    picture."""
     from PIL import Image
 
     numbers = labels.cpu().numpy().astype(np.int64)
@@ -76,7 +77,7 @@ def labels_preview(labels: Tensor) -> NDArray[np.uint8]:
 
 
 def _principal(means: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions [M, 3] along the axes in which they spread most, less, and least."""
+    """Return positions [M, 3] along the axes in which they spread most, less, and least."""
     ends = torch.quantile(
         means[:: max(1, len(means) // 100_000)], torch.tensor(_MIDDLE, dtype=torch.float64), dim=0
     )
@@ -89,7 +90,7 @@ def _principal(means: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _fitted(across: Tensor, down: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Pixels of plane positions, such that most of them fill the picture, with equal scale along both axes."""
+    """Return pixels of plane positions, such that most of them fill the picture, with equal scale along both axes."""
     ends = torch.tensor(_MIDDLE, dtype=torch.float64)
     step = max(1, len(across) // 100_000)
     (left, right), (top, bottom) = (

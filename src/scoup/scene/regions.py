@@ -22,7 +22,7 @@ LEVELS = ("s", "m", "l")  # subparts, parts, wholes: the three masks that SAM pr
 class RegionMap:
     """The regions of one view at one level.
 
-    Tensors and numpy arrays are taken alike; labels of any integer type, embeddings of any floating-point type and any
+    Tensors and numpy arrays are accepted; labels of any integer type, embeddings of any floating-point type and any
     norm.
 
     Raises:
@@ -64,7 +64,7 @@ class RegionMap:
 
 
 def resize_labels(labels: Tensor, width: int, height: int) -> Tensor:
-    """Labels [..., H, W] resampled to [..., height, width]: each new pixel gets the label under its centre."""
+    """Resample labels [..., H, W] to [..., height, width]: each new pixel gets the label under its centre."""
     rows, columns = labels.shape[-2:]
     if (columns, rows) == (width, height):
         return labels
@@ -113,7 +113,7 @@ class Regions:
 
     @classmethod
     def from_maps(cls, maps: Mapping[str, Mapping[str, RegionMap]]) -> Regions:
-        """Regions in memory, ``{view name: {level: RegionMap}}``.
+        """Return regions in memory, ``{view name: {level: RegionMap}}``.
 
         Raises:
             InputError: two views have different levels.

@@ -17,7 +17,7 @@ NO_THING = -1
 MOST_THINGS = 65535
 """Files hold their numbers in 16 bits, and one says that there is none."""
 LEAST_SPREAD = 1e-3
-"""Of the cosines of a thing's regions with a text; things whose regions are all alike would have none."""
+"""Of the cosines of a thing's regions with a text; things whose regions are all equal would have none."""
 SURE_REGIONS = 3
 """Things of fewer regions say nothing about how far regions of one thing differ."""
 
@@ -32,11 +32,11 @@ class ThingTable:
     # [T] int32, the thing of the next coarser level that holds most of it; ``NO_THING`` for none
     parents: Tensor
     embeddings: Tensor  # [T, D] float16, mean embedding of its regions, unit norm
-    # [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all alike
+    # [T] float32, norm of the mean of its regions' unit embeddings: 1 if they are all equal
     agreement: Tensor
     n_regions: Tensor  # [T] int32, how many regions it was merged from
     mass: Tensor  # [T] float32, what the Gaussians that decided what is merged contribute to its regions
-    # [T] float32, how alike it is segmented in all views that see it: the mean IoU of its regions with what it has in
+    # [T] float32, how consistently the views that see it segment it: the mean IoU of its regions with what it has in
     # each other view, 0 in views where it has no region
     stability: Tensor
 
@@ -95,7 +95,7 @@ class ThingTable:
     def members(self, things: Tensor) -> Tensor:
         """Return [N] boolean: the Gaussians of some things [M] of one level."""
         chosen = torch.zeros(len(self) + 1, dtype=torch.bool, device=self.owners.device)
-        chosen[things.long().to(chosen.device) + 1] = True  # the first stands for none
+        chosen[things.long().to(chosen.device) + 1] = True  # the first means none
         level = int(self.levels[things[0]]) if len(things) else 0
         return chosen.index_select(0, self.owners[:, level] + 1)
 

@@ -136,7 +136,7 @@ def what_is_at(
 def _position(
     field: CodedScene, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
 ) -> Tensor:
-    """[3] float64: the point of the pixel's ray at the median depth of the weight."""
+    """Return [3] float64: the point of the pixel's ray at the median depth of the weight."""
     means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()
     depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     depth = ThingPoints.of_one_thing(depths[:, None], weights).medians().item()
@@ -146,7 +146,7 @@ def _position(
 
 
 def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]]:
-    """The words that fit an embedding [D] best, with their relevancy."""
+    """Return the words that fit an embedding [D] best, with their relevancy."""
     unit = torch.nn.functional.normalize(embedding, dim=0)
     cosines = words.queries.float().cpu() @ unit
     canonical = words.canonical.float().cpu() @ unit

@@ -17,7 +17,7 @@ _STEPS_8 = 2**8 - 1
 
 
 def packed(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any], effort: int = 6) -> bytes:
-    """A gzipped safetensors file; ``metadata`` becomes JSON under the key "scoup".
+    """Return a gzipped safetensors file; ``metadata`` becomes JSON under the key "scoup".
 
     Equal input gives equal bytes.
 
@@ -32,7 +32,7 @@ def packed(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any], effor
 
 
 def byte_planes(values: NDArray[np.float64]) -> tuple[NDArray[np.uint8], list[float], list[float]]:
-    """Columns [M, C] as 24-bit fractions of their range, most significant bytes first: [3, C, M].
+    """Return columns [M, C] as 24-bit fractions of their range, most significant bytes first: [3, C, M].
 
     Returns:
         The bytes, the least and the greatest value of each column.
@@ -46,11 +46,11 @@ def byte_planes(values: NDArray[np.float64]) -> tuple[NDArray[np.uint8], list[fl
 
 
 def fractions(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
-    """Values as 255ths of the way from one end to the other; beyond the ends counts as at the end."""
+    """Return values as 255ths of the way from one end to the other; beyond the ends counts as at the end."""
     extent = high - low if high > low else 1.0
     return np.rint(((values - low) / extent).clip(0, 1) * _STEPS_8).astype(np.uint8)
 
 
 def fine_fractions(values: NDArray[np.floating], most: float) -> NDArray[np.uint16]:
-    """Values from 0 to ``most`` as 65535ths of it."""
+    """Return values from 0 to ``most`` as 65535ths of it."""
     return np.rint(values / (most or 1.0) * _STEPS_16).astype(np.uint16)

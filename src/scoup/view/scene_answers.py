@@ -99,7 +99,7 @@ def scene_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]
 
 
 def _things_of_levels(fits: ThingFits, query: int, relevancy: Tensor, coded: Tensor) -> list[Tensor | None]:
-    """The things that answer a text if one level is chosen, level by level; relevancy and coded [S, N]."""
+    """Return the things that answer a text if one level is chosen, level by level; relevancy and coded [S, N]."""
     found = []
     for level in range(len(relevancy)):
         rows = slice(level, level + 1)
@@ -109,14 +109,14 @@ def _things_of_levels(fits: ThingFits, query: int, relevancy: Tensor, coded: Ten
 
 
 def _selected_things(fits: ThingFits, chosen: Tensor, relevancy: Tensor) -> Selection:
-    """The Gaussians of some things of one level, in the place of those that the votes select."""
+    """Return the Gaussians of some things of one level, in the place of those that the votes select."""
     mask, level = fits.things.members(chosen).cpu(), int(fits.things.levels[chosen[0]])
     score = float(relevancy[level][mask].max()) if bool(mask.any()) else -math.inf
     return Selection(mask, relevancy[level], level, score, None)
 
 
 def spans(relevancy: Tensor, coded: Tensor) -> Tensor:
-    """[S, 2]: the relevancies that ``scoup.query.smoothing.rescale`` takes to 0 and to 1 at each level.
+    """Return [S, 2]: the relevancies that ``scoup.query.smoothing.rescale`` takes to 0 and to 1 at each level.
 
     Args:
         relevancy: [S, N].

@@ -70,7 +70,7 @@ def scene_data(
     most: int = MOST_GAUSSIANS,
     effort: int = 6,
 ) -> bytes:
-    """The file that the page loads.
+    """Return the file that the page loads.
 
     Args:
         field: to be shown, with its geometry.
@@ -100,7 +100,7 @@ def scene_data(
 
 
 def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[float], list[float], float]:
-    """The direction that is up, the point that the cameras look at, and how far they are from it.
+    """Return the direction that is up, the point that the cameras look at, and how far they are from it.
 
     Up is as the cameras were held (``upwards``). The point is the one nearest to all view axes. Without cameras, or if
     their axes are parallel, it is the median of the means, and the distance twice the median distance from it.
@@ -141,7 +141,7 @@ def _camera_record(camera: Camera) -> dict[str, Any]:
 
 
 def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays of the Gaussians, and the ranges they are fractions of."""
+    """Return arrays of the Gaussians, and the ranges they are fractions of."""
     means, low, high = byte_planes(gaussians.means.double().numpy())
     logarithms = gaussians.scales.double().clamp(min=1e-30).log().numpy()
     ends = np.quantile(logarithms, _SCALE_SHARES) if logarithms.size else np.zeros(2)
@@ -166,8 +166,8 @@ def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]
 
 
 def _code_colors(field: CodedScene, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
-    """A colour for each atom, [S, 3, L], whose weighted sum and offset [S, 3] is that of a code: like meaning, like
-    colour, as in ``scoup.query.drawing.code_drawing``."""
+    """Return a colour for each atom, [S, 3, L], whose weighted sum and offset [S, 3] is that of a code: like meaning,
+    like colour, as in ``scoup.query.drawing.code_drawing``."""
     step = max(1, math.ceil(len(codes) / _CODES_FOR_COLORS))
     colors, offsets = [], []
     for level, atoms in enumerate(field.codebook.float().cpu()):

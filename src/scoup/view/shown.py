@@ -22,7 +22,8 @@ _MORTON_STEPS = (
 
 
 def shown_rows(gaussians: Gaussians, most: int = MOST_GAUSSIANS) -> Tensor:
-    """int64 [M]: the Gaussians of a page, at most so many: of those that can be drawn, the most opaque and largest.
+    """Return int64 [M]: the Gaussians of a page, at most so many: of those that can be drawn, the most opaque and
+    largest.
 
     Gaussians near to each other are near in the order, so that what is packed of them compresses well.
 
@@ -41,7 +42,7 @@ def shown_rows(gaussians: Gaussians, most: int = MOST_GAUSSIANS) -> Tensor:
 
 
 def morton_codes(points: NDArray[np.float64]) -> NDArray[np.uint64]:
-    """Places of points [M, 3] along a Z-order curve through their bounding box; near places are near points."""
+    """Return places of points [M, 3] along a Z-order curve through their bounding box; near places are near points."""
     if not len(points):
         return np.zeros(0, np.uint64)
     low, high = points.min(0), points.max(0)

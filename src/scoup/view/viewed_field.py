@@ -88,7 +88,7 @@ class ViewedField:
         return "field.scoup" if self.field.path is None else str(self.field.path)
 
     def settings(self, mode: str) -> dict[str, Any]:
-        """The settings of a page: "live", "remote" or "exported"."""
+        """Return the settings of a page: "live", "remote" or "exported"."""
         from scoup.base.version import VERSION
 
         # Where a page is sent to, the folders of this machine mean nothing.
@@ -103,7 +103,7 @@ class ViewedField:
         return {**facts, "open": command, "field": path, "text": table}
 
     def vocabulary(self) -> Question | None:
-        """The words that a click chooses from; None if no text can be asked."""
+        """Return the words that a click chooses from; None if the field has no text encoder."""
         if self._vocabulary is None and self.words_problem is None:
             words = self._wanted_words or everyday_vocabulary(self.field.text_encoder())
             self._vocabulary = self.question(words)
@@ -135,14 +135,14 @@ class ViewedField:
         return scene_metadata(self.field, self.name, problem, present_from)
 
     def scene(self, effort: int = 1, exported: bool = False) -> bytes:
-        """The file that the page loads (``scene_data``)."""
+        """Return the file that the page loads (``scene_data``)."""
         canonical = None
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.question(self._probe).canonical)
         return scene_data(self.field, self.codes, canonical, self.metadata(exported), self.most, effort)
 
     def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
-        """The answers of the scene to texts."""
+        """Return the answers of the scene to texts."""
         return list(scene_answers(self.field, self.question(texts, always)))
 
     def picture(
@@ -154,7 +154,7 @@ class ViewedField:
         threshold: float | None = None,
         always: bool = False,
     ) -> Picture:
-        """The method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
+        """Return the method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
         options = {"level": level, "threshold": threshold}
         question = None if text is None else self.question(text, always, **options)
         return self._pictures.picture(PictureRequest(camera, mode, question, level))
@@ -187,7 +187,7 @@ class ViewedField:
         return page_things(self.field, self.vocabulary())
 
     def things_selection(self, names: Mapping[int, str], rest: bool = False) -> PlyTable:
-        """Return the Gaussians of things, or all others; the names of the things stand in the header.
+        """Return the Gaussians of things, or all others; the header contains the names of the things.
 
         Args:
             names: of the things, by their numbers.
@@ -209,7 +209,7 @@ class ViewedField:
         return SplatTable.of(self.field).select(chosen)
 
     def thumbnail(self, camera: Camera) -> Picture:
-        """A small picture of a view, [H, ``THUMBNAIL_WIDTH``, 3] uint8."""
+        """Return a small picture of a view, [H, ``THUMBNAIL_WIDTH``, 3] uint8."""
         height = max(1, round(camera.height * THUMBNAIL_WIDTH / camera.width))
         small = camera.resized(THUMBNAIL_WIDTH, min(height, 4 * THUMBNAIL_WIDTH))
         return as_picture(raster.render_colors(self.gaussians, small, self.field.project(small)))
@@ -222,5 +222,5 @@ class ViewedField:
 
 
 def _is_file(name: str) -> bool:
-    """True if a name is that of a file, not the id of a model."""
+    """Return whether a name is that of a file, not the id of a model."""
     return is_table(name) or Path(name).is_absolute() or name.endswith(".scoup")

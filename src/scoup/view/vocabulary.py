@@ -71,8 +71,8 @@ def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9
 
 
 def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
-    """How many things answer each word, [V, 1 + S]: without and with a level of choice, 0 where the votes answer; and
-    their numbers, one after the other."""
+    """Return how many things answer each word, [V, 1 + S]: without and with a level of choice, 0 where the votes
+    answer; and their numbers, one after the other."""
     found = [[answer.chosen_things, *answer.things] for answer in answers]
     counts = [[0 if each is None else len(each) for each in row] for row in found]
     numbers = [number for row in found for each in row for number in each or ()]

@@ -115,7 +115,7 @@ def write_colmap(
 def _pinhole(
     path: Path, lens: Lens
 ) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """(fx, fy, cx, cy) and (k1, k2, p1, p2) of a lens."""
+    """Return (fx, fy, cx, cy) and (k1, k2, p1, p2) of a lens."""
     values = check_finite(path, lens.parameters, f"a parameter of a {lens.model} camera")
     match lens.model, values:
         case "SIMPLE_PINHOLE", [f, cx, cy]:
@@ -156,7 +156,7 @@ def _pose(path: Path, shot: Shot) -> np.ndarray:
 
 
 def _quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    """(w, x, y, z) of a rotation: the eigenvector that stays accurate at every angle."""
+    """Return (w, x, y, z) of a rotation: the eigenvector that stays accurate at every angle."""
     r = rotation
     symmetric = np.array(
         [

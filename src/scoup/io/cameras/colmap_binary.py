@@ -70,7 +70,7 @@ class _Cursor:
 
 
 def read_lenses(path: Path) -> dict[int, Lens]:
-    """cameras.bin: lenses by number."""
+    """Read cameras.bin: lenses by number."""
     cursor = _Cursor(path)
     lenses = {}
     for _ in range(cursor.count(_LENS.size, "cameras")):
@@ -84,7 +84,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
 
 
 def read_shots(path: Path) -> list[Shot]:
-    """images.bin, keypoints skipped."""
+    """Read images.bin, keypoints skipped."""
     cursor = _Cursor(path)
     shots = []
     for _ in range(cursor.count(_SHOT.size + 9, "images")):
@@ -96,7 +96,7 @@ def read_shots(path: Path) -> list[Shot]:
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """points3D.bin: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
+    """Read points3D.bin: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
     cursor = _Cursor(path)
     count = cursor.count(_POINT.size, "points")
     positions, colors = np.empty((count, 3)), np.empty((count, 3), dtype=np.uint8)
@@ -108,7 +108,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
-    """points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
+    """Read points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
     cursor = _Cursor(images)
     names: dict[int, str] = {}
     for _ in range(cursor.count(_SHOT.size + 9, "images")):

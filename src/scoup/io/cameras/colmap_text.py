@@ -17,7 +17,7 @@ _REMEDY = "the file is cut short or damaged; copy or export it again"
 
 
 def read_lenses(path: Path) -> dict[int, Lens]:
-    """cameras.txt: lenses by number."""
+    """Read cameras.txt: lenses by number."""
     lenses = {}
     for place, line in _lines(path):
         if not line:
@@ -35,7 +35,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
 
 
 def read_shots(path: Path) -> list[Shot]:
-    """images.txt: every second line (the keypoints, which may be empty) is skipped."""
+    """Read images.txt: every second line (the keypoints, which may be empty) is skipped."""
     shots = []
     lines = _lines(path)
     for place, line in lines:
@@ -52,7 +52,7 @@ def read_shots(path: Path) -> list[Shot]:
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """points3D.txt: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
+    """Read points3D.txt: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
     positions: list[list[float]] = []
     colors: list[list[int]] = []
     for place, line in _lines(path):
@@ -71,7 +71,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
-    """points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name."""
+    """Read points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name."""
     names: dict[int, str] = {}
     lines = _lines(images)
     for place, line in lines:
@@ -127,7 +127,7 @@ def write_model(
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Numbered lines without comments; empty ones are kept (in images.txt: an image without keypoints)."""
+    """Return numbered lines without comments; empty ones are kept (in images.txt: an image without keypoints)."""
     text = read_text(existing_file(path, "a file of a COLMAP model"))
     for place, line in enumerate(text.split("\n"), start=1):
         if not line.startswith("#"):

@@ -33,7 +33,7 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
     """Read transforms.json, sorted by name; ``image_path`` is set where the named file (or one that has the
     name and an image extension) exists.
 
-    Cameras are named by the file names of their images, or by whole paths where two would be alike.
+    Cameras are named by the file names of their images, or by whole paths where two would be equal.
 
     Warns:
         ScoupWarning: frames were skipped because neither the file nor their (missing) image gives their size, or name

@@ -22,7 +22,7 @@ _BEFORE_IT_WAS_NAMED = [
 
 
 def in_trained_frame(cameras: Cameras, path: str | Path, transforms: Path | None = None) -> Cameras:
-    """Cameras in the frame in which nerfstudio trained and exports its splat.
+    """Return cameras in the frame in which nerfstudio trained and exports its splat.
 
     Args:
         cameras: in the frame of COLMAP's model, or of a transforms.json.

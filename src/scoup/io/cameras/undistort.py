@@ -51,7 +51,7 @@ def sample_nearest(values: Tensor, positions: Tensor, outside: int) -> Tensor:
 
 
 def sample_bilinear(image: Tensor, positions: Tensor) -> Tensor:
-    """``image`` [h, w, C] uint8 interpolated at positions [H, W, 2]; black outside. [H, W, C] uint8."""
+    """Interpolate ``image`` [h, w, C] uint8 at positions [H, W, 2]; black outside. Returns [H, W, C] uint8."""
     height, width = image.shape[:2]
     inside = _inside(positions, width, height)
     corner = torch.where(inside[..., None], positions, 0.5) - 0.5
@@ -73,7 +73,7 @@ def _inside(positions: Tensor, width: int, height: int) -> Tensor:
 
 
 def _fold(k1: float, k2: float) -> float:
-    """Squared radius at which the radial polynomial stops growing: beyond it the model names wrong pixels."""
+    """Return the squared radius at which the radial polynomial stops growing; beyond it the model is wrong."""
     # d/dr of r (1 + k1 r^2 + k2 r^4) is 1 + 3 k1 u + 5 k2 u^2 with u = r^2; its smallest positive root.
     if k2 == 0.0:
         return -1.0 / (3.0 * k1) if k1 < 0 else math.inf

@@ -1,4 +1,4 @@
-"""Region features in SCOUP's compact layout: one ``<stem>.regions`` file a view (docs/formats.md).
+"""Region features in SCOUP's compact layout: one ``<stem>.regions`` file per view (docs/formats.md).
 
 A safetensors file with a JSON header. Label maps are deflated after each row was XORed with the row above it,
 which leaves little but zeros; embeddings are float16, or float32 on request.
@@ -123,7 +123,7 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
 
 
 def origin(folder: Path, stem: str) -> tuple[str, str]:
-    """Fingerprint of the manifest and SHA-256 of the photograph; see ``views.RegionLayout``."""
+    """Return the fingerprint of the manifest and the SHA-256 of the photograph; see ``views.RegionLayout``."""
     view = open_view(folder, stem)
     return view.manifest, view.photograph
 
@@ -164,7 +164,7 @@ def _unpack(view: CompactView, level: str, packed: bytes, out: NDArray[np.int32]
 
 
 def _label_type(rows: int) -> np.dtype:
-    """Label plus one fits: 0 is "no region"."""
+    """Return the type in which label plus one fits: 0 is "no region"."""
     return np.dtype("<u2" if rows < 1 << 16 else "<u4")
 
 

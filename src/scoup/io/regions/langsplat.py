@@ -1,6 +1,6 @@
 """Region features in the LangSplat layout: ``<stem>_s.npy`` (labels) and ``<stem>_f.npy`` (embeddings) per image.
 
-``<stem>_made.json`` beside them, of SCOUP alone, says what a view was made from.
+``<stem>_made.json`` beside them, written by SCOUP alone, records what a view was made from.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class LangSplatView:
         return ViewRegions("", labels, {level: np.array(self.embeddings(level)) for level in levels})
 
     def blocks(self) -> dict[str, slice]:
-        """Level -> rows of its embeddings; both files are read and checked for them, once."""
+        """Return level -> rows of its embeddings; both files are read and checked for them, once."""
         with self._lock:
             if not self._blocks:
                 planes, rows = _open_planes(self.labels_path), _open_rows(self.embeddings_path)
@@ -123,7 +123,7 @@ def forget_origins(folder: Path, stems: Iterable[str]) -> None:
 
 
 def origin(folder: Path, stem: str) -> tuple[str, str]:
-    """Fingerprint of the manifest and SHA-256 of the photograph; see ``views.RegionLayout``."""
+    """Return the fingerprint of the manifest and the SHA-256 of the photograph; see ``views.RegionLayout``."""
     for ending in ENDINGS:
         existing_file(folder / f"{stem}{ending}", "region features")
     path = folder / f"{stem}{RECORD_ENDING}"
@@ -132,7 +132,7 @@ def origin(folder: Path, stem: str) -> tuple[str, str]:
 
 
 def _joined(regions: ViewRegions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Planes [4, H, W] of global row numbers, and the rows [M, D] of all levels."""
+    """Return planes [4, H, W] of global row numbers, and the rows [M, D] of all levels."""
     first = next(iter(regions.labels.values()))
     planes = np.full((len(FILE_LEVELS), *first.shape), -1, np.float32)
     blocks: list[NDArray[np.float32]] = []

@@ -75,7 +75,7 @@ def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[in
 
 
 def _strips(plane: np.ndarray) -> Iterator[np.ndarray]:
-    """Some rows of a plane at a time: few enough to stay in a cache."""
+    """Yield some rows of a plane at a time: few enough to stay in a cache."""
     rows = max(1, (1 << 16) // plane.shape[1])
     for start in range(0, len(plane), rows):
         yield np.asarray(plane[start : start + rows])

@@ -108,7 +108,7 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
 
 
 def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingFileError:
-    """Tells which files were expected and which are there."""
+    """Return the error that says which files were expected and which exist."""
     expected = listed([" and ".join(path.name for path in store.files(camera.stem)) for camera in cameras])
     there = [path.name for path in view_files(store.folder, store.endings[0])]
     found = f"it has {listed(there)}" if there else f"it has no *{store.endings[0]} files"
@@ -138,7 +138,7 @@ def _check_view(view: StoredView, camera: Camera, first: StoredView) -> None:
 
 
 def _same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Return whether two sizes are of one image: alike in shape, but for a pixel lost by rounding or truncation."""
+    """Return whether two sizes are of one image: of equal shape, but for a pixel lost by rounding or truncation."""
     small, large = sorted((one, other))
     ratio = (small[0] / small[1]) / (large[0] / large[1])
     most = 1.0 / min(small)  # what a pixel of the smaller one is of its shorter side
@@ -146,7 +146,7 @@ def _same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
 
 
 def _at_camera(labels: Tensor, camera: Camera) -> Tensor:
-    """Labels [S, H, W] of the photograph at the camera's size: nearest neighbour, undistorted where it says so."""
+    """Return labels [S, H, W] resampled to the camera's size by nearest neighbour, undistorted where it has a lens."""
     if camera.distortion:
         pixels = photograph_pixels(camera, labels.shape[-1], labels.shape[-2])
         return torch.stack([sample_nearest(item, pixels, outside=-1) for item in labels])

@@ -24,7 +24,7 @@ LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
 class RegionManifest:
     """The settings that all views of a folder share."""
 
-    layout: Layout  # "compact" (one ``.regions`` file a view) or "langsplat" (two ``.npy`` files a view)
+    layout: Layout  # "compact" (one ``.regions`` file per view) or "langsplat" (two ``.npy`` files per view)
     embedding_model: str  # id of the model that made the embeddings; "" if it is not known
     # everything else that decides the numbers; plain JSON values
     settings: dict[str, Any] = field(default_factory=dict)

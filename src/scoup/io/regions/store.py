@@ -33,7 +33,7 @@ class RegionStore:
 
     folder: Path  # of the features themselves
     manifest: RegionManifest | None = None  # how they were made; None for features of other programs
-    layout: Layout = "langsplat"  # of the files; that of the manifest where there is one
+    layout: Layout = "langsplat"  # of the files; by default that of the manifest
 
     @classmethod
     def open(cls, folder: str | Path) -> RegionStore:
@@ -108,7 +108,7 @@ class RegionStore:
         return [self.folder / f"{stem}{ending}" for ending in self.endings]
 
     def stems(self) -> list[str]:
-        """Stems of the views that count: not those made under a manifest that was given up."""
+        """Return the stems of the views that count: not those made under an abandoned manifest."""
         ending = self.endings[0]
         stems = [path.name.removesuffix(ending) for path in view_files(self.folder, ending)]
         if self.layout == "langsplat":  # whose files do not name their manifest
@@ -133,7 +133,7 @@ class RegionStore:
         """Return whether the view was made under this manifest from this photograph (its SHA-256)."""
         try:
             origin = _LAYOUTS[self.layout].origin(self.folder, stem_of(name))
-        except ScoupError:  # not there, or damaged: made anew
+        except ScoupError:  # not there, or damaged: made again
             return False
         return origin == (self.fingerprint, photograph)
 

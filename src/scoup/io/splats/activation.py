@@ -21,26 +21,26 @@ UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit qu
 
 
 def scales_from_logs(raw: np.ndarray) -> np.ndarray:
-    """exp, float32; overflow gives inf."""
+    """Return the exponential, float32; overflow gives inf."""
     with np.errstate(all="ignore"):
         return np.exp(raw.astype(np.float64)).astype(np.float32)
 
 
 def opacities_from_logits(raw: np.ndarray) -> np.ndarray:
-    """Logistic function, float32; +inf gives exactly 1, -inf exactly 0."""
+    """Return the logistic function, float32; +inf gives exactly 1, -inf exactly 0."""
     with np.errstate(all="ignore"):
         return (1.0 / (1.0 + np.exp(-raw.astype(np.float64)))).astype(np.float32)
 
 
 def logs_from_scales(scales: np.ndarray) -> np.ndarray:
-    """float32 logarithms that ``scales_from_logs`` maps back as closely as float32 can."""
+    """Return float32 logarithms that ``scales_from_logs`` maps back as closely as float32 can."""
     with np.errstate(all="ignore"):
         raw = np.log(scales.astype(np.float64)).astype(np.float32)
     return _settled(raw, scales, scales_from_logs)
 
 
 def logits_from_opacities(opacities: np.ndarray) -> np.ndarray:
-    """float32 logits that ``opacities_from_logits`` maps back as closely as float32 can."""
+    """Return float32 logits that ``opacities_from_logits`` maps back as closely as float32 can."""
     clipped = np.clip(opacities, 0.0, 1.0)
     wide = clipped.astype(np.float64)
     with np.errstate(all="ignore"):
@@ -49,7 +49,7 @@ def logits_from_opacities(opacities: np.ndarray) -> np.ndarray:
 
 
 def unit_quats(raw: np.ndarray) -> np.ndarray:
-    """Normalised [N, 4] float32. Rows that are unit already stay as they are; zero rows become NaN."""
+    """Normalise quaternions to [N, 4] float32. Unit rows stay as they are; zero rows become NaN."""
     with np.errstate(all="ignore"):
         wide = raw.astype(np.float64)
         squared = (wide**2).sum(1, keepdims=True)
@@ -65,7 +65,7 @@ def keep_finite(
     sh: np.ndarray,
     source: str,
 ) -> tuple[Gaussians, np.ndarray]:
-    """Gaussians of the rows whose activated values are all finite, and a boolean [N] saying which they are."""
+    """Return Gaussians of the rows whose activated values are all finite, and a boolean [N] saying which they are."""
     arrays = [means, quats, scales, opacities, sh]
     kept = finite_rows(arrays)
     if not kept.all():
@@ -94,7 +94,8 @@ def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) 
 
 
 def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarray]:
-    """means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other values."""
+    """Return means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other
+    values."""
     if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
         raise InputError(f"{path}: some Gaussians have values that are not finite; leave these out first")
     arrays = {

@@ -127,7 +127,7 @@ def write_gltf(
 
 
 def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> tuple[Gaussians, np.ndarray]:
-    """Gaussians and which rows were kept; ``placed`` receives the primitives in order and their numbers of rows."""
+    """Return Gaussians and which rows were kept; ``placed`` receives the primitives and their numbers of rows."""
     _check_extensions(document)
     found: list[Columns] = []
     local: dict[int, Columns] = {}
@@ -160,7 +160,7 @@ def _check_extensions(document: GltfDocument) -> None:
 
 def _no_gaussians(document: GltfDocument) -> Exception:
     if any(splat_primitives(document, mesh) for mesh in range(len(document.entries("meshes")))):
-        return document.error("its Gaussians stand in no node of its scene", "add them to the scene")
+        return document.error("no node of its scene contains its Gaussians", "add them to the scene")
     return document.error(
         f"contains no Gaussians ({SPLATS}), but a mesh or nothing",
         "export the trained splat, as PLY or with that extension",

@@ -9,7 +9,7 @@ import numpy as np
 from scoup.io.splats.gltf_document import GltfDocument
 
 Integers = Literal["none", "normalised", "any"]
-"""Which integers an attribute may be stored as: none, those that stand for -1..1 or 0..1, or plain ones too."""
+"""Which integers an attribute may be stored as: none, those that mean -1..1 or 0..1, or plain ones too."""
 
 BYTE, UNSIGNED_BYTE, SHORT, UNSIGNED_SHORT, FLOAT = 5120, 5121, 5122, 5123, 5126
 _COMPONENTS = {
@@ -29,7 +29,7 @@ def accessor_count(document: GltfDocument, index: Any, what: str) -> int:
 
 
 def raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tuple[np.ndarray, bool]:
-    """Return a column as it stands in its buffer, and whether its integers are normalised.
+    """Return a column as it is in its buffer, and whether its integers are normalised.
 
     Args:
         index: of the accessor.

@@ -40,7 +40,7 @@ class GltfDocument:
         return FileFormatError(self.path, problem, remedy)
 
     def whole(self, value: Any, what: str, low: int = 0, default: int | None = None) -> int:
-        """``value`` as a whole number of at least ``low``; ``default`` where it is missing."""
+        """Return ``value`` as a whole number of at least ``low``; ``default`` where it is missing."""
         if value is None and default is not None:
             return default
         if isinstance(value, float) and value == value // 1 and abs(value) < _LARGEST:
@@ -166,7 +166,7 @@ def read_document(path: str | Path) -> GltfDocument:
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
-    """JSON and binary chunk of a .glb file."""
+    """Return the JSON and the binary chunk of a .glb file."""
     if len(data) < HEADER.size:
         raise FileFormatError(path, "ends within its header", "the file is cut short; copy it again")
     _, version, length = HEADER.unpack_from(data)

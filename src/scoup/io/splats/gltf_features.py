@@ -51,7 +51,7 @@ class GaussianFeatures:
 
 
 def stored_ids(features: GaussianFeatures) -> np.ndarray:
-    """Return [N, 1] of the smallest type that holds all ids; the number of classes stands for none of them."""
+    """Return [N, 1] of the smallest type for all ids; the number of classes means none of them."""
     count = len(features.names)
     dtype = np.uint8 if count <= 255 else np.uint16 if count <= 65_535 else np.float32
     ids = features.ids.numpy()

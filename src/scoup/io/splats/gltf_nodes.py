@@ -30,7 +30,7 @@ class Similarity:
 
 
 def placed_splats(document: GltfDocument) -> Iterator[tuple[dict[str, Any], Similarity | None]]:
-    """Yield the primitives with Gaussians of the scene, each with its way to the world (None where it stands there
+    """Yield the primitives with Gaussians of the scene, each with its way to the world (None where it is there
     already).
 
     A mesh that several nodes use comes once for each of them.
@@ -65,7 +65,7 @@ def splat_primitives(document: GltfDocument, mesh: int) -> list[dict[str, Any]]:
 
 
 def _roots(document: GltfDocument) -> list[int]:
-    """Nodes at the top of the scene that is shown; where there are no scenes, those that are no one's children."""
+    """Return the top nodes of the scene that is shown; without scenes, the nodes that have no parent."""
     if document.entries("scenes"):
         scene = document.entry("scenes", document.root.get("scene", 0), "the scene")
         return _children(document, scene, "the scene", "nodes")

@@ -38,7 +38,7 @@ def quat_from_rotation(rotation: np.ndarray) -> np.ndarray:
 
 
 def rotated_quats(quats: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Quaternions [N, 4] (w, x, y, z) turned by a rotation [3, 3]: float32."""
+    """Return quaternions [N, 4] (w, x, y, z) turned by a rotation [3, 3]: float32."""
     a, b, c, d = quat_from_rotation(rotation)
     left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
     with np.errstate(all="ignore"):
@@ -46,7 +46,7 @@ def rotated_quats(quats: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def rotated_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Coefficients [N, B, 3] of colours that are turned with the Gaussians: float32, B = 1, 4, 9 or 16.
+    """Return coefficients [N, B, 3] of colours that are turned with the Gaussians: float32, B = 1, 4, 9 or 16.
 
     The colour seen along a direction d becomes the one that was seen along the direction that turns to d. Within a
     degree this is a linear map; it follows from the basis at directions before and after turning.

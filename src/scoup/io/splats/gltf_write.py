@@ -29,7 +29,7 @@ class GltfBuilder:
         self._length = 0
 
     def add_view(self, data: bytes, **properties: int) -> int:
-        """Append bytes at an aligned place; the index of their buffer view."""
+        """Append bytes at an aligned place; return the index of their buffer view."""
         view = {"buffer": 0, "byteOffset": self._length, "byteLength": len(data), **properties}
         padding = -len(data) % _ALIGNED
         self._parts += [data, bytes(padding)]
@@ -38,11 +38,11 @@ class GltfBuilder:
         return len(self.views) - 1
 
     def add_attribute(self, rows: np.ndarray, normalised: bool = False, bounds: bool = False) -> int:
-        """Append a column [N, width] of vertices; the index of its accessor.
+        """Append a column [N, width] of vertices; return the index of its accessor.
 
         Args:
             rows: float32, uint16 or uint8. Rows of less than 4 bytes are padded, as glTF asks of vertices.
-            normalised: whether integers stand for 0..1.
+            normalised: whether integers mean 0..1.
             bounds: whether to state the smallest and largest values.
         """
         size = rows.shape[1] * rows.itemsize

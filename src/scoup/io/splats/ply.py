@@ -66,7 +66,7 @@ class PlyTable:
 
     def columns(self, names: tuple[str, ...], dtype: type = np.float32) -> np.ndarray:
         """Return [N, len(names)] of ``dtype``, the named properties side by side."""
-        with np.errstate(all="ignore"):  # values of any kind may stand in a file
+        with np.errstate(all="ignore"):  # a file may contain any values
             return self._columns(names, dtype)
 
     def _columns(self, names: tuple[str, ...], dtype: type) -> np.ndarray:
@@ -102,7 +102,7 @@ def write_ply_table(table: PlyTable, path: str | Path, overwrite: bool = False) 
 
 
 def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
-    """Activated Gaussians of a table, and a boolean [N] saying which rows they are.
+    """Return activated Gaussians of a table, and a boolean [N] saying which rows they are.
 
     Scales are exponentials, opacities logistic (+inf gives 1), quaternions normalised. Rows with values that
     are not finite (a zero quaternion is one) are dropped.
@@ -114,7 +114,7 @@ def gaussians_from_table(table: PlyTable) -> tuple[Gaussians, np.ndarray]:
 
 
 def _activated(table: PlyTable) -> dict[str, np.ndarray]:
-    """Values of all rows by the names of ``Gaussians``, finite or not."""
+    """Return values of all rows by the names of ``Gaussians``, finite or not."""
     rest = _check_properties(table)
     bases = 1 + len(rest) // 3
     sh = np.empty((len(table), bases, 3), dtype=np.float32)

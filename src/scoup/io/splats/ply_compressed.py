@@ -23,7 +23,7 @@ def is_compressed(names: tuple[str, ...]) -> bool:
 
 
 def read_compressed(path: Path, vertices: np.ndarray) -> Gaussians:
-    """Gaussians of a compressed PLY.
+    """Read the Gaussians of a compressed PLY.
 
     Args:
         path: the file, for its elements ``chunk`` (value ranges of each block) and ``sh`` (if it has one).
@@ -68,13 +68,13 @@ def _within(
 
 
 def _three(packed: np.ndarray) -> np.ndarray:
-    """11, 10 and 11 bits as [N, 3] fractions."""
+    """Unpack 11, 10 and 11 bits to [N, 3] fractions."""
     first, second, third = packed >> 21, packed >> 11 & 1023, packed & 2047
     return np.stack([first / 2047.0, second / 1023.0, third / 2047.0], axis=1)
 
 
 def _bytes(packed: np.ndarray) -> np.ndarray:
-    """Four bytes, highest first, as [N, 4] fractions."""
+    """Unpack four bytes, highest first, to [N, 4] fractions."""
     return np.stack([(packed >> shift & 255) / 255.0 for shift in (24, 16, 8, 0)], axis=1)
 
 
@@ -107,7 +107,7 @@ def _higher_sh(path: Path, elements: tuple[str, ...], count: int) -> np.ndarray:
     if not ordered:
         return np.zeros((count, 0, 3))
     stored = np.stack([rows[name] for name in ordered], axis=1)
-    # A byte stands for the middle of its 256th; the first and the last for the ends.
+    # A byte means the middle of its 256th; the first and the last for the ends.
     shares = np.where(stored == 0, 0.0, np.where(stored == 255, 1.0, (stored + 0.5) / 256.0))
     return ((shares - 0.5) * SH_RANGE).reshape(count, 3, len(ordered) // 3).transpose(0, 2, 1)
 

@@ -64,7 +64,7 @@ def _header(blocks: int, count: int, n_rest: int) -> bytes:
 
 
 def _shares(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest of each block [C, 6], as float32 has them, and [N, 3] the share of the way between them."""
+    """Return the range of each block [C, 6], float32, and the places of the values in it [N, 3], 0..1."""
     count = len(values)
     starts = np.arange(0, count, BLOCK)
     low = np.minimum.reduceat(values, starts) if count else np.zeros((0, 3))

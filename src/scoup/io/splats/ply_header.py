@@ -74,7 +74,7 @@ def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
 
 
 def ply_type(dtype: np.dtype) -> np.dtype:
-    """``dtype`` if PLY has such a number, else the nearest that it has."""
+    """Return ``dtype`` if PLY has such a number, else the nearest that it has."""
     if dtype.kind not in "biuf":
         raise InputError(f"a PLY property cannot hold values of type {dtype}")
     if dtype.str[1:] in _NAMES:
@@ -145,7 +145,7 @@ def _dtype(path: Path, element: _Element, encoding: str) -> np.dtype:
 
 
 def _bytes_before(path: Path, elements: list[_Element], encoding: str) -> int:
-    """Size of the elements that stand before the one wanted."""
+    """Return the size of the elements before the one requested."""
     total = 0
     for element in elements:
         if element.count and (element.lists or encoding == "ascii"):

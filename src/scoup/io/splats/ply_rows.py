@@ -23,7 +23,7 @@ def read_rows(header: PlyHeader) -> np.ndarray:
 
 
 def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.ndarray]]) -> Gaussians:
-    """Gaussians of the rows a binary header describes, read in parts, with all values in temporary files.
+    """Read the Gaussians of the rows that a binary header describes, read in parts, with all values in temporary files.
 
     Args:
         header: of a file of any size.

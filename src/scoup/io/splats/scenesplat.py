@@ -32,7 +32,7 @@ def is_scenesplat(folder: Path) -> bool:
 
 
 def read_scenesplat(folder: str | Path) -> Gaussians:
-    """Gaussians of SH degree 0 from coord.npy, color.npy, opacity.npy, scale.npy and quat.npy."""
+    """Read Gaussians of SH degree 0 from coord.npy, color.npy, opacity.npy, scale.npy and quat.npy."""
     folder = Path(folder)
     values = {name: _column(folder / f"{name}.npy", shape) for name, shape in SHAPES.items()}
     for name, column in values.items():

@@ -26,7 +26,7 @@ _STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degree
 _ROOT = math.sqrt(0.5)  # the largest value of a component that is not the largest
 _SIGNS = np.array([1.0, -1.0, -1.0])  # of positions, and of the vector of a quaternion
 # A real spherical harmonic changes its sign as the product of axes does that it is odd in, here y and z. The last is
-# even in both; the format's own tools turn it all the same, and files are read as they were meant.
+# even in both; the format's own tools turn it anyway, and files are read as they were meant.
 _SH_SIGNS = np.array([1 if sign == "+" else -1 for sign in "--+-++-+-+--+-+-+-++-+--"], float)
 
 
@@ -101,7 +101,7 @@ def _one(header: SpzHeader) -> SpzHeader:
 
 
 def _fraction_bits(largest: float) -> int:
-    """The most bits after the binary point that leave room for the largest coordinate in 24 bits with a sign."""
+    """Return the most bits after the binary point that leave room for the largest coordinate in 24 bits with a sign."""
     bits = MOST_BITS
     while bits and round(largest * (1 << bits)) > (1 << 23) - 1:
         bits -= 1
@@ -158,7 +158,7 @@ def _packed_quats(quats: np.ndarray, version: int) -> bytes:
 
 
 def _packed_sh(higher: np.ndarray) -> bytes:
-    """Coefficients [N, B - 1, 3] as bytes, rounded to steps that compress well."""
+    """Return coefficients [N, B - 1, 3] as bytes, rounded to steps that compress well."""
     signed = higher * _SH_SIGNS[: higher.shape[1], None]
     steps = np.where(np.arange(higher.shape[1]) < 3, _STEPS[0], _STEPS[1])[:, None]
     whole = np.rint(signed * 128.0) + 128.0

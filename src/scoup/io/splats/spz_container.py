@@ -102,7 +102,7 @@ def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
 
 
 def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
-    """``read_container`` of version 4; records of extensions before the table are skipped."""
+    """Read a container of version 4; records of extensions before the table are skipped."""
     header, _, count = _header(path, content, len(content))
     if header.version < 4 or len(content) < _START.size + _PLACE.size:
         raise FileFormatError(path, "is cut short, or its header is damaged", _DAMAGED)
