@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from scoup.cli import main
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.cameras import Cameras
+from scoup.scene.regions import Regions
 from support import HANGS, small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
@@ -34,9 +37,18 @@ RUN = "from scoup.cli.app import entry; entry()"
 """The command line as a program."""
 
 
-def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
-    """point_cloud.ply, images, sparse/0, language_features and words.npz of a random scene."""
+def write_scene(folder: Path, count: int = 150, seed: int = 0, mark: str = "") -> Path:
+    """point_cloud.ply, images, sparse/0, language_features and words.npz of a random scene; names of views and words
+    begin with the mark."""
     gaussians, cameras, regions = small_scene(count, seed=seed)
+    if mark:
+        cameras = Cameras([replace(camera, name=mark + camera.name) for camera in cameras])
+        regions = Regions.from_maps(
+            {
+                mark + view: {level: regions.load(view, level) for level in regions.levels}
+                for view in regions.view_names
+            }
+        )
     save_gaussians(gaussians, folder / "point_cloud.ply")
     write_colmap(cameras, folder / "sparse" / "0")
     for camera in cameras:
@@ -44,7 +56,7 @@ def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
             torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8), folder / "images" / camera.name
         )
     save_regions(regions, folder / "language_features")
-    names = [*WORDS, *CANONICAL_PHRASES]
+    names = [*(mark + word for word in WORDS), *CANONICAL_PHRASES]
     vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))
     save_table(folder / "words.npz", names, vectors.numpy())
     return folder

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
-from scoup.base.errors import refused_read
+from scoup.base.errors import MissingFileError, refused_read
 
 _BLOCK = 1 << 20  # bytes read at a time
 
 
 def file_sha256(path: str | Path) -> str:
     """Return the SHA-256 of a file as 64 hexadecimal digits; FileFormatError if the file cannot be read."""
+    if not os.path.isfile(path):  # a pipe would be waited for
+        raise MissingFileError.of(path, "a file that can be read")
     digest = hashlib.sha256()
     try:
         with open(path, "rb") as stream:

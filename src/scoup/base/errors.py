@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import errno
 import functools
+import stat
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -60,7 +61,17 @@ def refused_read(path: str | Path, error: OSError) -> FileFormatError:
     """
     if isinstance(error, FileNotFoundError):
         return FileFormatError(path, "was there, and is gone", "put it back and try again")
-    return FileFormatError(path, f"cannot be read ({error.strerror or error})", "check its permissions")
+    remedy = remedy_of(error) or "check its permissions"
+    return FileFormatError(path, f"cannot be read ({error.strerror or error})", remedy)
+
+
+def remedy_of(error: OSError) -> str:
+    """Return what the user can do about an error of the system; "" where that is not known."""
+    if error.errno in NO_SPACE:
+        return "free some space, or choose another place"
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return "raise the limit of open files (ulimit -n)"
+    return ""
 
 
 class FieldVersionError(FileFormatError):
@@ -96,6 +107,27 @@ def check_format_version(path: str | Path, version: object, newest: int) -> None
 
 class MissingFileError(FileFormatError, FileNotFoundError):
     """A file or folder that is not there."""
+
+    @classmethod
+    def of(
+        cls, path: str | Path, what: str, remedy: str = "check the path", kind: str = "file"
+    ) -> MissingFileError:
+        """Return the error of a path that is not a file, or not a folder: nothing is there, or something else.
+
+        Args:
+            what: was expected.
+            kind: "file" or "file or folder".
+        """
+        special = {stat.S_ISDIR: "folder", stat.S_ISFIFO: "named pipe (FIFO)", stat.S_ISSOCK: "socket",
+                   stat.S_ISCHR: "device", stat.S_ISBLK: "device"}  # fmt: skip
+        try:
+            mode = Path(path).stat().st_mode
+        except (OSError, ValueError):
+            mode = 0
+        for is_kind, name in special.items():
+            if is_kind(mode):
+                return cls(path, f"is a {name}, not {what}", remedy)
+        return cls(path, f"there is no such {kind} ({what} was expected)", remedy)
 
 
 class GeometryMismatchError(InputError):
@@ -133,9 +165,7 @@ class WriteError(InputError):
     @classmethod
     def of(cls, path: str | Path, error: OSError) -> WriteError:
         """Return the error of an output for one of the system."""
-        full = error.errno in NO_SPACE
-        remedy = "free some space, or choose another place" if full else ""
-        return cls(path, error.strerror or str(error), remedy)
+        return cls(path, error.strerror or str(error), remedy_of(error))
 
     def at(self, path: Path) -> WriteError:
         """Return the same error for the output that a temporary file would have become."""

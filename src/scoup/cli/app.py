@@ -8,9 +8,12 @@ import os
 import signal
 import sys
 
-from scoup.cli.console import Console, Terminated, run_verb, silence
-from scoup.cli.options import Common
-from scoup.cli.parsing import Family, in_one_line, parse
+try:
+    from scoup.cli.console import Console, Terminated, run_verb, silence
+    from scoup.cli.options import Common
+    from scoup.cli.parsing import Family, in_one_line, parse
+except KeyboardInterrupt:  # these load for a moment
+    sys.exit(130)
 
 DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and query it.
 

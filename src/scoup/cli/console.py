@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -13,17 +14,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TextIO
 
-from scoup.base.errors import ScoupError, ScoupWarning, WriteError, is_said_elsewhere
+from scoup.base.errors import ScoupError, ScoupWarning, WriteError, is_said_elsewhere, remedy_of
+from scoup.base.printable import printable
 from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
 
-_ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
-"""Control characters, which names out of files may hold, and which could change what a terminal shows."""
 _ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
 """How messages of the library name an argument, alone or with a value."""
 _OPTIONS = {"distorted": "--undistort", "sums": "--keep-sums"}
 """Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
+_SIGNS_OF_MEMORY = ("allocate", "out of memory", "failed to map segment")
 
 
 class Terminated(KeyboardInterrupt):
@@ -44,20 +45,14 @@ class Console:
         self.warnings: list[str] = []
         self.kept: Callable[[], str] = lambda: kept(0, 0, "")
 
-    def say(self, *parts: Any) -> None:
-        """Print a line, or a rich table, for people."""
+    def say(self, text: str) -> None:
+        """Print a line for people."""
         if self.common.quiet or self.common.as_json:
             return
-        if all(isinstance(part, str) for part in parts):
-            with _printing():
-                # Not by rich: file names and texts may contain what it takes for markup. At once, also into a pipe: a
-                # server goes on for hours.
-                print(*(part.translate(_ESCAPES) for part in parts), flush=True)
-            return
-        from rich.console import Console as RichConsole
-
         with _printing():
-            RichConsole().print(*parts, highlight=False, soft_wrap=True)
+            # Not by rich: file names and texts may contain what it takes for markup. At once, also into a pipe: a
+            # server goes on for hours.
+            print(printable(text), flush=True)
 
     def result(self, record: dict[str, Any]) -> None:
         """Print the machine-readable result, if asked for."""
@@ -73,7 +68,7 @@ class Console:
         if message not in self.warnings:
             self.warnings.append(message)
             with _printing(sys.stderr):
-                print(f"warning: {message.translate(_ESCAPES)}", file=sys.stderr, flush=True)
+                print(f"warning: {printable(message)}", file=sys.stderr, flush=True)
 
     def fail(
         self,
@@ -88,7 +83,7 @@ class Console:
         """
         if is_said_elsewhere(error):
             return code
-        message = " ".join(_with_options(message).splitlines()).translate(_ESCAPES)
+        message = printable(" ".join(_with_options(message).splitlines()))
         with _printing(sys.stderr):
             print(f"error: {message}", file=sys.stderr, flush=True)
         self.result({**record, "error": message})
@@ -115,7 +110,7 @@ class Console:
 
             def report(stage: str, done: int, total: int) -> None:
                 if stage not in tasks:
-                    tasks[stage] = bars.add_task(stage, total=total)
+                    tasks[stage] = bars.add_task(printable(stage), total=total)
                 bars.update(tasks[stage], completed=done, total=total)
 
             yield report
@@ -153,14 +148,15 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
         except MemoryError:
             return console.fail(_OUT_OF_MEMORY, 2)
         except OSError as error:  # such as a full disk: no fault of the program
+            if error.errno == errno.ENOMEM:
+                return console.fail(_OUT_OF_MEMORY, 2)
             where = f"{error.filename}: " if error.filename else ""
-            return console.fail(
-                f"{where}the system refused ({error.strerror or error}); remove the cause and try again", 2
-            )
-        except RuntimeError as error:
-            if "allocate" not in str(error) and "out of memory" not in str(error):
+            remedy = remedy_of(error) or "remove the cause and try again"
+            return console.fail(f"{where}the system refused ({error.strerror or error}); {remedy}", 2)
+        except (RuntimeError, ImportError) as error:  # as torch reports it, and the loader of its libraries
+            if not any(sign in str(error) for sign in _SIGNS_OF_MEMORY):
                 raise
-            return console.fail(_OUT_OF_MEMORY, 2)  # as torch reports it
+            return console.fail(_OUT_OF_MEMORY, 2)
 
 
 def kept(done: int, total: int, what: str, also: str = "") -> str:

@@ -188,10 +188,8 @@ def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
     from safetensors import safe_open
 
     what = "a SCOUP language field"
-    if path.is_dir():
-        raise MissingFileError(path, f"is a folder, not {what}", "use the file itself")
     if not path.is_file():
-        raise MissingFileError(path, f"there is no such file ({what} was expected)", "check the path")
+        raise MissingFileError.of(path, what)
     with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:
         metadata = stream.metadata() or {}
         text = metadata.get(METADATA_KEY, "{}")

@@ -49,9 +49,7 @@ def find_cameras(path: str | Path) -> CameraSource:
     if os.path.isfile(path):
         return _source_of_file(path)
     if not os.path.isdir(path):
-        raise MissingFileError(
-            path, "there is no such file or folder (a scene was expected)", "check the path"
-        )
+        raise MissingFileError.of(path, "a scene", kind="file or folder")
     if is_nerfstudio_run(path):
         return _source_of_run(path)
     if is_gsplat_results(path):

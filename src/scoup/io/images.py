@@ -42,9 +42,9 @@ def size_in_header(path: str | Path) -> tuple[int, int]:
     try:
         with Image.open(path, formats=FORMATS) as image:
             width, height = image.size
-    except FileNotFoundError as error:
-        raise refused_read(path, error) from error
     except Exception as error:  # damaged images raise nearly everything inside Pillow
+        if isinstance(error, OSError) and error.errno is not None:
+            raise refused_read(path, error) from error
         raise FileFormatError(
             path, "is not an image that can be read", "copy it again, or remove it"
         ) from error

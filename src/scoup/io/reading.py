@@ -28,10 +28,8 @@ _UNDISTORT_REMEDY = "undistort the images first (colmap image_undistorter), or p
 def existing_file(path: str | Path, what: str, remedy: str = "check the path") -> Path:
     """Return ``path`` if it is a file; else raise a MissingFileError."""
     path = Path(path)
-    if os.path.isdir(path):
-        raise MissingFileError(path, f"is a folder, not {what}", remedy)
     if not os.path.isfile(path):
-        raise MissingFileError(path, f"there is no such file ({what} was expected)", remedy)
+        raise MissingFileError.of(path, what, remedy)
     return path
 
 

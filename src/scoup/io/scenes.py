@@ -108,9 +108,7 @@ def find_gaussians(path: str | Path) -> Path:
             )
         return path
     if not os.path.isdir(path):
-        raise MissingFileError(
-            path, "there is no such file or folder (a trained splat was expected)", "check the path"
-        )
+        raise MissingFileError.of(path, "a trained splat", kind="file or folder")
     if path.name == "point_cloud" or (path / "point_cloud").is_dir():
         return latest_point_cloud(path)
     if is_scenesplat(path):

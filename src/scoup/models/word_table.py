@@ -78,8 +78,9 @@ def load_table(path: str | Path) -> WordTable:
     """
     path = Path(path)
     if not path.is_file():
-        raise MissingFileError(path, "there is no such file (a table of text embeddings was expected)",
-                               "check the path, or name a CLIP model instead")  # fmt: skip
+        raise MissingFileError.of(
+            path, "a table of text embeddings", "check the path, or name a CLIP model instead"
+        )
     read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(
         path.suffix.lower()
     )

@@ -15,6 +15,7 @@ from PIL import Image
 
 from scoup import raster
 from scoup.base.atomic import write_text
+from scoup.base.printable import printable
 from scoup.base.progress import Progress, no_progress
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
@@ -140,6 +141,10 @@ for(const item of items){item.hidden=!item.textContent.toLowerCase().includes(wa
 document.querySelector("output").textContent=`${count} of ${items.length} things`});"""
 
 
+def _shown(text: str) -> str:
+    return html.escape(printable(text))
+
+
 def _page(catalog: Catalog, drawn: set[int | None], title: str) -> str:
     """A page of all things with a box that filters them; it loads nothing but its pictures."""
     items = []
@@ -149,11 +154,11 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str) -> str:
         extent = " x ".join(f"{value:.3g}" for value in thing.box.extent.tolist())
         image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
         items.append(
-            f"<li>{image}<b>{html.escape(thing.text)}</b> <small>{thing.confidence:.2f}</small><br>"
-            f"<small>or {html.escape(alternatives)}<br>thing {thing.number}, level {html.escape(thing.level)}<br>"
+            f"<li>{image}<b>{_shown(thing.text)}</b> <small>{thing.confidence:.2f}</small><br>"
+            f"<small>or {_shown(alternatives)}<br>thing {thing.number}, level {_shown(thing.level)}<br>"
             f"at {position}<br>size {extent}</small></li>"
         )
-    heading = html.escape(title)
+    heading = _shown(title)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Things of {heading}</title>\n'
         f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style>\n'

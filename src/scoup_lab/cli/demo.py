@@ -122,48 +122,47 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
 
 def _say_names(console: Console, result: DemoResult) -> None:
     """Print the scores of each name."""
-    from rich.table import Table
-
+    from scoup_lab.bench import markdown
     from scoup_lab.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name
 
-    table = Table(title="Every name that the held-out views show", title_justify="left")
-    table.add_column("query")
-    for heading in ("views", "IoU", "hit", "levels", f"IoU {ALL_ATOMS}", f"IoU {DENSE}"):
-        table.add_column(heading, justify="right")
+    rows = []
     for row in rows_by_name(result):
         levels = sorted(row.levels.items(), key=lambda item: -item[1])
-        table.add_row(
-            row.name,
-            str(row.views),
-            f"{row.iou[METHOD]:.2f}",
-            f"{row.accuracy[METHOD]:.0%}",
-            " ".join(f"{level}{count}" for level, count in levels),
-            f"{row.iou[ALL_ATOMS]:.2f}",
-            f"{row.iou[DENSE]:.2f}",
+        rows.append(
+            [
+                row.name,
+                str(row.views),
+                f"{row.iou[METHOD]:.2f}",
+                f"{row.accuracy[METHOD]:.0%}",
+                " ".join(f"{level}{count}" for level, count in levels),
+                f"{row.iou[ALL_ATOMS]:.2f}",
+                f"{row.iou[DENSE]:.2f}",
+            ]
         )
-    console.say(table)
+    heads = ["query", "views", "IoU", "hit", "levels", f"IoU {ALL_ATOMS}", f"IoU {DENSE}"]
+    console.say(f"Every name that the held-out views show\n{markdown(heads, rows)}\n")
 
 
 def _say_totals(console: Console, result: DemoResult) -> None:
     """Print the means by variant, the size of the field and the seconds of each stage."""
-    from rich.table import Table
-
     from scoup.field.part_sizes import part_sizes
+    from scoup_lab.bench import markdown
     from scoup_lab.evaluate.demonstration import summary
 
-    totals = Table(title="Means over all (view, name) pairs", title_justify="left")
-    for heading in ("method", "mIoU", "95 % interval over names", "localisation", "bytes a Gaussian"):
-        totals.add_column(heading, justify="left" if heading == "method" else "right")
+    rows = []
     for method, row in summary(result).items():
         low, high = row["interval"]  # pyright: ignore[reportGeneralTypeIssues]
-        totals.add_row(
-            method,
-            f"{row['miou']:.3f}",
-            f"{low:.3f} to {high:.3f}",
-            f"{row['accuracy']:.1%}",
-            f"{row['bytes_per_gaussian']:.0f}",
+        rows.append(
+            [
+                method,
+                f"{row['miou']:.3f}",
+                f"{low:.3f} to {high:.3f}",
+                f"{row['accuracy']:.1%}",
+                f"{row['bytes_per_gaussian']:.0f}",
+            ]
         )
-    console.say(totals)
+    heads = ["method", "mIoU", "95 % interval over names", "localisation", "bytes per Gaussian"]
+    console.say(f"Means over all (view, name) pairs\n{markdown(heads, rows)}\n")
     size = result.field_path.stat().st_size
     console.say(f"the field: {size / 1e6:.2f} MB ({part_sizes(result.field_path)})")
     for stage, value in result.seconds.items():

@@ -1,0 +1,163 @@
+"""What reaches a terminal: no control characters out of files, and one sentence where the system gives too little."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli_support import BUILD, QUICK, RUN, run, write_scene
+from support import HANGS
+
+MARK = "a\x1b[2J\x07\u202eb "
+WORD = f"{MARK}kettle"
+SCENE = f"{MARK}scene"
+BUILT = ("build", SCENE, *QUICK, "--out", f"{MARK}f.scoup", "--model", f"{SCENE}/words.npz")
+FIELD = BUILT[-3]
+VERBS = {
+    "build": (*BUILT, "--overwrite"),
+    "info": ("info", FIELD),
+    "info, scene": ("info", SCENE),
+    "info, words": ("info", f"{SCENE}/words.npz"),
+    "query": ("query", FIELD, WORD, "--camera", "all", "--out", "answers"),
+    "select": ("select", FIELD, WORD, "--always", "--out", "a.ply"),
+    "label": ("label", FIELD, WORD, f"{MARK}mug"),
+    "catalog": ("catalog", FIELD),
+    "render": ("render", FIELD, "--camera", "all", "--out", f"{MARK}pictures"),
+    "regions": ("regions", SCENE, "--view", f"{MARK}view_00", "--out", f"{MARK}a.png"),
+    "extract": (
+        "extract",
+        SCENE,
+        "--segmenter",
+        "felzenszwalb",
+        "--embedder",
+        "colors",
+        "--out",
+        f"{MARK}regions",
+    ),
+    "convert": ("convert", SCENE, f"{MARK}compact"),
+    "no such view": ("query", FIELD, WORD, "--camera", "view_99", "--out", "a"),
+    "no such word": ("query", FIELD, "zebra", "--out", "a"),
+}
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scene and its field; names of files, views and words have control characters."""
+    folder = tmp_path_factory.mktemp("terminal")
+    write_scene(folder / SCENE, mark=MARK)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        code, _, err = run(*BUILT)
+    assert code == 0, err
+    return folder
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_control_characters_are_escaped(verb: str, hostile: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(hostile)
+    code, out, err = run(*VERBS[verb])
+    assert code == (2 if verb.startswith("no such") else 0), err
+    pages = [path.read_text() for path in hostile.glob("*_catalog/index.html")] if verb == "catalog" else []
+    assert len(pages) == (verb == "catalog")
+    said = out + err + "".join(pages)
+    assert r"a\x1b[2J\x07\u202eb" in said
+    assert not [character for character in said if not character.isprintable() and character not in "\n\t"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+def test_an_interruption_before_the_verb_begins_is_no_fault() -> None:
+    program = f"""
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Interrupts:
+    def find_spec(self, name, *_):
+        if name == "scoup.cli.options":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupts())
+{RUN}
+"""
+    done = subprocess.run([sys.executable, "-c", program, "info", "x"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(getattr(resource, sys.argv[1]), (int(sys.argv[2]),) * 2)
+sys.argv = ["scoup", *sys.argv[3:]]
+"""
+
+
+def limited(limit: str, most: int, *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", LIMITED + RUN, limit, str(most), *map(str, arguments)]
+    # Linear algebra asks for memory per thread, and ends the process itself where it gets none.
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    return subprocess.run(command, capture_output=True, text=True, timeout=HANGS, env=environment)
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+@pytest.mark.parametrize(
+    "verb", [("info", "f.scoup"), (*BUILD,), ("query", "f.scoup", "kettle", "--out", "o")]
+)
+def test_sixteen_open_files_are_enough(verb: tuple[str, ...]) -> None:
+    done = limited("RLIMIT_NOFILE", 16, *verb)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+@pytest.mark.parametrize(
+    ("limit", "most", "said"),
+    [
+        ("RLIMIT_NOFILE", 5, "raise the limit of open files (ulimit -n)"),
+        ("RLIMIT_AS", 300 << 20, "not enough memory; use fewer or smaller views, or a machine with more"),
+        ("RLIMIT_AS", 600 << 20, "not enough memory; use fewer or smaller views, or a machine with more"),
+    ],
+)
+def test_limits_of_the_system_are_one_sentence(limit: str, most: int, said: str) -> None:
+    done = limited(limit, most, "query", "f.scoup", "kettle", "--out", "o")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.endswith(f"{said}\n")
+    assert done.stderr.count("\n") == 1
+
+
+PIPES = {
+    "splat": ("pipe.ply", ("convert", "pipe.ply", "b.spz")),
+    "splat of a build": ("pipe.ply", ("build", "scene", "--gaussians", "pipe.ply", "--out", "b.scoup")),
+    "field": ("pipe.scoup", ("query", "pipe.scoup", "kettle", "--out", "o")),
+    "table": ("pipe.npz", ("query", "f.scoup", "kettle", "--text", "pipe.npz", "--out", "o")),
+    "list of words": ("pipe.txt", ("view", "f.scoup", "--words", "pipe.txt", "--export", "a.html")),
+    "features": ("pipe.npy", ("convert", "pipe.npy", "b.scoup", "--gaussians", "scene/point_cloud.ply")),
+    "info": ("pipe.json", ("info", "pipe.json")),
+}
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of Unix")
+@pytest.mark.parametrize("kind", PIPES)
+def test_a_named_pipe_is_called_one(kind: str) -> None:
+    name, verb = PIPES[kind]
+    os.mkfifo(name)
+    before = [path for path in Path().rglob("*") if path.is_file()]
+    code, _, err = run(*verb)
+    assert code == 2
+    assert err.startswith(f"error: {name}: is a named pipe (FIFO), not ")
+    assert [path for path in Path().rglob("*") if path.is_file()] == before
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of Unix")
+def test_a_photograph_that_is_a_named_pipe_is_skipped() -> None:
+    image = Path("scene/images/view_00.png")
+    image.unlink()
+    os.mkfifo(image)
+    code, _, err = run(
+        "extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "regions"
+    )
+    assert code == 0
+    assert "view_00.png: is a named pipe (FIFO), not an image" in err
