@@ -34,6 +34,7 @@ STUDIES = Family(
         "power-loss": "benchmarks.power_loss:PowerLoss",
         "server-load": "benchmarks.server_load:ServerLoad",
         "hostile": "benchmarks.hostile.study:Hostile",
+        "hostile-detection": "benchmarks.hostile.study:Detection",
         "hostile-guided": "benchmarks.hostile.study:Guided",
     },
 )

@@ -27,7 +27,7 @@ from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
 from benchmarks.endurance import Endurance
 from benchmarks.extract import Extraction
-from benchmarks.hostile.study import Hostile
+from benchmarks.hostile.study import Detection, Hostile
 from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.locate import Locate
@@ -190,6 +190,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
     "hostile": (Hostile, "hostile"),
+    "hostile, detection": (Detection, "hostile_detection"),
     "endurance": (Endurance, "endurance"),
     "power loss": (PowerLoss, "power_loss"),
     "server load": (ServerLoad, "server_load"),

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from scoup.field.artefact import NO_CHECKSUM, tensor_checksum, text_checksum
+from scoup.base.digests import NO_CHECKSUM, array_checksum, sealed
 from scoup.uplift.storage.array_file import with_checksum
 
 _BASE64 = re.compile(rb"base64,([A-Za-z0-9+/=]*)")
@@ -125,15 +125,15 @@ def _join_safetensors(data: bytes, parts: Sequence[bytes]) -> bytes:
     return struct.pack("<Q", len(text)) + text + parts[1]
 
 
-def _split_field(data: bytes) -> list[bytes]:
+def _split_sealed(data: bytes) -> list[bytes]:
     """Return SCOUP's header, and the numbers of all tensors."""
     text, body = _split_safetensors(data)
     return [json.loads(text)["__metadata__"]["scoup"].encode(), body]
 
 
-def _join_field(data: bytes, parts: Sequence[bytes]) -> bytes:
-    """Return a field whose checksums agree, as far as its header is JSON still."""
-    from safetensors.torch import load
+def _join_sealed(data: bytes, parts: Sequence[bytes]) -> bytes:
+    """Return a file whose checksums agree, as far as its header is JSON still."""
+    from safetensors.numpy import load
 
     root = json.loads(_split_safetensors(data)[0])
     text = parts[0].decode("utf-8", "replace")
@@ -141,12 +141,10 @@ def _join_field(data: bytes, parts: Sequence[bytes]) -> bytes:
     first = _join_safetensors(data, [json.dumps(root).encode(), parts[1]])
     try:
         header = json.loads(text)
-        header |= {"checksums": {name: tensor_checksum(item) for name, item in load(first).items()}}
+        header |= {"checksums": {name: array_checksum(item) for name, item in load(first).items()}}
     except Exception:  # safetensors has its own; what cannot be fixed stays as it is
         return first
-    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
-    empty = f'"checksum": "{NO_CHECKSUM}"'
-    root["__metadata__"]["scoup"] = text.replace(empty, f'"checksum": "{text_checksum(text)}"', 1)
+    root["__metadata__"]["scoup"] = sealed(header)
     return _join_safetensors(data, [json.dumps(root).encode(), parts[1]])
 
 
@@ -169,7 +167,8 @@ def _join_labels(data: bytes, parts: Sequence[bytes]) -> bytes:
     for name in sorted(tensors):
         if name.startswith("labels."):
             tensors[name] = np.frombuffer(zlib.compress(next(rest), 1), np.uint8)
-    return save(tensors, json.loads(_split_safetensors(data)[0])["__metadata__"])
+    made = save(tensors, json.loads(_split_safetensors(data)[0])["__metadata__"])
+    return _join_sealed(made, _split_sealed(made))
 
 
 def _split_npy(data: bytes) -> list[bytes]:
@@ -218,7 +217,7 @@ PNG = Container(_split_png, _join_png)
 GLB = Container(_split_glb, _join_glb)
 BASE64 = Container(_split_base64, _join_base64)
 SAFETENSORS = Container(_split_safetensors, _join_safetensors)
-FIELD = Container(_split_field, _join_field)
+SEALED = Container(_split_sealed, _join_sealed)
 LABELS = Container(_split_labels, _join_labels)
 NPY = Container(_split_npy, _join_npy)
 SUMS = Container(_split_safetensors, _join_sums)

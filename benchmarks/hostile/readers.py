@@ -141,7 +141,7 @@ def _field(file: str, *more: str) -> Reader:
         part_sizes(folder / file)
         len(field.gaussians)
 
-    return Reader(file, read, more, (of.SAFETENSORS, of.FIELD))
+    return Reader(file, read, more, (of.SAFETENSORS, of.SEALED))
 
 
 def _sums(folder: Path) -> None:
@@ -239,7 +239,7 @@ READERS: Mapping[str, Reader] = {
     "region labels": Reader("features/view_00_s.npy", lambda folder: _regions(folder / "features"), (), (of.NPY,)),
     "region embeddings": Reader("features/view_00_f.npy", lambda folder: _regions(folder / "features"), (), (of.NPY,)),
     "regions": Reader("packed/view_00.regions", lambda folder: _regions(folder / "packed"), (),
-                      (of.SAFETENSORS, of.LABELS), LABELS),
+                      (of.SEALED, of.LABELS), LABELS),
     "regions.json": Reader("packed/regions.json", lambda folder: _regions(folder / "packed")),
     "field": _field("a.scoup", "bytes.scoup"),
     "field with a splat beside it": _field("linked.scoup"),

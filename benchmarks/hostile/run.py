@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
-from benchmarks.hostile.worker import BROKEN, VALID, Job, Outcome, Result, damaged_file, work
+from benchmarks.hostile.worker import BROKEN, VALID, Job, Outcome, Result, Way, damaged_file, work
 from scoup.base.errors import InputError
 
 FAILURES = tuple(outcome for outcome in get_args(Outcome) if outcome not in ("accepted", "refused"))
@@ -70,18 +69,17 @@ def try_reader(
     readers: str = READERS,
     limits: Limits | None = None,
     failures: Path | None = None,
-    progress: Callable[[int], None] = lambda done: None,
+    way: Way = "any",
 ) -> Trial:
     """Give a reader ``count`` damaged files.
 
-    ``name``, ``readers``: see ``worker.Job``.
+    ``name``, ``readers``, ``way``: see ``worker.Job``.
     """
     trial, limits = Trial(name), limits or Limits()
     while trial.files < count:
-        job = Job(readers, name, samples, seed, range(trial.files, count), limits.processor)
+        job = Job(readers, name, samples, seed, range(trial.files, count), limits.processor, way)
         for result in _results(job, limits):
             trial.add(result)
-            progress(trial.files)
             if failures is not None and result.outcome in FAILURES:
                 _save(failures, job, result)
     return trial

@@ -16,8 +16,9 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from planted_wall import COUNT, SETTINGS, planted_wall
+from scoup.base.digests import sealed
 from scoup.base.errors import FileFormatError, InputError
-from scoup.field.artefact import METADATA_KEY, NO_CHECKSUM, tensor_checksum, text_checksum
+from scoup.field.artefact import METADATA_KEY, tensor_checksum
 from scoup.field.language_field import LanguageField
 from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 from scoup.uplift.build import build
@@ -63,9 +64,7 @@ def parts_of(path: Path) -> tuple[dict, dict[str, Tensor]]:
 def write_whole(path: Path, header: dict, tensors: dict[str, Tensor]) -> None:
     """A file whose checksums are right, whatever its tensors hold."""
     header = {**header, "checksums": {name: tensor_checksum(tensor) for name, tensor in tensors.items()}}
-    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
-    text = text.replace(f'"checksum": "{NO_CHECKSUM}"', f'"checksum": "{text_checksum(text)}"', 1)
-    save_file(tensors, path, {METADATA_KEY: text})
+    save_file(tensors, path, {METADATA_KEY: sealed(header)})
 
 
 @pytest.mark.parametrize("weight_bits", [16, 8])

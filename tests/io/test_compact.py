@@ -13,6 +13,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from cli_support import snapshot
@@ -152,6 +153,39 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
     )
     with pytest.raises(FileFormatError, match="not finite"):
         load_regions(tmp_path, cameras).load("view_00.png", "s")
+
+
+def test_every_flipped_bit_and_every_cut_is_noticed(tmp_path: Path) -> None:
+    cameras = some_cameras(1)
+    write(tmp_path, cameras, bits=16)
+    path = tmp_path / "view_00.regions"
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for place in {*range(64), *rng.integers(0, len(whole), 400).tolist()}:
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        for content in (bytes(damaged), whole[:place]):
+            path.write_bytes(content)
+            with pytest.raises(FileFormatError):
+                open_view(tmp_path, "view_00").read()
+
+
+def test_files_without_checksums_are_read(tmp_path: Path) -> None:
+    """Those of before the first release."""
+    cameras = some_cameras(1)
+    write(tmp_path, cameras)
+    path = tmp_path / "view_00.regions"
+    view, tensors = open_view(tmp_path, "view_00").read(), load_file(path)
+    with safe_open(path, framework="numpy") as stream:
+        header = json.loads(stream.metadata()["scoup"])
+    assert header.pop("checksums").keys() == tensors.keys()
+    save_file(tensors, path, {"scoup": json.dumps(header)})
+    with pytest.raises(FileFormatError, match="checksum of the header"):
+        open_view(tmp_path, "view_00")
+    del header["checksum"]
+    save_file(tensors, path, {"scoup": json.dumps(header)})
+    again = open_view(tmp_path, "view_00").read()
+    assert all((again.embeddings[level] == view.embeddings[level]).all() for level in LEVELS)
 
 
 @pytest.mark.parametrize(

@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import os
 import re
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_path, check_output
+from scoup.base.digests import array_checksum, is_sealed, sealed
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, check_format_version
 from scoup.io.reading import safetensors_damage_named
 from scoup.scene.cameras import Camera, Cameras
@@ -82,7 +81,7 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         "provenance": parts.info.provenance,
     }
     # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
-    metadata = {METADATA_KEY: _with_checksum(header)}
+    metadata = {METADATA_KEY: sealed(header)}
     with atomic_path(path, overwrite) as temporary:
         _write(temporary, tensors, metadata)
 
@@ -101,8 +100,7 @@ def read_field(path: Path) -> FieldParts:
 
 def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
     """Return the parts of a file whose checksums all agree."""
-    checksum = header["checksum"]
-    if text_checksum(_replaced(text, checksum, NO_CHECKSUM)) != checksum:
+    if not is_sealed(text, header["checksum"]):
         raise FileFormatError(path, "is damaged (checksum of the header)", _REBUILD)
     checksums = header["checksums"]
     if checksums.keys() != tensors.keys():
@@ -143,32 +141,8 @@ def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[
 
 
 def tensor_checksum(tensor: Tensor) -> str:
-    """Return the CRC-32 over type, shape and bytes of a tensor on the CPU, as eight hexadecimal digits.
-
-    CRC-32 finds every error of a few bits, and is the fastest checksum of the standard library.
-    """
-    array = tensor.contiguous().numpy()
-    described = f"{array.dtype} {list(array.shape)}\n".encode()
-    return f"{zlib.crc32(array.reshape(-1).view(np.uint8).data, zlib.crc32(described)):08x}"
-
-
-def text_checksum(text: str) -> str:
-    """Return the CRC-32 of a text in UTF-8, as eight hexadecimal digits."""
-    return f"{zlib.crc32(text.encode()):08x}"
-
-
-NO_CHECKSUM = "0" * 8
-
-
-def _with_checksum(header: dict[str, Any]) -> str:
-    """Return the header as JSON, with a checksum of this very text, taken with zeros in the checksum's place."""
-    text = json.dumps({**header, "checksum": NO_CHECKSUM}, sort_keys=True)
-    return _replaced(text, NO_CHECKSUM, text_checksum(text))
-
-
-def _replaced(text: str, checksum: str, other: str) -> str:
-    """Return the JSON text with another checksum in it."""
-    return text.replace(f'"checksum": "{checksum}"', f'"checksum": "{other}"', 1)
+    """Return ``array_checksum`` of a tensor on the CPU."""
+    return array_checksum(tensor.contiguous().numpy())
 
 
 @contextmanager

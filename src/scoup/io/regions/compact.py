@@ -1,7 +1,7 @@
 """Region features in SCOUP's compact layout: one ``<stem>.regions`` file per view (docs/formats.md).
 
-A safetensors file with a JSON header. Label maps are deflated after each row was XORed with the row above it,
-which leaves little but zeros; embeddings are float16, or float32 on request.
+A safetensors file with a JSON header, which has checksums of itself and of every array. Label maps are deflated after
+each row was XORed with the row above it, which leaves little but zeros; embeddings are float16, or float32 on request.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.atomic import atomic_file
+from scoup.base.digests import array_checksum, is_sealed, sealed
 from scoup.base.errors import FileFormatError, check_format_version
 from scoup.base.json_node import JsonNode
 from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, safetensors_damage_named
@@ -41,6 +42,7 @@ class CompactView:
     dim: int  # D of the embeddings
     manifest: str  # fingerprint of the manifest it was made under
     photograph: str  # SHA-256 of the photograph's file, "" if it is not known
+    checksums: dict[str, str] | None  # of the arrays; None in files of before release 0.1.0
 
     @property
     def levels(self) -> tuple[str, ...]:
@@ -57,7 +59,7 @@ class CompactView:
     def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
         """Return [levels, H, W] labels as stored; the file is opened once."""
         with _opened(self.path) as stream:
-            packed = [stream.get_tensor(f"labels.{level}").tobytes() for level in levels]
+            packed = [self._array(stream, f"labels.{level}").tobytes() for level in levels]
         labels = np.empty((len(levels), self.height, self.width), np.int32)
         for level, data, out in zip(levels, packed, labels, strict=True):
             _unpack(self, level, data, out)
@@ -66,7 +68,13 @@ class CompactView:
     def embeddings(self, level: str) -> NDArray[np.floating]:
         """Return [R, D] embeddings of a level, as stored."""
         with _opened(self.path) as stream:
-            return stream.get_tensor(f"embeddings.{level}")
+            return self._array(stream, f"embeddings.{level}")
+
+    def _array(self, stream: Any, name: str) -> NDArray[Any]:
+        array = stream.get_tensor(name)
+        if self.checksums is not None and array_checksum(array) != self.checksums.get(name):
+            raise FileFormatError(self.path, f"is damaged (checksum of {name})", REMEDY)
+        return array
 
     def read(self) -> ViewRegions:
         """Return everything the file holds."""
@@ -79,9 +87,15 @@ def open_view(folder: Path, stem: str) -> CompactView:
     """Return the header of a view's file; see ``views.RegionLayout``."""
     path = folder / f"{stem}{ENDINGS[0]}"
     with _opened(path) as stream:
-        header = JsonNode(path, json.loads((stream.metadata() or {}).get(_KEY, "{}")), REMEDY)
+        text = (stream.metadata() or {}).get(_KEY, "{}")
+        header = JsonNode(path, json.loads(text), REMEDY)
         header.get("schema").text((SCHEMA,))
         check_format_version(path, header.get("version").value, VERSION)
+        checksums, checksum = (header.get(key).value for key in ("checksums", "checksum"))
+        if (checksums, checksum) != (None, None) and not (
+            isinstance(checksums, dict) and is_sealed(text, checksum)
+        ):
+            raise FileFormatError(path, "is damaged (checksum of the header)", REMEDY)
         width, height = (header.get(key).whole(1, MAX_IMAGE_SIDE) for key in ("width", "height"))
         levels = [level.text() for level in header.get("levels").items()]
         if not levels:
@@ -94,7 +108,9 @@ def open_view(folder: Path, stem: str) -> CompactView:
         name, manifest, photograph = (
             str(header.get(key).value or "") for key in ("view", "manifest", "photograph")
         )
-        return CompactView(path, name or stem, width, height, counts, dims.pop(), manifest, photograph)
+        return CompactView(
+            path, name or stem, width, height, counts, dims.pop(), manifest, photograph, checksums
+        )
 
 
 def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False) -> None:
@@ -117,9 +133,10 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
         "levels": levels,
         "manifest": manifest,
         "photograph": regions.photograph,
+        "checksums": {name: array_checksum(array) for name, array in tensors.items()},
     }
     with atomic_file(folder / f"{stem}{ENDINGS[0]}", overwrite) as stream:
-        stream.write(save(tensors, {_KEY: json.dumps(header, sort_keys=True)}))
+        stream.write(save(tensors, {_KEY: sealed(header)}))
 
 
 def origin(folder: Path, stem: str) -> tuple[str, str]:
