@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from scoup.io import load_gaussians
 from scoup.scene.gaussians import Gaussians
 
 SPLATS = "KHR_gaussian_splatting"
@@ -34,6 +35,11 @@ def opened(path: Path) -> tuple[dict[str, Any], bytes]:
     assert 28 + size + binary_size == len(data)
     assert len(text) - len(text.rstrip(b" ")) < 4
     return json.loads(text), data[28 + size :]
+
+
+def read_in_its_axes(path: Path) -> Gaussians:
+    """The numbers of the file, not turned to the axes of 3DGS."""
+    return load_gaussians(path, keep_axes=True)
 
 
 def packed(path: Path, root: dict[str, Any], binary: bytes) -> Path:

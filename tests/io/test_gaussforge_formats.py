@@ -7,11 +7,12 @@ import random
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from io_samples import some_gaussians
-from scoup.base.errors import FileFormatError, ScoupError
+from scoup.base.errors import FileFormatError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
 from scoup.scene.gaussians import Gaussians
@@ -101,3 +102,14 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         load_gaussians(tmp_path / "a.ksplat")
     with pytest.raises(ScoupError, match=r"pip install 'scoup\[splats\]'"):
         save_gaussians(wide(3), tmp_path / "b.sog")
+
+
+def test_harmonics_of_ksplat_stand_in_the_order_of_the_format(tmp_path: Path) -> None:
+    """Degree 1 of red, green and blue, then degree 2 of each, as GaussianSplats3D has them; it knows no degree 3."""
+    made = wide(1, 3)
+    with pytest.warns(ScoupWarning, match="SH degree 3 was cut to 2"):
+        save_gaussians(made, tmp_path / "a.ksplat")
+    row = np.frombuffer((tmp_path / "a.ksplat").read_bytes()[4096 + 1024 :], "<f4")[11 : 11 + 24]
+    expected = [made.sh[0, first:end, channel] for first, end in ((1, 4), (4, 9)) for channel in range(3)]
+    np.testing.assert_array_equal(row, torch.cat(expected))
+    assert load_gaussians(tmp_path / "a.ksplat").sh[:, 1:].equal(made.sh[:, 1:9])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from gltf_samples import SPLATS, columns_of, foreign, packed
+from gltf_samples import SPLATS, columns_of, foreign, packed, read_in_its_axes
 from io_samples import same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.splats.gltf import read_gltf, read_gltf_features
+from scoup.io.splats.gltf import read_gltf_features
 from scoup.io.splats.gltf_rotation import quat_from_rotation, rotated_sh, rotation_from_quat
 from scoup.raster import view_colors
 from scoup.raster.projection import rotation_matrices
@@ -22,7 +22,7 @@ from scoup.scene.gaussians import Gaussians
 def test_interleaved_rows_and_several_primitives(tmp_path):
     gaussians = some_gaussians(5, 1)
     root, binary = foreign(columns_of(gaussians), stride=100)
-    assert same_gaussians(read_gltf(packed(tmp_path / "a.glb", root, binary)), gaussians)
+    assert same_gaussians(read_in_its_axes(packed(tmp_path / "a.glb", root, binary)), gaussians)
     flat, flat_binary = foreign(columns_of(some_gaussians(3, 0, seed=1)))
     for view in flat["bufferViews"]:
         view["byteOffset"] += len(binary)
@@ -33,7 +33,7 @@ def test_interleaved_rows_and_several_primitives(tmp_path):
     root["meshes"][0]["primitives"] += [{"attributes": {}, "mode": 4}, other]
     root["accessors"] += flat["accessors"]
     root["bufferViews"] += flat["bufferViews"]
-    both = read_gltf(packed(tmp_path / "b.glb", root, binary + flat_binary))
+    both = read_in_its_axes(packed(tmp_path / "b.glb", root, binary + flat_binary))
     assert len(both) == 8
     assert torch.equal(both.sh[:5], gaussians.sh)
     assert not both.sh[5:, 1:].any()
@@ -53,7 +53,7 @@ def test_integers(tmp_path):
     }
     names = (f"{SPLATS}:ROTATION", f"{SPLATS}:SCALE", f"{SPLATS}:OPACITY")
     root, binary = foreign(columns, normalised=names)
-    gaussians = read_gltf(packed(tmp_path / "a.glb", root, binary))
+    gaussians = read_in_its_axes(packed(tmp_path / "a.glb", root, binary))
     assert torch.equal(gaussians.means, torch.from_numpy(columns["POSITION"].astype(np.float32)))
     expected = np.maximum(quats[:, [3, 0, 1, 2]] / 127, -1)
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
@@ -62,7 +62,7 @@ def test_integers(tmp_path):
     np.testing.assert_allclose(gaussians.opacities, columns[names[2]][:, 0] / 255, rtol=1e-6)
     root, binary = foreign(columns, normalised=names[:2])
     with pytest.raises(FileFormatError, match="OPACITY is stored as integers"):
-        read_gltf(packed(tmp_path / "b.glb", root, binary))
+        read_in_its_axes(packed(tmp_path / "b.glb", root, binary))
 
 
 def covariances(gaussians: Gaussians) -> torch.Tensor:
@@ -94,7 +94,7 @@ def test_nodes_bring_gaussians_to_the_world(tmp_path, as_matrix):
     # The outer node turns y to z, so that the order of the two shows.
     outer = np.array([[1, 0, 0, 5], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
     root["nodes"] = [{"children": [1], "matrix": outer.T.ravel().tolist()}, inner]
-    moved = read_gltf(packed(tmp_path / "a.glb", root, binary))
+    moved = read_in_its_axes(packed(tmp_path / "a.glb", root, binary))
     whole = outer @ matrix
     means = gaussians.means.double().numpy() @ whole[:3, :3].T + whole[:3, 3]
     np.testing.assert_allclose(moved.means, means, rtol=1e-6, atol=1e-6)
@@ -131,12 +131,12 @@ def test_instances_scenes_and_nodes_without_a_scene(tmp_path):
     root, binary = foreign(columns_of(gaussians))
     root["nodes"] = [{"mesh": 0}, {"mesh": 0, "translation": [10, 0, 0]}]
     root["scenes"] = [{"nodes": [0]}, {"nodes": [0, 1]}]
-    assert len(read_gltf(packed(tmp_path / "a.glb", root, binary))) == 4
-    twice = read_gltf(packed(tmp_path / "a.glb", {**root, "scene": 1}, binary))
+    assert len(read_in_its_axes(packed(tmp_path / "a.glb", root, binary))) == 4
+    twice = read_in_its_axes(packed(tmp_path / "a.glb", {**root, "scene": 1}, binary))
     assert torch.equal(twice.means[4:], gaussians.means + torch.tensor([10.0, 0, 0]))
     assert same_gaussians(twice.select(torch.arange(4)), gaussians)
     del root["scenes"]
-    assert len(read_gltf(packed(tmp_path / "a.glb", root, binary))) == 8
+    assert len(read_in_its_axes(packed(tmp_path / "a.glb", root, binary))) == 8
 
 
 def test_features_of_others(tmp_path):
@@ -182,7 +182,7 @@ def test_files_beside_and_below(tmp_path):
         path.write_text(json.dumps({**root, "buffers": buffers}))
         return path
 
-    assert same_gaussians(read_gltf(write("data/a%20b.bin")), gaussians)
+    assert same_gaussians(read_in_its_axes(write("data/a%20b.bin")), gaussians)
     (tmp_path / "secret.bin").write_bytes(binary)
     (place / "link.bin").symlink_to(tmp_path / "secret.bin")
     for uri in [
@@ -198,15 +198,15 @@ def test_files_beside_and_below(tmp_path):
         "a%00b",
     ]:
         with pytest.raises(FileFormatError, match="not a file in its folder"):
-            read_gltf(write(uri))
+            read_in_its_axes(write(uri))
     with pytest.raises(MissingFileError, match="a buffer of"):
-        read_gltf(write("other.bin"))
+        read_in_its_axes(write("other.bin"))
     with pytest.raises(FileFormatError, match="cut short"):
-        read_gltf(write("data/short.bin"))
+        read_in_its_axes(write("data/short.bin"))
     with pytest.raises(FileFormatError, match="base64 is damaged"):
-        read_gltf(write("data:application/octet-stream;base64,????"))
+        read_in_its_axes(write("data:application/octet-stream;base64,????"))
     with pytest.raises(FileFormatError, match="not base64"):
-        read_gltf(write("data:text/plain,hello"))
+        read_in_its_axes(write("data:text/plain,hello"))
 
 
 def test_warnings_of_other_kinds_of_gaussians(tmp_path):
@@ -214,4 +214,4 @@ def test_warnings_of_other_kinds_of_gaussians(tmp_path):
     root, binary = foreign(columns_of(gaussians))
     root["meshes"][0]["primitives"][0]["extensions"][SPLATS]["colorSpace"] = "lin_rec709_display"
     with pytest.warns(ScoupWarning, match="its colorSpace is 'lin_rec709_display'"):
-        read_gltf(packed(tmp_path / "a.glb", root, binary))
+        read_in_its_axes(packed(tmp_path / "a.glb", root, binary))

@@ -18,7 +18,7 @@ def refusals() -> dict[str, tuple[Any, str]]:
         return root["meshes"][0]["primitives"][0]
 
     def compress(root: dict[str, Any]) -> None:
-        primitive(root)["extensions"][SPLATS]["extensions"] = {f"{SPLATS}_compression_spz_2": {}}
+        primitive(root)["extensions"][SPLATS]["extensions"] = {f"{SPLATS}_compression_other": {}}
 
     def node(**values: Any) -> Any:
         return lambda root: root["nodes"][0].update(values)
@@ -31,7 +31,7 @@ def refusals() -> dict[str, tuple[Any, str]]:
 
     shear = [1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
     return {
-        "spz": (compress, "are compressed"),
+        "compressed": (compress, "are compressed"),
         "required": (lambda root: root.update(extensionsRequired=["KHR_meshopt"]), "needs the extension"),
         "mesh": (lambda root: primitive(root).update(extensions={}), "contains no Gaussians"),
         "no node": (lambda root: root.update(scenes=[{"nodes": []}]), "no node of its scene contains"),

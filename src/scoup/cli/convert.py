@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -36,6 +36,7 @@ class Convert(WritesCommon):
     """
 
     option_groups: ClassVar[OptionGroups] = {
+        "splat": "keep_axes",
         "regions": "to bits autoencoder",
         "field": "gaussians n_atoms k seed",
     }
@@ -44,6 +45,9 @@ class Convert(WritesCommon):
     """Splat, folder of region features, array of features, or checkpoint."""
     target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET", help_behavior_hint="")]
     """Splat, folder or .scoup to write."""
+    keep_axes: Flag = False
+    """Do not turn .spz and glTF, which name their axes, from and to those of 3DGS: for files of programs that keep the
+    numbers of the PLY."""
     model: OptionalText = None
     """Id of the model that made the embeddings, or a table of words. Default: as SOURCE says; most say nothing."""
     to: Annotated[
@@ -97,8 +101,8 @@ class Convert(WritesCommon):
         check_output(self.target, self.overwrite)
         if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
             raise InputError(f"{self.target}: is the source; use another name")
-        gaussians = load_gaussians(self.source)
-        save_gaussians(gaussians, self.target, self.overwrite)
+        gaussians = load_gaussians(self.source, self.keep_axes)
+        save_gaussians(gaussians, self.target, self.overwrite, self.keep_axes)
         size = self.target.stat().st_size
         console.say(
             f"{self.target}: {counted(len(gaussians), 'Gaussian')}, SH degree {gaussians.sh_degree}, "

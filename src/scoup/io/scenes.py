@@ -21,6 +21,7 @@ from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.cameras.training_run import GSPLAT_CONFIG, is_gsplat_results, is_nerfstudio_run
 from scoup.io.reading import Distorted
+from scoup.io.splats.axes import AXES, turned
 from scoup.io.splats.formats import READERS, WRITERS, check_splat_name, written_suffix
 from scoup.io.splats.gsplat_checkpoint import exported_splat, read_gsplat_checkpoint
 from scoup.io.splats.nerfstudio_checkpoint import is_splatfacto_name, read_splatfacto, splat_of_run
@@ -33,7 +34,7 @@ _CHECKPOINTS = (".pt", ".pth", ".ckpt")
 _IN_FOLDERS = tuple(name for name in READERS if name not in (".glb", ".gltf"))  # which may hold meshes
 
 
-def load_gaussians(path: str | Path) -> Gaussians:
+def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
     """Load a trained splat, on the CPU.
 
     Args:
@@ -41,6 +42,7 @@ def load_gaussians(path: str | Path) -> Gaussians:
             or .sog file; a gsplat checkpoint (.pt) or its ``ckpts`` folder; the output folder of a training by
             nerfstudio (splatfacto), by gsplat or by Inria's code (the last step is taken); a folder with SceneSplat's
             arrays (coord.npy and so on), or a folder with one such file.
+        keep_axes: do not turn .spz and glTF, which name their axes, to those of 3DGS (docs/formats.md).
 
     Raises:
         MissingFileError: there is nothing of the kind.
@@ -66,12 +68,23 @@ def load_gaussians(path: str | Path) -> Gaussians:
         gaussians = READERS[path.suffix.lower()](path)
     if not len(gaussians):
         raise FileFormatError(path, "contains no Gaussians with finite values", "export the splat again")
-    return gaussians
+    return _in_axes(gaussians, path, keep_axes)
 
 
-def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
+def _in_axes(gaussians: Gaussians, path: str | Path, keep_axes: bool) -> Gaussians:
+    """Undo the half-turn that the reader of a format has made, or that its writer will make."""
+    axis = AXES.get(Path(path).suffix.lower())
+    return turned(gaussians, axis) if keep_axes and axis is not None else gaussians
+
+
+def save_gaussians(
+    gaussians: Gaussians, path: str | Path, overwrite: bool = False, keep_axes: bool = False
+) -> None:
     """Write a splat in the format of the suffix: .ply (Inria's layout), .compressed.ply (PlayCanvas), .splat, .spz,
     .glb, .gltf, .ksplat or .sog. All but .ply round values (docs/formats.md).
+
+    Args:
+        keep_axes: as ``load_gaussians``.
 
     Raises:
         InputError: another suffix, or values that the format has no place for.
@@ -84,7 +97,7 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, overwrite: bool = Fal
     """
     check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, PATH))
     check_splat_name(path)
-    WRITERS[written_suffix(path)](gaussians, path, overwrite)
+    WRITERS[written_suffix(path)](_in_axes(gaussians, path, keep_axes), path, overwrite)
 
 
 def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:

@@ -10,15 +10,21 @@ import importlib.util
 import subprocess
 import sys
 import tempfile
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError, ScoupError
+from scoup.base.errors import FileFormatError, ScoupError, ScoupWarning
 from scoup.io.reading import existing_file
 from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
 from scoup.scene.gaussians import Gaussians
 
 HOW_TO_GET_IT = "needs the package gaussforge: pip install 'scoup[splats]', and run again"
+KSPLAT = ".ksplat"
 _LEAST_SECONDS = 120
 _SECONDS_A_MEGABYTE = 2.0
 _LEAST_MEMORY, _MEMORY_A_BYTE = 4 << 30, 200
@@ -51,15 +57,25 @@ def read_through_gaussforge(path: str | Path) -> Gaussians:
         if not _convert(path, path.suffix.lower()[1:], made, "ply"):
             raise FileFormatError(path, "cannot be read by gaussforge", _WHAT_IT_IS)
         try:
-            table = read_ply_table(made)
-            return gaussians_from_table(table)[0]
+            gaussians = gaussians_from_table(read_ply_table(made))[0]
         except FileFormatError as error:
             raise FileFormatError(path, f"is damaged (converted, it {error.problem})", _WHAT_IT_IS) from error
+    if path.suffix.lower() == KSPLAT:
+        return replace(gaussians, sh=_sh_of_ksplat(gaussians.sh))
+    return gaussians
 
 
 def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
     """Write a .ksplat or .sog file."""
     path = Path(path)
+    if path.suffix.lower() == KSPLAT:
+        if gaussians.sh_degree > 2:
+            warnings.warn(
+                f"{path}: SH degree {gaussians.sh_degree} was cut to 2, for .ksplat",
+                ScoupWarning,
+                stacklevel=2,
+            )
+        gaussians = replace(gaussians, sh=_sh_for_ksplat(gaussians.sh[:, :9]))
     with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
         plain, made = Path(folder) / "splat.ply", Path(folder) / "converted"
         write_ply(gaussians, plain)
@@ -67,6 +83,30 @@ def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: 
             raise ScoupError(f"{path}: gaussforge cannot write these Gaussians; use another format")
         with atomic_file(path, overwrite) as stream:
             stream.write(made.read_bytes())
+
+
+def _sh_of_ksplat(sh: Tensor) -> Tensor:
+    """Return harmonics [N, B, 3] in our order.
+
+    gaussforge takes a .ksplat's for all coefficients of red, then of green and blue. The format has those of degree 1
+    first, channel by channel, then those of degree 2 (SplatBuffer.js of GaussianSplats3D).
+    """
+    count, flat = len(sh), sh[:, 1:].transpose(1, 2).flatten(1)
+    parts = [sh[:, :1].transpose(1, 2)]
+    for degree in range(1, round(sh.shape[1] ** 0.5)):
+        first, width = 3 * (degree**2 - 1), 2 * degree + 1
+        parts.append(flat[:, first : first + 3 * width].reshape(count, 3, width))
+    return torch.cat(parts, dim=2).transpose(1, 2).contiguous()
+
+
+def _sh_for_ksplat(sh: Tensor) -> Tensor:
+    """Return harmonics that gaussforge writes in the order of the format."""
+    degrees = range(1, round(sh.shape[1] ** 0.5))
+    parts = [sh[:, degree**2 : (degree + 1) ** 2].transpose(1, 2).flatten(1) for degree in degrees]
+    flat = torch.cat([*parts, sh[:, :0, 0]], dim=1)
+    return torch.cat(
+        [sh[:, :1], flat.reshape(len(sh), 3, sh.shape[1] - 1).transpose(1, 2)], dim=1
+    ).contiguous()
 
 
 def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:

@@ -1,4 +1,4 @@
-"""Gaussians in glTF files (.glb, .gltf): KHR_gaussian_splatting in its ratified form, uncompressed.
+"""Gaussians in glTF files (.glb, .gltf): KHR_gaussian_splatting in its ratified form, plain or (read only) as SPZ.
 
 Scales and opacities are linear in the file, quaternions x, y, z, w, and one attribute holds one SH coefficient.
 """
@@ -15,6 +15,7 @@ import torch
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.io.splats.activation import keep_finite, unit_quats
+from scoup.io.splats.axes import AXES, Columns, half_turn
 from scoup.io.splats.gltf_document import GltfDocument, read_document
 from scoup.io.splats.gltf_features import (
     FEATURES,
@@ -33,7 +34,7 @@ from scoup.io.splats.gltf_primitive import (
     DEFAULTS,
     EXPORT_PLAIN,
     SH_DEGREE,
-    Columns,
+    SPZ,
     read_primitive,
     sh_names,
     transformed,
@@ -44,11 +45,14 @@ from scoup.scene.gaussians import SH_C0, Gaussians
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}
 # What they concern are meshes beside the Gaussians.
 _OF_SURFACES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
-_REPEATS = 32  # bytes of Gaussians for a byte of the file; beyond it nodes repeat a mesh to no end
+# Bytes of Gaussians for a byte of the file, plain and as SPZ; beyond it nodes repeat a mesh to no end.
+_REPEATS, _REPEATS_PACKED = 32, 500
 
 
 def read_gltf(path: str | Path) -> Gaussians:
-    """Read the Gaussians of a .glb or .gltf file, of all nodes of its scene, in the frame of the world.
+    """Read the Gaussians of a .glb or .gltf file, of all nodes of its scene.
+
+    The world's axes (left, up, forward) are turned to those of 3DGS by signs (``axes``).
 
     Buffers may be inside, or in files beside or below it. Values that no node transforms are kept bit by bit.
 
@@ -100,7 +104,7 @@ def write_gltf(
 
     All float32 values are kept bit by bit, but for what glTF does not allow: quaternions are normalised, opacities
     clipped to 0..1, scales made positive. Coefficients of SH above degree 3 and rows that are not finite are left
-    out. The frame is kept: glTF takes +Y for up, while Gaussians have whatever axes they were trained with.
+    out. Axes are turned to those of glTF (left, up, forward) by signs (``axes``).
 
     Args:
         gaussians: at least one.
@@ -114,7 +118,7 @@ def write_gltf(
         raise InputError(f"{path}: glTF files end in .glb or .gltf; use such a name")
     if features is not None and len(features.ids) != len(gaussians):
         raise InputError(f"features are of {len(features.ids):,} Gaussians, not of {len(gaussians):,}")
-    finite, kept = keep_finite(**_writable(gaussians, path), source=str(path))
+    finite, kept = keep_finite(**half_turn(_writable(gaussians, path), AXES[".glb"]), source=str(path))
     if not len(finite):
         raise InputError(f"{path}: glTF cannot hold a scene without Gaussians; there are none to write")
     if features is not None:
@@ -132,12 +136,14 @@ def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> t
     found: list[Columns] = []
     local: dict[int, Columns] = {}
     total = 0
+    packed = any(name.startswith(SPZ) for name in document.names("extensionsUsed"))
+    most = _REPEATS_PACKED if packed else _REPEATS
     for primitive, similarity in placed_splats(document):
         if id(primitive) not in local:
             local[id(primitive)] = read_primitive(document, primitive)
         columns = local[id(primitive)]
         total += sum(column.nbytes for column in columns.values())
-        if total > _REPEATS * document.data_bytes:
+        if total > most * document.data_bytes:
             raise document.error("repeats its Gaussians far too often", "apply its instances, or remove them")
         found.append(columns if similarity is None else transformed(columns, similarity))
         placed.append((primitive, len(columns["means"])))
@@ -149,12 +155,12 @@ def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> t
         if missing:
             found[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
     joined = {name: np.concatenate([columns[name] for columns in found]) for name in found[0]}
-    return keep_finite(**joined, source=str(document.path))
+    return keep_finite(**half_turn(joined, AXES[".glb"]), source=str(document.path))
 
 
 def _check_extensions(document: GltfDocument) -> None:
     for name in document.names("extensionsRequired"):
-        if name not in _UNDERSTOOD and not name.startswith(_OF_SURFACES):
+        if name not in _UNDERSTOOD and not name.startswith((SPZ, *_OF_SURFACES)):
             raise document.error(f"needs the extension {name[:60]!a}, which is not read", EXPORT_PLAIN)
 
 

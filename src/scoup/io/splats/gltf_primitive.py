@@ -9,12 +9,15 @@ import numpy as np
 
 from scoup.base.errors import ScoupWarning
 from scoup.io.splats.activation import unit_quats
+from scoup.io.splats.axes import Columns, half_turn
 from scoup.io.splats.gltf_accessors import Integers, accessor_count, read_accessor
 from scoup.io.splats.gltf_document import GltfDocument, extension
 from scoup.io.splats.gltf_nodes import SPLATS, Similarity
 from scoup.io.splats.gltf_rotation import rotated_quats, rotated_sh
+from scoup.io.splats.spz import spz_columns
 
 SH_DEGREE = 3  # the highest that the extension knows
+SPZ = f"{SPLATS}_compression_spz"  # also with a version of .spz behind it
 EXPORT_PLAIN = "export it uncompressed (with KHR_gaussian_splatting alone), or as PLY"
 DEFAULTS = {
     "kernel": "ellipse",
@@ -24,13 +27,17 @@ DEFAULTS = {
 }
 """Properties of the extension and the values that they have for Gaussians of 3DGS."""
 
-Columns = dict[str, np.ndarray]
-"""means, quats (w, x, y, z), scales, opacities, sh: float32, as ``keep_finite`` takes them."""
-
 
 def read_primitive(document: GltfDocument, primitive: dict[str, Any]) -> Columns:
     """Return the values of one primitive in its own frame."""
-    _check_primitive(document, primitive)
+    packed = _check_primitive(document, primitive)
+    if packed is not None:
+        columns = spz_columns(document.path, packed)
+        if columns["sh"].shape[1] > (SH_DEGREE + 1) ** 2:
+            raise document.error(
+                f"has SH of a degree above {SH_DEGREE}, which glTF does not know", EXPORT_PLAIN
+            )
+        return half_turn(columns, "y")  # the extension has them left, up, forward; .spz right, up, back
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict) or "POSITION" not in attributes:
         raise document.error("its Gaussians have no POSITION")
@@ -56,13 +63,17 @@ def read_primitive(document: GltfDocument, primitive: dict[str, Any]) -> Columns
     }
 
 
-def _check_primitive(document: GltfDocument, primitive: dict[str, Any]) -> None:
+def _check_primitive(document: GltfDocument, primitive: dict[str, Any]) -> bytes | None:
+    """Refuse what is not read; return the bytes of a .spz file, if the Gaussians are compressed so."""
     if primitive.get("mode", 4) != 0:
         raise document.error("its Gaussians are not points (mode 0)", "export it again")
     splats = extension(primitive, SPLATS) or {}
     inner = splats.get("extensions")
-    for name in inner if isinstance(inner, dict) else ():
-        if "compression" in name:
+    packed = None
+    for name, item in inner.items() if isinstance(inner, dict) else ():
+        if name.startswith(SPZ) and isinstance(item, dict):
+            packed = bytes(document.view(item.get("bufferView"), "the SPZ data")[0])
+        elif "compression" in name:
             raise document.error(f"its Gaussians are compressed ({name[:60]!a})", EXPORT_PLAIN)
     for name, usual in DEFAULTS.items():
         if splats.get(name, usual) != usual:
@@ -71,6 +82,7 @@ def _check_primitive(document: GltfDocument, primitive: dict[str, Any]) -> None:
                 ScoupWarning,
                 stacklevel=6,
             )
+    return packed
 
 
 def _degree(attributes: dict[str, Any]) -> int:

@@ -1,7 +1,7 @@
 """Niantic's .spz: about 20 bytes a Gaussian, compressed; versions 1 to 4 (github.com/nianticlabs/spz).
 
-Axes in the file are those of OpenGL (right, up, back), axes of 3D Gaussian Splatting are right, down, forward: y and z
-change their signs on the way, as in the format's own tools.
+Axes in the file are those of OpenGL (right, up, back): y and z change their signs on the way, as in the format's own
+tools (``axes``).
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.atomic import atomic_file
+from scoup.base.counts import share_of
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.io.reading import existing_file, read_bytes
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
+from scoup.io.splats.axes import AXES, Columns, half_turn
 from scoup.io.splats.spz_container import SpzHeader, read_container, write_container
 from scoup.scene.gaussians import Gaussians
 
@@ -24,10 +26,8 @@ MOST_BITS = 16  # after the binary point of a coordinate
 _COLOR = 0.15  # of a base colour's coefficient in a byte
 _STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degrees
 _ROOT = math.sqrt(0.5)  # the largest value of a component that is not the largest
-_SIGNS = np.array([1.0, -1.0, -1.0])  # of positions, and of the vector of a quaternion
-# A real spherical harmonic changes its sign as the product of axes does that it is odd in, here y and z. The last is
-# even in both; the format's own tools turn it anyway, and files are read as they were meant.
-_SH_SIGNS = np.array([1 if sign == "+" else -1 for sign in "--+-++-+-+--+-+-+-++-+--"], float)
+_LEAST, _MOST = math.exp(-10.0), math.exp(5.9375)  # of scales
+_HALF_STEP = math.exp(1 / 32)
 
 
 def read_spz(path: str | Path) -> Gaussians:
@@ -37,7 +37,17 @@ def read_spz(path: str | Path) -> Gaussians:
         ScoupWarning: rows with values that are not finite were dropped.
     """
     path = existing_file(path, "a .spz file")
-    header, parts = read_container(path, read_bytes(path))
+    columns = spz_columns(path, read_bytes(path))
+    return keep_finite(**half_turn(columns, AXES[".spz"]), source=str(path))[0]
+
+
+def spz_columns(path: Path, content: bytes) -> Columns:
+    """Return the values in the bytes of a .spz file, in the file's axes.
+
+    Args:
+        path: for errors.
+    """
+    header, parts = read_container(path, content)
     count = header.count
     byte = {name: np.frombuffer(part, np.uint8).reshape(count, -1) for name, part in parts.items() if count}
     if not count:
@@ -46,15 +56,14 @@ def read_spz(path: str | Path) -> Gaussians:
         sh = np.empty((count, (header.degree + 1) ** 2, 3))
         sh[:, 0] = (byte["colors"] / 255.0 - 0.5) / _COLOR
         higher = (byte["sh"].astype(np.float64) - 128.0) / 128.0
-        sh[:, 1:] = higher.reshape(count, sh.shape[1] - 1, 3) * _SH_SIGNS[: sh.shape[1] - 1, None]
-        return keep_finite(
-            means=(_positions(header, byte["positions"]) * _SIGNS).astype(np.float32),
-            quats=unit_quats(_quats(byte["rotations"])),
-            scales=scales_from_logs(byte["scales"] / 16.0 - 10.0),
-            opacities=(byte["alphas"][:, 0] / 255.0).astype(np.float32),
-            sh=sh.astype(np.float32),
-            source=str(path),
-        )[0]
+        sh[:, 1:] = _last_turned(higher.reshape(count, sh.shape[1] - 1, 3))
+        return {
+            "means": _positions(header, byte["positions"]).astype(np.float32),
+            "quats": unit_quats(_quats(byte["rotations"])),
+            "scales": scales_from_logs(byte["scales"] / 16.0 - 10.0),
+            "opacities": (byte["alphas"][:, 0] / 255.0).astype(np.float32),
+            "sh": sh.astype(np.float32),
+        }
 
 
 def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, version: int = 3) -> None:
@@ -67,11 +76,12 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
         version: 1 to 4. Most software reads 2 and 3.
 
     Warns:
-        ScoupWarning: coefficients of SH degree 4 were left out, which versions before 4 have no place for.
+        ScoupWarning: coefficients of SH degree 4 were left out, which versions before 4 have no place for, or scales
+            were clipped.
     """
     if version not in VERSIONS:
         raise InputError(f"{path}: there is no version {version} of .spz; versions: 1, 2, 3, 4")
-    arrays = finite_arrays(gaussians, path)
+    arrays = half_turn(finite_arrays(gaussians, path), AXES[".spz"])
     means, sh = arrays["means"], arrays["sh"]
     if sh.shape[1] > 16 and version < 4:
         warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz {version}", ScoupWarning, stacklevel=2)
@@ -80,14 +90,23 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
     largest = float(np.abs(means).max(initial=0.0))
     if largest > (65504 if version == 1 else (1 << 23) - 1):
         raise InputError(f"{path}: .spz has no place for coordinates of {largest:.3g}; use another format")
+    scales = np.abs(arrays["scales"])
+    clipped = int(((scales < _LEAST / _HALF_STEP) | (scales > _MOST * _HALF_STEP)).any(1).sum())
+    if clipped:
+        warnings.warn(
+            f"{path}: {share_of(clipped, len(means), 'Gaussian')} had scales outside of {_LEAST:.2g} to {_MOST:.3g}, "
+            "the range of .spz, and were clipped to it",
+            ScoupWarning,
+            stacklevel=2,
+        )
     bits = 0 if version == 1 else _fraction_bits(largest)
     header = SpzHeader(version, len(means), degree, bits)
     with np.errstate(all="ignore"):
         parts = {
-            "positions": _packed_positions(header, means * _SIGNS),
+            "positions": _packed_positions(header, means),
             "alphas": _bytes(arrays["opacities"] * 255.0),
             "colors": _bytes(sh[:, 0] * (_COLOR * 255.0) + 127.5),
-            "scales": _bytes((np.log(np.abs(arrays["scales"])) + 10.0) * 16.0),
+            "scales": _bytes((np.log(scales) + 10.0) * 16.0),
             "rotations": _packed_quats(unit_quats(arrays["quats"]).astype(np.float64), version),
             "sh": _packed_sh(sh[:, 1:]),
         }
@@ -125,11 +144,11 @@ def _packed_positions(header: SpzHeader, means: np.ndarray) -> bytes:
 
 
 def _quats(packed: np.ndarray) -> np.ndarray:
-    """Return [N, 4] float64 quaternions w, x, y, z in our axes, of three bytes (x, y, z; w is not negative) or four."""
+    """Return [N, 4] float64 quaternions w, x, y, z, of three bytes (x, y, z; w is not negative) or four."""
     if packed.shape[1] == 3:
         vector = packed / 127.5 - 1.0
         w = np.sqrt(np.clip(1.0 - (vector**2).sum(1), 0.0, None))
-        return np.concatenate([w[:, None], vector * _SIGNS], axis=1)
+        return np.concatenate([w[:, None], vector], axis=1)
     word = np.ascontiguousarray(packed).view("<u4")[:, 0].astype(np.int64)
     which = word >> 30  # the largest of x, y, z, w, which is not stored
     others = np.stack([word >> 20 & 1023, word >> 10 & 1023, word & 1023], axis=1)
@@ -137,11 +156,11 @@ def _quats(packed: np.ndarray) -> np.ndarray:
     quats = np.empty((len(word), 4))
     quats[np.arange(4)[None] != which[:, None]] = values.ravel()
     quats[np.arange(len(word)), which] = np.sqrt(np.clip(1.0 - (values**2).sum(1), 0.0, None))
-    return np.concatenate([quats[:, 3:], quats[:, :3] * _SIGNS], axis=1)
+    return np.concatenate([quats[:, 3:], quats[:, :3]], axis=1)
 
 
 def _packed_quats(quats: np.ndarray, version: int) -> bytes:
-    turned = np.concatenate([quats[:, 1:] * _SIGNS, quats[:, :1]], axis=1)  # x, y, z, w
+    turned = np.concatenate([quats[:, 1:], quats[:, :1]], axis=1)  # x, y, z, w
     # A rotation of zeros has no direction; files cannot say so.
     turned = np.where(np.isfinite(turned).all(1, keepdims=True), turned, [0.0, 0.0, 0.0, 1.0])
     if version < 3:
@@ -159,10 +178,16 @@ def _packed_quats(quats: np.ndarray, version: int) -> bytes:
 
 def _packed_sh(higher: np.ndarray) -> bytes:
     """Return coefficients [N, B - 1, 3] as bytes, rounded to steps that compress well."""
-    signed = higher * _SH_SIGNS[: higher.shape[1], None]
+    signed = _last_turned(higher)
     steps = np.where(np.arange(higher.shape[1]) < 3, _STEPS[0], _STEPS[1])[:, None]
     whole = np.rint(signed * 128.0) + 128.0
     return _bytes(np.floor((whole + steps // 2) / steps) * steps)
+
+
+def _last_turned(higher: np.ndarray) -> np.ndarray:
+    """Change the sign of the last coefficient of degree 4, which the format's own tools turn, though it is even in all
+    axes; files are read as they were meant."""
+    return np.concatenate([higher[:, :23], -higher[:, 23:]], axis=1)
 
 
 def _bytes(values: np.ndarray) -> bytes:

@@ -11,10 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from scoup.base.errors import FileFormatError, ScoupError
+from scoup.base.errors import FileFormatError
 
 MAGIC = 0x5053474E  # "NGSP"
-HOW_TO_GET_ZSTD = "version 4 of .spz needs the package zstandard: pip install 'scoup[splats]', and run again"
 ATTRIBUTES = ("positions", "alphas", "colors", "scales", "rotations", "sh")
 _START = struct.Struct(
     "<IIIBBBB"
@@ -154,19 +153,15 @@ def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, i
 
 
 def _compressed(content: bytes) -> bytes:
-    try:
-        import zstandard
-    except ImportError:
-        raise ScoupError(HOW_TO_GET_ZSTD) from None
+    import zstandard
+
     return zstandard.ZstdCompressor(level=12).compress(content)
 
 
 def _unpacked(path: Path, packed: bytes, size: int) -> bytes:
     """Return the contents of a zstd stream that must have ``size`` bytes; no more are unpacked than these and one."""
-    try:
-        import zstandard
-    except ImportError:
-        raise ScoupError(f"{path}: {HOW_TO_GET_ZSTD}") from None
+    import zstandard
+
     try:
         # A window is memory, and no frame needs one that is larger than what it holds.
         window = max(_ANY_WINDOW, min(_MOST_WINDOW, 1 << size.bit_length()))

@@ -1,0 +1,49 @@
+"""Axes of splat formats, and half-turns between them.
+
+Gaussians have the axes of 3D Gaussian Splatting: x right, y down, z forward. A format that names its axes is turned
+when it is read and written; all others keep the numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+import torch
+
+from scoup.scene.gaussians import Gaussians
+
+Axis = Literal["x", "y", "z"]
+Columns = dict[str, np.ndarray]
+"""means, quats (w, x, y, z), scales, opacities, sh, as ``keep_finite`` takes them."""
+AXES: dict[str, Axis] = {".spz": "x", ".glb": "z", ".gltf": "z"}
+"""Suffix -> axis of the half-turn. .spz: right, up, back; glTF: left, up, forward."""
+
+
+def half_turn(columns: Mapping[str, np.ndarray], axis: Axis) -> Columns:
+    """Return Gaussians in axes turned by 180 degrees: signs change, all other bits stay."""
+    signs = np.array([1 if name == axis else -1 for name in "xyz"], np.float32)
+    sh = columns["sh"]
+    return {
+        **columns,
+        "means": columns["means"] * signs,
+        "quats": columns["quats"] * np.array([1, *signs], np.float32),
+        "sh": sh * _sh_signs(sh.shape[1], axis)[:, None],
+    }
+
+
+def turned(gaussians: Gaussians, axis: Axis) -> Gaussians:
+    """Return ``half_turn`` of Gaussians, on the CPU."""
+    names = ("means", "quats", "scales", "opacities", "sh")
+    columns = {name: getattr(gaussians, name).detach().cpu().numpy() for name in names}
+    return Gaussians(**{name: torch.from_numpy(column) for name, column in half_turn(columns, axis).items()})
+
+
+def _sh_signs(count: int, axis: Axis) -> np.ndarray:
+    """Return the signs [count] of real spherical harmonics: products of the axes that each is odd in."""
+    odd = []
+    for degree in range(round(count**0.5)):
+        for order in range(-degree, degree + 1):
+            odd.append({"x": degree + order + (order < 0), "y": degree + (order < 0), "z": order}[axis])
+    return np.array([-1 if number % 2 else 1 for number in odd], np.float32)

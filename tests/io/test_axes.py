@@ -1,0 +1,97 @@
+"""Formats that name their axes, and those of 3DGS: right, down, forward."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gltf_samples import SPLATS, columns_of, foreign, packed
+from io_samples import same_gaussians, some_cameras, some_gaussians
+from scoup.base.errors import FileFormatError
+from scoup.io import load_gaussians, read_gltf, read_spz, save_gaussians, write_spz
+from scoup.io.splats.axes import Axis, turned
+from scoup.io.splats.gltf_rotation import rotated_sh
+from scoup.raster import view_colors
+from scoup.raster.projection import rotation_matrices
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+
+
+def covariances(gaussians: Gaussians) -> torch.Tensor:
+    axes = rotation_matrices(gaussians.quats.double()) * gaussians.scales.double()[:, None]
+    return axes @ axes.transpose(1, 2)
+
+
+TURNS: dict[Axis, list[float]] = {"x": [1, -1, -1], "y": [-1, 1, -1], "z": [-1, -1, 1]}
+
+
+@pytest.mark.parametrize("axis", TURNS)
+def test_a_half_turn_is_the_rotation(axis: Axis) -> None:
+    gaussians = some_gaussians(9, 3)
+    rotation = np.diag(TURNS[axis]).astype(np.float64)
+    found = turned(gaussians, axis)
+    np.testing.assert_array_equal(found.means, gaussians.means.numpy() @ rotation)
+    linear = torch.from_numpy(rotation)
+    torch.testing.assert_close(covariances(found), linear @ covariances(gaussians) @ linear)
+    np.testing.assert_allclose(found.sh, rotated_sh(gaussians.sh.numpy(), rotation), atol=1e-6)
+    assert same_gaussians(turned(found, axis), gaussians)
+
+
+@pytest.mark.parametrize("axis", TURNS)
+def test_colours_of_degree_4_turn_along(axis: Axis) -> None:
+    gaussians, camera = some_gaussians(9, 4), some_cameras(1)[0]
+    turn = torch.diag(torch.tensor([*TURNS[axis], 1.0], dtype=torch.float64))
+    along = Camera("a", camera.viewmat @ turn, camera.K, camera.width, camera.height)
+    colors = view_colors(turned(gaussians, axis), along)
+    torch.testing.assert_close(colors, view_colors(gaussians, camera), rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "signs"),
+    [(".spz", [1, -1, -1]), (".glb", [-1, -1, 1]), (".gltf", [-1, -1, 1]), (".splat", [1, 1, 1])],
+)
+def test_the_axes_of_formats(tmp_path: Path, suffix: str, signs: list[float]) -> None:
+    gaussians, path = some_gaussians(5, 1), tmp_path / f"a{suffix}"
+    save_gaussians(gaussians, path)
+    torch.testing.assert_close(load_gaussians(path).means, gaussians.means, atol=2e-5, rtol=0)
+    kept = load_gaussians(path, keep_axes=True)
+    torch.testing.assert_close(kept.means, gaussians.means * torch.tensor(signs), atol=2e-5, rtol=0)
+    save_gaussians(gaussians, path, overwrite=True, keep_axes=True)
+    torch.testing.assert_close(load_gaussians(path, keep_axes=True).means, gaussians.means, atol=2e-5, rtol=0)
+
+
+def spz_in_gltf(folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3) -> Path:
+    """A .glb file whose attributes are a .spz file, by the draft of the extension."""
+    write_spz(gaussians, folder / "inner.spz", overwrite=True, version=version)
+    data = (folder / "inner.spz").read_bytes()
+    root, _ = foreign(columns_of(gaussians))
+    compression = f"{SPLATS}_compression_spz{name}"
+    primitive = root["meshes"][0]["primitives"][0]
+    primitive["extensions"][SPLATS] = {"extensions": {compression: {"bufferView": 0}}}
+    root["bufferViews"] = [{"buffer": 0, "byteLength": len(data)}]
+    for accessor in root["accessors"]:
+        accessor.pop("bufferView", None)
+    root["extensionsUsed"] = root["extensionsRequired"] = [SPLATS, compression]
+    return packed(folder / "a.glb", root, data)
+
+
+@pytest.mark.parametrize("name", ["", "_2"])
+@pytest.mark.parametrize("version", [2, 4])
+def test_spz_in_gltf_is_read(tmp_path: Path, name: str, version: int) -> None:
+    gaussians = some_gaussians(30, 3)
+    path = spz_in_gltf(tmp_path, gaussians, name, version)
+    assert same_gaussians(read_gltf(path), read_spz(tmp_path / "inner.spz"))
+
+
+def test_spz_in_gltf_that_is_damaged_is_refused(tmp_path: Path) -> None:
+    path = spz_in_gltf(tmp_path, some_gaussians(30, 1))
+    data = path.read_bytes()
+    path.write_bytes(data[:-200] + bytes(200))
+    with pytest.raises(FileFormatError, match=r"a\.glb: "):
+        read_gltf(path)
+    path = spz_in_gltf(tmp_path, some_gaussians(30, 4), version=4)
+    with pytest.raises(FileFormatError, match="SH of a degree above 3"):
+        read_gltf(path)
