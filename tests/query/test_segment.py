@@ -13,35 +13,41 @@ from evaluate.literal import langsplat_smooth
 from query.box_means import literal_box_mean
 from scoup.base.errors import InputError
 from scoup.query.localize import localize
-from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
 from scoup.query.segment import LevelMasks, choose_level, level_masks, main_parts, mask_box, segment
 from support import examples
 
 
-def literal_segment(
-    relevancy: np.ndarray, preset: QueryPreset, thresholds: list[float], instability: list[float]
-) -> tuple[np.ndarray, int, float]:
-    answers = []
-    for level, (image, threshold) in enumerate(zip(relevancy.astype(np.float64), thresholds, strict=True)):
-        smoothed = 0.5 * (image + literal_box_mean(image, preset.kernel, preset.border))
-        stretched = (smoothed - smoothed.min()) / (smoothed.max() - smoothed.min() + 1e-9)
+def literal_level(smoothed: np.ndarray, masks: np.ndarray, instability: list[float], choice: str) -> int:
+    peaks = [level.max() for level in smoothed]
+    if choice == "peak" or not masks.any():
+        return int(np.argmax(peaks))  # the first of equals
+    evidence = []
+    for level, mask, change in zip(smoothed, masks, instability, strict=True):
+        found = level[mask].mean() if mask.any() else -np.inf
+        if choice == "evidence":
+            smaller = [other for other in masks if 0 < other.sum() < mask.sum()]
+            held = max(((other & mask).sum() / other.sum() for other in smaller), default=0)
+            found += -0.08 * np.log(max(change, 0.005)) + 0.05 * held
+        evidence.append(found)
+    return int(np.argmax(evidence))
+
+
+def literal_masks(
+    relevancy: np.ndarray, preset: QueryPreset, thresholds: list[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    smoothed, masks = [], []
+    for image, threshold in zip(relevancy.astype(np.float64), thresholds, strict=True):
+        level = 0.5 * (image + literal_box_mean(image, preset.kernel, preset.border))
+        stretched = (level - level.min()) / (level.max() - level.min() + 1e-9)
         mask = np.clip(2 * stretched - 1, 0, 1) > threshold
         if preset.smoothing_border == "but last":
             mask = langsplat_smooth(mask)
         else:
             mask = literal_box_mean(mask.astype(np.float64), preset.smoothing, "inside") > 0.5
-        answers.append((mask, level, smoothed.max(), smoothed[mask].mean() if mask.any() else -np.inf))
-    evidence = []
-    for mask, level, peak, inside in answers:
-        if preset.level_choice == "evidence":
-            smaller = [other for other, *_ in answers if 0 < other.sum() < mask.sum()]
-            held = max(((other & mask).sum() / other.sum() for other in smaller), default=0)
-            inside += -0.08 * np.log(max(instability[level], 0.005)) + 0.05 * held
-        evidence.append(peak if preset.level_choice == "peak" else inside)
-    if not any(mask.any() for mask, *_ in answers):
-        evidence = [peak for _, _, peak, _ in answers]
-    mask, level, peak, _ = answers[int(np.argmax(evidence))]  # the first of equals
-    return mask, level, peak
+        smoothed.append(level)
+        masks.append(mask)
+    return np.stack(smoothed), np.stack(masks)
 
 
 shapes = st.tuples(st.integers(1, 11), st.integers(1, 11))
@@ -60,9 +66,9 @@ def test_segment_equals_the_protocol_read_literally(
     thresholds = of_levels.thresholds.tolist()
     if preset.threshold is not None:
         assert thresholds == pytest.approx([preset.threshold] * levels)
-    mask, level, score = literal_segment(
-        relevancy.numpy(), preset, thresholds, of_levels.instability.tolist()
-    )
+    smoothed, masks = literal_masks(relevancy.numpy(), preset, thresholds)
+    level = literal_level(smoothed, masks, of_levels.instability.tolist(), preset.level_choice)
+    mask, score = masks[level], smoothed[level].max()
     found = segment(relevancy, preset)
     assert found.threshold == thresholds[level]
     assert found.level == level
@@ -72,6 +78,27 @@ def test_segment_equals_the_protocol_read_literally(
     rows, columns = np.nonzero(mask)
     expected = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1) if mask.any() else None
     assert mask_box(found.mask) == expected
+
+
+@settings(max_examples=examples(4000))
+@given(
+    st.sampled_from([1, 2, 4, 4]), st.sampled_from(["peak", "mask", "evidence", "evidence"]), st.integers(0, 2**31)
+)  # fmt: skip
+def test_the_level_that_answers_read_literally(levels: int, choice: LevelChoice, seed: int) -> None:
+    """Of levels that are almost equally relevant; masks are rectangles: some or all empty, equal, nested."""
+    random = np.random.default_rng(seed)
+    smoothed = 0.5 + random.integers(0, 6, (levels, 6, 8)).astype(np.float32) / 64
+    masks = np.zeros((levels, 6, 8), bool)
+    for mask in masks:
+        top, left, height, width = random.integers(0, (3, 4, 4, 5))
+        mask[top : top + height, left : left + width] = True
+    masks[:] &= random.random() < 0.9
+    instability = (10 ** random.uniform(-3, 0.5, levels)).astype(np.float32)
+    if random.random() < 0.1:
+        smoothed[:], masks[:], instability[:] = smoothed[0], masks[0], instability[0]
+    found = LevelMasks(*map(torch.from_numpy, (smoothed, masks, instability, instability)))
+    expected = literal_level(smoothed.astype(np.float64), masks, instability.tolist(), choice)
+    assert choose_level(found, choice) == expected
 
 
 def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
@@ -118,35 +145,6 @@ def test_the_level_by_its_peak_or_by_its_mask() -> None:
     assert (
         localize(relevancy, QUERY_PRESETS["default"]).level
         == localize(relevancy, QUERY_PRESETS["scoup"]).level
-    )
-
-
-def test_levels_with_empty_masks_answer_only_if_all_are_empty() -> None:
-    relevancy = two_levels()
-    relevancy[0] = 0.5
-    relevancy[0, 10, 10] = 1.0  # the majority of 7 x 7 pixels removes so small a mask
-    found = level_masks(relevancy, QUERY_PRESETS["default"])
-    assert [bool(mask.any()) for mask in found.masks] == [False, True]
-    assert choose_level(found, "mask") == 1
-    nothing = torch.full((3, 20, 20), 0.5)
-    nothing[1:, 10, 10] = 1.0
-    found = segment(nothing, QUERY_PRESETS["default"])
-    assert (found.level, mask_box(found.mask)) == (1, None)
-
-
-@pytest.mark.parametrize("choice", ["peak", "mask", "evidence"])
-def test_the_first_of_equal_levels_answers(choice) -> None:
-    relevancy = two_levels()[[1, 1, 1]]
-    assert choose_level(level_masks(relevancy, QUERY_PRESETS["scoup"]), choice) == 0
-    masks = torch.zeros(2, 4, 4, dtype=torch.bool)
-    masks[0, 0, :3] = masks[1] = True
-    masks = masks if choice != "evidence" else masks[[1, 1]]  # by which the whole wins
-    # Means of different areas may be equal too.
-    assert (
-        choose_level(
-            LevelMasks(torch.full((2, 4, 4), 0.1), masks, torch.full((2,), 0.6), torch.zeros(2)), choice
-        )
-        == 0
     )
 
 
@@ -239,36 +237,3 @@ def test_a_part_is_what_a_flood_reaches(shape: tuple[int, int], seed: int) -> No
         reached.add((row, column))
         waiting += [(row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     assert {tuple(place) for place in found.nonzero().tolist()} == reached
-
-
-def nested_levels(part: float, whole: float) -> torch.Tensor:
-    """A part at the first level, and at the second the whole that holds it, with the relevancy given."""
-    relevancy = torch.full((2, 60, 90), 0.3)
-    relevancy[0, 22:34, 35:47] = part
-    relevancy[1, 20:45, 30:70] = whole
-    return relevancy
-
-
-def test_a_whole_that_holds_the_answer_of_another_level_is_preferred_by_evidence() -> None:
-    found = level_masks(nested_levels(0.60, 0.58), QUERY_PRESETS["default"])
-    assert choose_level(found, "mask") == 0
-    assert choose_level(found, "evidence") == 1
-    # But not one that is much less relevant.
-    far = level_masks(nested_levels(0.75, 0.55), QUERY_PRESETS["default"])
-    assert choose_level(far, "evidence") == 0
-    # Nor one that lies elsewhere.
-    apart = nested_levels(0.60, 0.58)
-    apart[0] = apart[0].roll(shifts=(24, 40), dims=(0, 1))
-    assert choose_level(level_masks(apart, QUERY_PRESETS["default"]), "evidence") == 0
-
-
-def test_a_stable_mask_is_preferred_by_evidence() -> None:
-    y, x = torch.meshgrid(torch.arange(60.0), torch.arange(90.0), indexing="ij")
-    relevancy = torch.full((2, 60, 90), 0.3)
-    relevancy[0] += 0.3 * torch.exp(-((x - 25) ** 2 + (y - 30) ** 2) / 300)  # fades away
-    relevancy[1, 25:40, 65:85] = 0.55
-    found = level_masks(relevancy, QUERY_PRESETS["default"])
-    assert found.instability[0] > 0.15 > 0.05 > found.instability[1]
-    means = [float(level[mask].mean()) for level, mask in zip(found.smoothed, found.masks, strict=True)]
-    assert means[0] > means[1]
-    assert (choose_level(found, "mask"), choose_level(found, "evidence")) == (0, 1)
