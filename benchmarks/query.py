@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks.query_verbs import verb_seconds
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
@@ -27,6 +28,8 @@ STAGES = {
     "same location": "location in the scene, same text again",
     "ten locations": "location in the scene, ten further texts in one question",
     "quarter": "whole answer, new camera, at a quarter of the width",
+    "scoup query": "`scoup query`: splat and field read, one text, one camera, no pictures",
+    "scoup info": "`scoup info`",
 }
 
 
@@ -51,13 +54,16 @@ class Query(Study):
     """Threads."""
     repeats: int = 7
     """Repetitions of each stage."""
+    verb_repeats: int = 3
+    """Repetitions of `scoup query` and `scoup info`; 0 omits them."""
     backend: str | None = None
     """Rasteriser; the fastest by default."""
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         if "stages" in known:
             return
-        field, camera = self._field(), random_scene_cameras(4, self.width, self.height)[2]
+        field, cameras = self._field(), random_scene_cameras(4, self.width, self.height)
+        camera = cameras[2]
         count = self.repeats + 1  # the first does not count
         queries, canonical = clip_like(count, seed=1), clip_like(len(CANONICAL_PHRASES) + 1, seed=2)
         asked, batch = EVERYDAY_WORDS[: 2 * count], list(EVERYDAY_WORDS[-10:])
@@ -81,7 +87,8 @@ class Query(Study):
         least = {stage: min(times[1:]) for stage, times in clock.seconds.items()}
         least["query, new camera"] = least["project"] + least["first relevancy"] + least["place and mask"]
         least["query, same camera"] = least["further relevancy"] + least["place and mask"]
-        yield "stages", least
+        verbs = verb_seconds(field, cameras, self.threads, self.verb_repeats) if self.verb_repeats else {}
+        yield "stages", least | {verb: min(times) for verb, times in verbs.items()}
 
     def record(self, rows: dict[str, Any]) -> Record:
         return {"least": rows["stages"]}

@@ -16,7 +16,7 @@ import frozen_formats
 from cli_support import run
 from frozen_formats import CODES, FORMATS, REMOVED, answers, gaussians_of_formats
 from scoup.base.errors import FieldVersionError, FileFormatError
-from scoup.field.artefact import METADATA_KEY
+from scoup.field.container import METADATA_KEY
 from scoup.field.language_field import LanguageField
 from scoup.io import read_ply_table, write_ply_table
 from scoup.uplift.region_sums import VERSION, RegionSums

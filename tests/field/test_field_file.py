@@ -16,7 +16,8 @@ from safetensors.torch import save_file
 
 from frozen_fields import small_field
 from scoup.base.errors import FieldVersionError, FileFormatError
-from scoup.field.artefact import METADATA_KEY, VERSION, tensor_checksum
+from scoup.field.artefact import tensor_checksum
+from scoup.field.container import METADATA_KEY, VERSION
 from scoup.field.language_field import LanguageField
 from support import examples
 

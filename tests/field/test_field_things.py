@@ -18,7 +18,8 @@ from torch import Tensor
 from planted_wall import COUNT, SETTINGS, planted_wall
 from scoup.base.digests import sealed
 from scoup.base.errors import FileFormatError, InputError
-from scoup.field.artefact import METADATA_KEY, tensor_checksum
+from scoup.field.artefact import tensor_checksum
+from scoup.field.container import METADATA_KEY
 from scoup.field.language_field import LanguageField
 from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 from scoup.uplift.build import build

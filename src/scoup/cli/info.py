@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
 from scoup.cli.console import Console
 from scoup.cli.options import Common
-
-if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,12 +24,13 @@ class Info(Common):
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
         from scoup.base.errors import FileFormatError, MissingFileError
-        from scoup.io.splats.other_formats import other_format
 
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
         suffix = self.path.suffix.lower()
         if not self.path.is_dir() and suffix not in _KINDS:
+            from scoup.io.splats.other_formats import other_format
+
             problem, remedy = other_format(self.path) or ("is not a kind of file known here", _READ)
             raise FileFormatError(self.path, problem, remedy)
         is_scene = self.path.is_dir() and suffix != ".sums"
@@ -121,40 +119,30 @@ def _region_sums(path: Path) -> dict[str, Any]:
 
 
 def _field(path: Path) -> dict[str, Any]:
-    from scoup.field.language_field import LanguageField
+    from scoup.field.facts import read_facts
     from scoup.field.part_sizes import part_sizes
     from scoup.uplift.storage.paths import folder_bytes, sums_path
 
-    field = LanguageField.load(path)
-    sizes = part_sizes(path)
+    facts, sizes = read_facts(path), part_sizes(path)
     return {
         "kind": "language field",
-        "gaussians": len(field),
-        "coded": int(field.coded().sum()),
-        "levels": list(field.levels),
-        "atoms": field.n_atoms,
-        "k": field.code_indices.shape[2],
-        "dim": field.dim,
-        "embedding_model": field.info.embedding_model,
-        "raster_preset": field.info.raster_preset,
+        "gaussians": facts.gaussians,
+        "coded": facts.coded,
+        "levels": list(facts.levels),
+        "atoms": facts.atoms,
+        "k": facts.k,
+        "dim": facts.dim,
+        "embedding_model": facts.embedding_model,
+        "raster_preset": facts.raster_preset,
         "bytes": path.stat().st_size,
         "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
         "bytes_of_codebook": sizes.codebook,
-        "cameras": 0 if field.cameras is None else len(field.cameras),
-        "geometry": _geometry(field),
-        "fingerprint": field.info.fingerprint,
+        "cameras": facts.cameras,
+        "geometry": facts.geometry,
+        "fingerprint": facts.fingerprint,
         "region_sums": folder_bytes(sums) if (sums := sums_path(path)).is_dir() else None,
-        "provenance": field.info.provenance,
+        "provenance": facts.provenance,
     }
-
-
-def _geometry(field: LanguageField) -> str | None:
-    """Where the geometry of a field is."""
-    if field.has_geometry:
-        return "embedded"
-    if field.geometry_path is None:
-        return None
-    return str(field.geometry_path) + ("" if field.geometry_path.exists() else " (not there)")
 
 
 SPLATS = (".ply", ".splat", ".spz", ".glb", ".gltf", ".ksplat", ".sog", ".pt", ".pth", ".ckpt")

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,19 +12,23 @@ import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_path, check_output
-from scoup.base.digests import array_checksum, is_sealed, sealed
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, WriteError, check_format_version
-from scoup.io.reading import safetensors_damage_named
+from scoup.base.digests import array_checksum, sealed
+from scoup.base.errors import InputError, WriteError, check_format_version
+from scoup.field.container import (
+    METADATA_KEY,
+    SCHEMA,
+    VERSION,
+    check_sums,
+    field_damage_named,
+    geometry_place,
+    read_container,
+)
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 
-SCHEMA = "scoup.language_field"
-VERSION = 1
-METADATA_KEY = "scoup"
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
-_REBUILD = "build the field again, or copy the file again if it was cut short"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,10 @@ def read_field(path: Path) -> FieldParts:
     Everything in the file is read, once: header and tensors, embedded Gaussians included. All of it is compared with
     its checksums before any of it is used.
     """
-    text, header, tensors = _read(path)
+    text, header, tensors = read_container(path, "pt")
+    if "codebook" in tensors:
+        # In the file it begins anywhere; products of matrices have the same bytes only with the same alignment.
+        tensors["codebook"] = tensors["codebook"].clone()
     with field_damage_named(path):
         check_format_version(path, header["version"], VERSION)
         return _checked_parts(path, text, header, tensors)
@@ -100,14 +104,7 @@ def read_field(path: Path) -> FieldParts:
 
 def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
     """Return the parts of a file whose checksums all agree."""
-    if not is_sealed(text, header["checksum"]):
-        raise FileFormatError(path, "is damaged (checksum of the header)", _REBUILD)
-    checksums = header["checksums"]
-    if checksums.keys() != tensors.keys():
-        raise FileFormatError(path, "is damaged (its header names other tensors)", _REBUILD)
-    for name, tensor in tensors.items():
-        if tensor_checksum(tensor) != checksums[name]:
-            raise FileFormatError(path, f"is damaged (checksum of {name})", _REBUILD)
+    check_sums(path, text, header, {name: tensor.contiguous().numpy() for name, tensor in tensors.items()})
     geometry = header["geometry"]
     info = FieldInfo(
         levels=tuple(str(level) for level in header["levels"]),
@@ -117,9 +114,6 @@ def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[
         raster_preset=str(header["raster_preset"]),
         provenance=dict(header["provenance"]),
     )
-    geometry_path = geometry["path"]
-    if geometry_path is not None:
-        geometry_path = Path(os.path.normpath(path.absolute().parent / str(geometry_path)))
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:
         weights = weights.float() / weights.float().sum(-1, keepdim=True).clamp(min=1)
@@ -134,7 +128,7 @@ def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[
         tensors["codebook"].float(),
         info,
         gaussians,
-        geometry_path,
+        geometry_place(path, geometry["path"]),
         _cameras(tensors, header["cameras"]),
         _things(tensors),
     )
@@ -143,38 +137,6 @@ def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[
 def tensor_checksum(tensor: Tensor) -> str:
     """Return ``array_checksum`` of a tensor on the CPU."""
     return array_checksum(tensor.contiguous().numpy())
-
-
-@contextmanager
-def field_damage_named(path: Path) -> Iterator[None]:
-    """Turn failures to assemble a field into one FileFormatError that names the file."""
-    try:
-        yield
-    except FileFormatError:
-        raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise FileFormatError(path, f"is not a complete language field ({reason})", _REBUILD) from error
-
-
-def _read(path: Path) -> tuple[str, dict[str, Any], dict[str, Tensor]]:
-    """Return the text of the header, the header, and all tensors of a ``.scoup`` file."""
-    from safetensors import safe_open
-
-    what = "a SCOUP language field"
-    if not path.is_file():
-        raise MissingFileError.of(path, what)
-    with safetensors_damage_named(path, what, _REBUILD), safe_open(path, framework="pt") as stream:
-        metadata = stream.metadata() or {}
-        text = metadata.get(METADATA_KEY, "{}")
-        header = json.loads(text)
-        if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-            raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
-        tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
-    if "codebook" in tensors:
-        # In the file it begins anywhere; products of matrices have the same bytes only with the same alignment.
-        tensors["codebook"] = tensors["codebook"].clone()
-    return text, header, tensors
 
 
 def _write(temporary: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.errors import InputError
-from scoup.field.artefact import FieldParts, field_damage_named, read_field, write_field
+from scoup.field.artefact import FieldParts, read_field, write_field
+from scoup.field.container import field_damage_named
 from scoup.query.asking import Encoder
 from scoup.query.methods import FieldQueries
 from scoup.scene.codes import rows_of

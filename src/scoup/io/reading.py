@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, refused_read
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, refused_read
 from scoup.base.json_node import JsonNode
 from scoup.scene.cameras import Camera, Cameras
 
@@ -139,28 +138,3 @@ def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
         return Cameras(sorted(cameras, key=lambda camera: camera.name))
     except InputError as error:
         raise FileFormatError(path, str(error), "rename one of the images") from error
-
-
-@contextmanager
-def safetensors_damage_named(path: Path, what: str, remedy: str) -> Iterator[None]:
-    """Turn every failure of reading a damaged safetensors file into a FileFormatError."""
-    from safetensors import SafetensorError
-
-    try:
-        yield
-    except ScoupError:
-        raise
-    except FileNotFoundError as error:
-        raise refused_read(path, error) from error
-    except (
-        SafetensorError,
-        ValueError,
-        KeyError,
-        TypeError,
-        OSError,
-        RuntimeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(path, f"is not {what} or is damaged ({reason})", remedy) from error

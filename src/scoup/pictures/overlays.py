@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from PIL import Image, ImageDraw
-from scipy import ndimage
 
 from scoup.base.errors import InputError
 from scoup.pictures.colors import (
@@ -147,6 +146,8 @@ def _draw_marks(
     point: tuple[float, float] | None,
 ) -> Picture:
     """Draw the outline of a mask, a box and a cross."""
+    from scipy import ndimage  # here, for it takes as long to import as torch
+
     width = max(1, round(picture.shape[1] / 320))
     core = np.asarray(ndimage.binary_erosion(inside, iterations=width, border_value=1), bool)
     shown = picture.copy()

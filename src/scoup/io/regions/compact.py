@@ -21,7 +21,8 @@ from scoup.base.atomic import atomic_file
 from scoup.base.digests import array_checksum, is_sealed, sealed
 from scoup.base.errors import FileFormatError, check_format_version
 from scoup.base.json_node import JsonNode
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, safetensors_damage_named
+from scoup.base.safetensors_damage import safetensors_damage_named
+from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
 from scoup.io.regions.manifest import SCHEMA, VERSION
 from scoup.io.regions.views import REMEDY, ViewRegions
 
