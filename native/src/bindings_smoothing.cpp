@@ -1,10 +1,11 @@
-// Box means and masks for Python; scoup/query/smoothing.py is the only user.
+// Box means, masks and their parts for Python; scoup/query/smoothing.py is the only user.
 #include <nanobind/nanobind.h>
 
 #include <stdexcept>
 #include <string>
 
 #include "arrays.h"
+#include "mask_parts.h"
 #include "python_signals.h"
 #include "smoothing.h"
 
@@ -70,6 +71,16 @@ nb::tuple py_level_sums(const Array& smoothed, const Array& masks, int threads) 
                           to_numpy(std::move(totals), {levels}));
 }
 
+nb::tuple py_mask_parts(const Array& mask) {
+    const auto* inside = data_of<uint8_t>(mask, "mask", {kAnySize, kAnySize});
+    const auto height = int64_t(mask.shape(0)), width = int64_t(mask.shape(1));
+    if (height > kMostMaskPixels || width > kMostMaskPixels || height * width > kMostMaskPixels)
+        throw std::invalid_argument("the mask is too large");
+    Buffer<int32_t> parts(height * width);
+    const int32_t count = without_lock([&] { return mask_parts(inside, height, width, parts.data()); });
+    return nb::make_tuple(to_numpy(std::move(parts), {size_t(height), size_t(width)}), count);
+}
+
 }  // namespace
 
 void bind_smoothing(nb::module_& m) {
@@ -77,6 +88,7 @@ void bind_smoothing(nb::module_& m) {
     m.def("box_means", &py_box_means, nb::arg("maps"), nb::arg("kernel"), nb::arg("reflect"), nb::arg("threads"));
     m.def("level_masks", &py_level_masks, nb::arg("relevancy"), nb::arg("averaged"), nb::arg("thresholds"),
           nb::arg("smoothing"), nb::arg("threads"));
+    m.def("mask_parts", &py_mask_parts, nb::arg("mask"));
     m.def("level_sums", &py_level_sums, nb::arg("smoothed"), nb::arg("masks"), nb::arg("threads"));
 }
 

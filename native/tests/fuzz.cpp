@@ -27,6 +27,7 @@ void run_round(uint64_t seed, long long round, const std::vector<const char*>& s
     scoup::fuzz_code_sums(random, int(random.between(1, 4)));
     scoup::fuzz_neighbours(random, int(random.between(1, 4)));
     scoup::fuzz_selection(random, int(random.between(1, 4)));
+    scoup::fuzz_mask_parts(random);
     scoup::fuzz_smoothing(random, int(random.between(1, 4)));
 }
 

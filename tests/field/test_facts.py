@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -131,17 +129,3 @@ def test_no_check_is_weaker(path: Path, change: tuple[str, str, int, Any]) -> No
     changed = path.with_name("changed.scoup")
     write_whole(changed, header, tensors)
     assert facts_or_refusal(changed, with_torch=False) == facts_or_refusal(changed, with_torch=True)
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["info", "--help"], ["info", "FIELD"]])
-def test_torch_is_not_imported(path: Path, arguments: list[str]) -> None:
-    arguments = [str(path) if argument == "FIELD" else argument for argument in arguments]
-    code = (
-        "import sys; from scoup.cli.app import run; code = run(sys.argv[1:]); "
-        "print([name for name in ('torch', 'scipy', 'PIL') if name in sys.modules], file=sys.stderr); sys.exit(code)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True
-    )
-    assert done.stderr.splitlines()[-1] == "[]"
-    assert done.stdout

@@ -26,6 +26,7 @@ from scoup.pictures import (
 )
 from scoup.pictures.legends import scale_ends
 from scoup.pictures.lettering import INK, PAPER, lines_of, text_width, writable
+from scoup.pictures.overlays import eroded
 from scoup.pictures.region_sheet import numbered
 
 SIZES = [(1, 1), (1, 300), (300, 1), (36, 48), (180, 240)]
@@ -309,3 +310,13 @@ def test_sheets_keep_all_tiles_and_their_width():
         contact_sheet([])
     with pytest.raises(InputError, match="columns"):
         contact_sheet(tiles * 40, columns=100, width=300)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.9, 0.99, 1.0])
+def test_outlines_are_those_of_binary_erosion(share: float) -> None:
+    from scipy import ndimage
+
+    inside = np.random.default_rng(2).random((30, 41)) < share
+    for width in (1, 2, 4):
+        expected = ndimage.binary_erosion(inside, iterations=width, border_value=1)
+        np.testing.assert_array_equal(eroded(inside, width), expected)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -14,8 +15,10 @@ from scoup.query.presets import QUERY_PRESETS
 from scoup.query.segment import localize_and_segment, segment
 from scoup.query.smoothing import (
     box_mean,
+    mask_parts,
     mask_sums,
     plain_box_mean,
+    plain_mask_parts,
     plain_mask_sums,
     plain_smoothed_masks,
     smoothed_masks,
@@ -149,3 +152,14 @@ def test_the_core_refuses_what_does_not_fit(name, arguments, message) -> None:
     arrays = [part.numpy() if isinstance(part, Tensor) else part for part in arguments]
     with pytest.raises(ValueError, match=message):
         getattr(native_core(), name)(*arrays, 1)
+
+
+@needs_core
+@settings(max_examples=examples(60))
+@given(st.integers(0, 40), st.integers(0, 40), st.floats(0, 1), st.integers(0, 2**31))
+def test_parts_of_a_mask_are_those_of_scipy(height: int, width: int, share: float, seed: int) -> None:
+    mask = np.random.default_rng(seed).random((height, width)) < share
+    parts, count = mask_parts(mask)
+    expected, expected_count = plain_mask_parts(mask)
+    assert count == expected_count
+    np.testing.assert_array_equal(parts, expected)

@@ -138,6 +138,15 @@ def answer_overlay(
     return _draw_marks(heat, inside, np.array(POINT_COLOR), box, point)
 
 
+def eroded(inside: np.ndarray, width: int) -> np.ndarray:
+    """Pixels [H, W] from which at most ``width`` steps across edges lead to none outside, except beyond the picture."""
+    for _ in range(width):
+        around = np.pad(inside, 1, constant_values=True)
+        rows, columns = around[:, 1:-1], around[1:-1]
+        inside = inside & rows[:-2] & rows[2:] & columns[:, :-2] & columns[:, 2:]
+    return inside
+
+
 def _draw_marks(
     picture: Picture,
     inside: np.ndarray,
@@ -146,10 +155,8 @@ def _draw_marks(
     point: tuple[float, float] | None,
 ) -> Picture:
     """Draw the outline of a mask, a box and a cross."""
-    from scipy import ndimage  # here, for it takes as long to import as torch
-
     width = max(1, round(picture.shape[1] / 320))
-    core = np.asarray(ndimage.binary_erosion(inside, iterations=width, border_value=1), bool)
+    core = eroded(inside, width)
     shown = picture.copy()
     shown[inside & ~core] = rim_color
     canvas = Image.fromarray(shown)

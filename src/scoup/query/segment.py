@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup.base.brief import brief
 from scoup.query.localize import Localization, averaged_relevancy, localize
 from scoup.query.presets import QUERY_PRESETS, LevelChoice, QueryPreset
-from scoup.query.smoothing import mask_sums, smoothed_masks
+from scoup.query.smoothing import mask_parts, mask_sums, smoothed_masks
 from scoup.query.stable_threshold import stable_thresholds
 
 LEAST_SHARE, LEAST_PEAK = 0.02, 0.8
@@ -173,15 +173,12 @@ def main_parts(
         heat: [H, W] relevancy at the level of the mask, on the CPU.
         least_share: see ``LEAST_SHARE``; infinity returns the part with the point alone.
     """
-    from scipy import ndimage
-
     if not mask.any():
         return mask
     x, y = point
     if not mask[y, x]:
         y, x = divmod(int(torch.where(mask, heat, -torch.inf).argmax()), mask.shape[1])
-    parts = np.empty(mask.shape, np.int32)
-    count = int(ndimage.label(mask.numpy(), np.ones((3, 3)), output=parts))  # pyright: ignore[reportArgumentType]
+    parts, count = mask_parts(mask.numpy())
     own = parts[y, x]
     inside = np.flatnonzero(mask.numpy())
     of_pixels, excess = parts.ravel()[inside], heat.numpy().ravel()[inside] - np.float64(DRAW)

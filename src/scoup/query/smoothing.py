@@ -1,4 +1,4 @@
-"""Box means of maps, and masks of relevancy (docs/protocols.md, LERF-OVS, steps 1 to 3).
+"""Box means of maps, masks of relevancy (docs/protocols.md, LERF-OVS, steps 1 to 3), and the parts of masks.
 
 The compiled core does the work on a CPU. The torch code (``plain_...``) is its specification, and is used without the
 core, on other devices and for other types; box means and masks are the same to the last bit.
@@ -9,7 +9,9 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Literal
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.native import native_core
@@ -106,6 +108,26 @@ def plain_mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Te
     """``mask_sums`` in torch."""
     sums = torch.where(masks, smoothed.double(), 0.0).flatten(1).sum(1)
     return smoothed.flatten(1).amax(1), masks.flatten(1).sum(1), sums
+
+
+def mask_parts(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
+    """Return the connected part of each pixel of a mask [H, W], 0 outside, and how many parts there are.
+
+    Pixels that touch at a corner are connected. Parts are numbered from 1 by their first pixels, row by row.
+    """
+    core = native_core()
+    if core is None:
+        return plain_mask_parts(mask)
+    return core.mask_parts(np.ascontiguousarray(mask).view(np.uint8))
+
+
+def plain_mask_parts(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
+    """``mask_parts`` by scipy, which takes half a second to import."""
+    from scipy import ndimage
+
+    parts = np.empty(mask.shape, np.int32)
+    count = int(ndimage.label(mask, np.ones((3, 3)), output=parts))  # pyright: ignore[reportArgumentType]
+    return parts, count
 
 
 def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:
