@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
-import textwrap
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
@@ -126,11 +126,15 @@ def borrow_options(settings: Any, names: str, **presets: Any) -> Callable[[type[
     return add
 
 
-@cache
 def _own_texts(kind: type) -> dict[str, str]:
-    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
-    assert isinstance(definition, ast.ClassDef)
-    return dict(_texts_under(definition.body))
+    return dict(_texts_under(_classes(kind.__module__)[kind.__qualname__].body))
+
+
+@cache
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    """Return the classes of a module; ``inspect`` would parse its source for each of them."""
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
 def _texts_under(body: Sequence[ast.stmt]) -> Iterator[tuple[str, str]]:
