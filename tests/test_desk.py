@@ -11,6 +11,7 @@ import pytest
 
 import scoup
 from cli_support import run, run_json
+from scoup.query.catalog_files import thing_mask
 from scoup_lab.data.labels import match_frames, read_labels
 
 NAMES = ("kettle", "laptop computer", "penguin")
@@ -49,6 +50,19 @@ def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path
     places = field.location(question)
     positions = [place.position for place in places]
     assert all(position is not None for position in positions)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_best_thing_is_the_labelled_object(desk: Path, built: Path, name: str) -> None:
+    field = scoup.LanguageField.load(built)
+    assert field.cameras is not None
+    best = field.things(field.question([name], encoder=desk / "desk_words.npz"))[0]
+    overlaps = []
+    for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
+        truth = frame.resized(camera.width, camera.height).masks[name]
+        found = thing_mask(field, field.project(camera), best)
+        overlaps.append(float((found & truth).sum() / (found | truth).sum()))
+    assert np.mean(overlaps) > 0.5, overlaps
 
 
 def test_every_verb_answers(desk: Path, built: Path, tmp_path: Path) -> None:

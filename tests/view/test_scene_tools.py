@@ -56,7 +56,11 @@ def test_replies_are_those_of_the_field(tools: SceneTools):
     measured = tools.measure_distance("f", one.number or 0, other.number or 0)
     assert measured["distance"] == pytest.approx(float((one.position - other.position).norm()), rel=1e-4)
     assert measured["metres"] == pytest.approx(measured["distance"] / 2, rel=1e-3)
-    assert tools.find("f", "kettle")["count"] == len(field.things("kettle"))
+    found = tools.find("f", "kettle")
+    assert found["count"] == len(field.things("kettle"))
+    assert found["frame"]["up"] == field.frame().record()["up"]
+    assert found["frame"]["units"] == "scene, of 0.5 metres"
+    assert "splat" in found["frame"]["axes"]
 
 
 def test_a_view_marks_things(tools: SceneTools):

@@ -85,12 +85,19 @@ class SceneTools:
         `text` is a name ("mug"), or a phrase with a relation or an order: "mug left of the laptop", "book on the
         shelf", "kettle nearest to the sink", "largest box", "second chair from the left", "how many cups". An unknown
         relation is an error that lists the known ones. Left, right, in front of and behind are meant as seen from the
-        camera `seen_from`. `count` is 0 where the thing is not in the scene.
+        camera `seen_from`. `count` is 0 where the thing is not in the scene. `frame` says what positions are in: unit
+        vectors right, up and away from the viewer in the same axes, and the unit of length.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
         reply = self._reply(field.things(_bounded(text), frame), limit)
-        return {**reply, "directions": frame.said()}
+        units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
+        axes = "x, y, z of the splat that the field was built on"
+        return {
+            **reply,
+            "directions": frame.said(),
+            "frame": {"axes": axes, "units": units, **frame.record()},
+        }
 
     def describe_thing(self, scene: str, thing: int) -> dict[str, Any]:
         """Describe one thing by its number: place, box, what it is a part of, and its own parts."""
