@@ -60,13 +60,13 @@ def test_what_is_run_is_there(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_is_permitted_but_where_it_is_needed(name: str) -> None:
-    """Actions have full versions, and what an event says does not become part of a command: variables carry it."""
+    """Actions are pinned by commit, and what an event says does not become part of a command: variables carry it."""
     assert load(name)["permissions"] == {}
     for job, content in load(name)["jobs"].items():
         if name != "release" and "deploy" not in job:
             assert content["permissions"] == {"contents": "read"}, job
     for step in steps(name):
-        assert re.fullmatch(r"[\w-]+/[\w-]+@v\d+\.\d+\.\d+", step.get("uses", "a/b@v1.0.0")), step
+        assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step.get("uses", f"a/b@{'0' * 40}")), step
         assert "${{" not in step.get("run", "")
         if step.get("uses", "").startswith("actions/checkout@"):
             assert step["with"]["persist-credentials"] is False
@@ -98,4 +98,33 @@ def test_a_release_waits_for_the_check_of_its_tag() -> None:
     jobs = load("release")["jobs"]
     order = ["version", "wheels", "sbom", "attest", "pypi", "github"]
     assert list(jobs) == order
-    assert [jobs[job]["needs"] for job in order[1:]] == order[:-1]
+    needs = [jobs[job]["needs"] for job in order[1:]]
+    assert [need if isinstance(need, str) else need[0] for need in needs] == order[:-1]
+
+
+def test_what_is_published_has_the_hashes_that_were_checked() -> None:
+    for name, job in load("release")["jobs"].items():
+        uses = [step.get("uses", "").split("@")[0] for step in job.get("steps", ())]
+        runs = [step.get("run", "") for step in job.get("steps", ())]
+        taken = [
+            step for step in job.get("steps", ()) if str(step.get("with", {}).get("pattern")) == "dist-*"
+        ]
+        if taken:
+            place = job["steps"].index(taken[0])
+            assert "sha256sum --check --strict" in runs[place + 1], name
+        assert not any("publish" in use for use in uses) or taken
+
+
+def test_tools_of_a_release_are_locked_by_hash() -> None:
+    wanted = re.findall(
+        r"^([\w-]+)(?:\[\w+\])?(==\S+)?$", (ROOT / ".github/tools.in").read_text(), re.MULTILINE
+    )
+    locked = (ROOT / ".github/tools.txt").read_text()
+    assert len(wanted) == 7
+    for name, version in wanted:
+        assert re.search(
+            rf"^{name}{re.escape(version) or '=='}\S* \\\n    --hash=sha256:", locked, re.MULTILINE
+        ), name
+    for name in ("wheels", "release"):
+        for words in commands(name):
+            assert "pip" not in words or words[0] == "uv" or "--require-hashes" in words, words
