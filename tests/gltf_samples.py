@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.io import load_gaussians
+from scoup.io import load_gaussians, write_spz
 from scoup.scene.gaussians import Gaussians
 
 SPLATS = "KHR_gaussian_splatting"
@@ -196,3 +196,18 @@ def check_features(root: dict[str, Any], binary: bytes, columns: dict[str, np.nd
     assert offsets[-1] == len(data(names["values"]))
     counts = np.frombuffer(data(table["properties"]["count"]["values"]), "<u4")
     assert counts.tolist() == [int((ids == row).sum()) for row in range(table["count"])]
+
+
+def spz_in_gltf(folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3) -> Path:
+    """A .glb file whose attributes are a .spz file, by the draft of the extension."""
+    write_spz(gaussians, folder / "inner.spz", overwrite=True, version=version)
+    data = (folder / "inner.spz").read_bytes()
+    root, _ = foreign(columns_of(gaussians))
+    compression = f"{SPLATS}_compression_spz{name}"
+    primitive = root["meshes"][0]["primitives"][0]
+    primitive["extensions"][SPLATS] = {"extensions": {compression: {"bufferView": 0}}}
+    root["bufferViews"] = [{"buffer": 0, "byteLength": len(data)}]
+    for accessor in root["accessors"]:
+        accessor.pop("bufferView", None)
+    root["extensionsUsed"] = root["extensionsRequired"] = [SPLATS, compression]
+    return packed(folder / "spz.glb", root, data)

@@ -101,12 +101,12 @@ def _sparse(file: str, model: str) -> Reader:
     return Reader(file, read)
 
 
-def _gltf(file: str, *more: str, container: Container) -> Reader:
+def _gltf(file: str, *more: str, container: Container, memory: Memory = MEMORY) -> Reader:
     def read(folder: Path) -> None:
         read_gltf(folder / file)
         read_gltf_features(folder / file)
 
-    return Reader(file, read, more, (container,))
+    return Reader(file, read, more, (container,), memory)
 
 
 def _unpacked_spz(folder: Path) -> None:
@@ -211,6 +211,7 @@ READERS: Mapping[str, Reader] = {
     "spz of streams": _splat("version4.spz", "many4.spz", "alike4.spz", containers=(of.STREAMS,), memory=SPZ),
     "spz, unpacked": Reader("a.unpacked", _unpacked_spz, memory=SPZ),
     "glb": _gltf("a.glb", "many.glb", container=of.GLB),
+    "spz in glb": _gltf("spz.glb", container=of.GLB, memory=SPZ),
     "gltf": _gltf("a.gltf", "many.gltf", container=of.BASE64),
     "checkpoint": Reader("ckpts/ckpt_1_rank0.pt", lambda folder: load_gaussians(folder / "ckpts"), ("other.pt",),
                          containers=(of.ZIP,)),

@@ -18,6 +18,7 @@ from tests.foreign_samples import (
     save_splatfacto,
 )
 from tests.frozen_fields import small_field
+from tests.gltf_samples import spz_in_gltf
 from tests.io_samples import (
     save_checkpoint,
     save_compressed_ply,
@@ -85,6 +86,7 @@ def _write_splats(folder: Path) -> None:
     for ending in ("glb", "gltf"):
         write_gltf(few, folder / f"a.{ending}", features=features)
         write_gltf(some_gaussians(MANY, degree=0), folder / f"many.{ending}")
+    spz_in_gltf(folder, few)
     save_compressed_ply(folder / "packed.ply", count=4)
     save_compressed_ply(folder / "packed_many.ply", count=MANY)
     _write_ascii_ply(folder / "ascii.ply", few)

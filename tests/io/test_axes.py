@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from gltf_samples import SPLATS, columns_of, foreign, packed
+from gltf_samples import spz_in_gltf
 from io_samples import same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError
-from scoup.io import load_gaussians, read_gltf, read_spz, save_gaussians, write_spz
+from scoup.io import load_gaussians, read_gltf, read_spz, save_gaussians
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf_rotation import rotated_sh
 from scoup.raster import view_colors
@@ -63,21 +63,6 @@ def test_the_axes_of_formats(tmp_path: Path, suffix: str, signs: list[float]) ->
     torch.testing.assert_close(load_gaussians(path, keep_axes=True).means, gaussians.means, atol=2e-5, rtol=0)
 
 
-def spz_in_gltf(folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3) -> Path:
-    """A .glb file whose attributes are a .spz file, by the draft of the extension."""
-    write_spz(gaussians, folder / "inner.spz", overwrite=True, version=version)
-    data = (folder / "inner.spz").read_bytes()
-    root, _ = foreign(columns_of(gaussians))
-    compression = f"{SPLATS}_compression_spz{name}"
-    primitive = root["meshes"][0]["primitives"][0]
-    primitive["extensions"][SPLATS] = {"extensions": {compression: {"bufferView": 0}}}
-    root["bufferViews"] = [{"buffer": 0, "byteLength": len(data)}]
-    for accessor in root["accessors"]:
-        accessor.pop("bufferView", None)
-    root["extensionsUsed"] = root["extensionsRequired"] = [SPLATS, compression]
-    return packed(folder / "a.glb", root, data)
-
-
 @pytest.mark.parametrize("name", ["", "_2"])
 @pytest.mark.parametrize("version", [2, 4])
 def test_spz_in_gltf_is_read(tmp_path: Path, name: str, version: int) -> None:
@@ -90,7 +75,7 @@ def test_spz_in_gltf_that_is_damaged_is_refused(tmp_path: Path) -> None:
     path = spz_in_gltf(tmp_path, some_gaussians(30, 1))
     data = path.read_bytes()
     path.write_bytes(data[:-200] + bytes(200))
-    with pytest.raises(FileFormatError, match=r"a\.glb: "):
+    with pytest.raises(FileFormatError, match=r"spz\.glb: "):
         read_gltf(path)
     path = spz_in_gltf(tmp_path, some_gaussians(30, 4), version=4)
     with pytest.raises(FileFormatError, match="SH of a degree above 3"):
