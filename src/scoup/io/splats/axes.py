@@ -25,12 +25,13 @@ def half_turn(columns: Mapping[str, np.ndarray], axis: Axis) -> Columns:
     """Return Gaussians in axes turned by 180 degrees: signs change, all other bits stay."""
     signs = np.array([1 if name == axis else -1 for name in "xyz"], np.float32)
     sh = columns["sh"]
-    return {
-        **columns,
-        "means": columns["means"] * signs,
-        "quats": columns["quats"] * np.array([1, *signs], np.float32),
-        "sh": sh * _sh_signs(sh.shape[1], axis)[:, None],
-    }
+    with np.errstate(all="ignore"):  # rows that are not finite are dropped later
+        return {
+            **columns,
+            "means": columns["means"] * signs,
+            "quats": columns["quats"] * np.array([1, *signs], np.float32),
+            "sh": sh * _sh_signs(sh.shape[1], axis)[:, None],
+        }
 
 
 def turned(gaussians: Gaussians, axis: Axis) -> Gaussians:
