@@ -57,7 +57,8 @@ def needs(tool: str) -> None:
 
 
 def test_the_page_has_what_is_tested() -> None:
-    assert list(RECIPES) == ["Shell", "GNU parallel", "Make", "Slurm", "Snakemake", "Ray"]
+    names = ["Shell", "GNU parallel", "Make", "Slurm", "Snakemake", "Ray", "submitit", "Dask"]
+    assert list(RECIPES) == names
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of Unix shells")
@@ -99,8 +100,11 @@ def test_snakemake(here: Path) -> None:
     check_fields()
 
 
-def test_ray(here: Path) -> None:
-    if importlib.util.find_spec("ray") is None:
-        pytest.skip("ray is not installed")
-    finished(sys.executable, "-c", RECIPES["Ray"])
+@pytest.mark.parametrize(
+    ("recipe", "package"), [("Ray", "ray"), ("submitit", "submitit"), ("Dask", "distributed")]
+)
+def test_packages_of_python(here: Path, recipe: str, package: str) -> None:
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not installed")
+    finished(sys.executable, "-c", RECIPES[recipe])
     check_fields()
