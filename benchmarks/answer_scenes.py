@@ -16,7 +16,7 @@ from benchmarks.data import make_features
 from benchmarks.desk import DESKS, Desk
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
-from benchmarks.scenes import find_layout
+from benchmarks.scenes import scene_of
 from scoup import raster
 from scoup.base.errors import looked_up
 from scoup.models.words import CANONICAL_PHRASES
@@ -27,7 +27,7 @@ from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
 from scoup_lab.synthetic.faults import LevelSums, as_region_sums, level_sums, perturbed
-from scoup_lab.synthetic.scene import LABELLED_LEVELS, make_demo_scene
+from scoup_lab.synthetic.scene import LABELLED_LEVELS
 from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
 
@@ -43,6 +43,10 @@ class SceneSize:
     n_held_out: int = 6
     # size of the views that kitchen is asked in, relative to the original 960 x 720
     kitchen_scale: float = 0.5
+
+    def of_procedural(self) -> tuple[int, int, int, int, int]:
+        """Return the sizes that ``make_demo_scene`` takes."""
+        return self.n_gaussians, self.width, self.height, self.n_building, self.n_held_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,16 +112,7 @@ def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
     draw = DrawName.parse(name)
     if draw is not None:
         return _kitchen_draw(data, draw, size.kitchen_scale)
-    layout, _, seed = name.rpartition("-")
-    demo = make_demo_scene(
-        int(seed),
-        size.n_gaussians,
-        size.width,
-        size.height,
-        size.n_building,
-        size.n_held_out,
-        find_layout(layout),
-    )
+    demo = scene_of(name, *size.of_procedural())
     labelled = [(demo.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in labelled if frame.labels]
     labels = _labels(frames)

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.scenes import find_layout
+from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study
 from scoup.query.asking import Encoder
 from scoup.query.thing_shapes import ThingPoints
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
-from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
+from scoup_lab.synthetic.scene import DemoScene
 
 IN_SPACE, IN_VIEWS = "strays left off", "box of the main parts"
 LEAST = 20  # Gaussians of a thing
@@ -42,8 +42,7 @@ class Locate(Study):
         for name in self.scenes:
             if name in known:
                 continue
-            layout, _, seed = name.rpartition("-")
-            scene = make_demo_scene(int(seed), self.n_gaussians, layout=find_layout(layout))
+            scene = scene_of(name, self.n_gaussians)
             field = scoup.build(scene.gaussians, scene.building, scene.regions)
             vectors = torch.from_numpy(scene.words.vectors).float()
             encoder: Encoder = dict(zip(scene.words.texts, vectors, strict=True))

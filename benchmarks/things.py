@@ -16,13 +16,12 @@ import scoup
 from benchmarks.data import data_folder
 from benchmarks.desk import Desk
 from benchmarks.kitchen_draws import Truth, make_draw
-from benchmarks.scenes import find_layout
+from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
 from scoup.query.frame import Frame
 from scoup.query.phrases import is_plain_text
 from scoup_lab.bench import markdown
-from scoup_lab.synthetic.scene import make_demo_scene
 
 PAIRS = ("left of", "right of", "in front of", "behind", "on", "above", "under", "near", "inside")
 FREE_OF_SCALE = tuple(name for name in PAIRS if name not in ("on", "inside"))
@@ -77,7 +76,7 @@ class Things(Study):
                 if kind == "kitchen":
                     yield name, of_kitchen(self.data, int(seed), self.most)
                 else:
-                    yield name, of_layout(kind, int(seed), self.n_gaussians, self.most)
+                    yield name, of_layout(name, self.n_gaussians, self.most)
         if self.desk and "desk" not in known:
             yield "desk", of_desk(self.data)
 
@@ -119,9 +118,9 @@ class Things(Study):
         return markdown(["", *(row["scene"] for row in rows)], body)
 
 
-def of_layout(layout: str, seed: int, n_gaussians: int, most: int) -> Record:
+def of_layout(name: str, n_gaussians: int, most: int) -> Record:
     """Return all figures of a procedural scene."""
-    scene = make_demo_scene(seed, n_gaussians, layout=find_layout(layout))
+    scene = scene_of(name, n_gaussians)
     built = scoup.build(scene.gaussians, scene.building, scene.regions)
     texts = scene.words.texts
     built.text_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))

@@ -14,7 +14,7 @@ from benchmarks.answer_scenes import AnswerScene, DrawName, SceneSize, Texts, pr
 from benchmarks.desk import Desk
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
-from benchmarks.scenes import find_layout
+from benchmarks.scenes import scene_of
 from scoup.base.errors import InputError
 from scoup.io import save_png, write_transforms
 from scoup.raster import render_colors
@@ -25,7 +25,7 @@ from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.art.things import Surface
 from scoup_lab.synthetic.art.zbuffer import visible_faces
 from scoup_lab.synthetic.observe import observe
-from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
+from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene
 from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
 REGIONS = "language_features"
@@ -68,20 +68,11 @@ def make_view_scene(name: str, data: Path, size: SceneSize, observed: Path | Non
     draw = DrawName.parse(name)
     if draw is not None:
         return _kitchen(data, draw, size.kitchen_scale)
-    layout, _, seed = name.rpartition("-")
-    return _procedural(name, layout, int(seed), size)
+    return _procedural(name, size)
 
 
-def _procedural(name: str, layout: str, seed: int, size: SceneSize) -> ViewScene:
-    demo = make_demo_scene(
-        seed,
-        size.n_gaussians,
-        size.width,
-        size.height,
-        size.n_building,
-        size.n_held_out,
-        find_layout(layout),
-    )
+def _procedural(name: str, size: SceneSize) -> ViewScene:
+    demo = scene_of(name, *size.of_procedural())
     labelled = [(demo.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in demo.held_out]
     words = tuple(word for word in demo.words.texts if word not in CANONICAL)
     return ViewScene(
@@ -90,7 +81,7 @@ def _procedural(name: str, layout: str, seed: int, size: SceneSize) -> ViewScene
         demo.building,
         [(frame, camera) for frame, camera in labelled if frame.labels],
         Texts(demo.canonical, words, demo.text_vectors(words), DISTRACTORS),
-        lambda _, cameras: observe_procedural(demo, seed, cameras),
+        lambda _, cameras: observe_procedural(demo, int(name.rpartition("-")[2]), cameras),
     )
 
 

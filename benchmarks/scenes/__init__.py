@@ -7,6 +7,7 @@ from benchmarks.scenes.shelves import SHELVES
 from benchmarks.scenes.yard import YARD
 from scoup.base.errors import UnknownNameError
 from scoup_lab.synthetic import TABLE, Layout
+from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 
 LAYOUTS: dict[str, Layout] = {layout.name: layout for layout in (TABLE, SHELVES, HALL, YARD)}
 
@@ -16,3 +17,10 @@ def find_layout(name: str) -> Layout:
     if name not in LAYOUTS:
         raise UnknownNameError("layout", name, list(LAYOUTS), "benchmarks.scenes")
     return LAYOUTS[name]
+
+
+def scene_of(name: str, *size: int) -> DemoScene:
+    """Return the scene of a layout and a seed, such as "shelves-0"; ``size``: as for ``make_demo_scene``."""
+    layout, _, seed = name.rpartition("-")
+    found = find_layout(layout)
+    return make_demo_scene(int(seed), *size, layout=found)
