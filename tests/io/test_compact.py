@@ -61,6 +61,10 @@ def test_round_trip(tmp_path: Path, bits: int) -> None:
                 torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=tolerance)
                 assert torch.equal(again.load_embeddings(name, level), other.embeddings)
                 torch.testing.assert_close(other.embeddings.norm(dim=1), torch.ones(len(other.embeddings)))
+            each = torch.stack([regions.load(name, level).labels for level in LEVELS])
+            labels, embeddings = again.load_view(name, 9, 5)
+            assert torch.equal(labels, resize_labels(each, 9, 5))
+            assert torch.equal(embeddings[1], again.load_embeddings(name, "m"))
 
 
 @given(
@@ -78,34 +82,6 @@ def test_labels_of_every_size(height: int, width: int, rows: int, seed: int) -> 
         assert (view.name, view.width, view.height, view.counts) == ("a.png", width, height, {"s": rows})
         assert (view.labels(("s",))[0] == labels).all()
         assert view.embeddings("s").dtype == np.float16
-
-
-def test_labels_come_at_the_size_of_the_camera(tmp_path: Path) -> None:
-    cameras = some_cameras(1)
-    regions = write(tmp_path, cameras)
-    name = cameras.names[0]
-    half = Cameras([cameras[0].resized(16, 12)])
-    expected = regions.load(name, "m").resized(16, 12).labels
-    assert torch.equal(load_regions(tmp_path, half).load(name, "m").labels, expected)
-    bent = Cameras([replace(cameras[0], distortion=(0.2, 0.0, 0.0, 0.0))])
-    assert not torch.equal(
-        load_regions(tmp_path, bent).load(name, "m").labels, regions.load(name, "m").labels
-    )
-    other = Cameras([cameras[0].resized(40, 24)])
-    with pytest.raises(FileFormatError, match="of another shape than its image"):
-        load_regions(tmp_path, other)
-
-
-def test_labels_of_all_levels_are_those_of_each(tmp_path: Path) -> None:
-    cameras = some_cameras(2)
-    write(tmp_path, cameras)
-    regions = load_regions(tmp_path, cameras)
-    for name in cameras.names:
-        expected = torch.stack([regions.load(name, level).labels for level in LEVELS])
-        assert torch.equal(regions.load_labels(name, cameras[0].width, cameras[0].height), expected)
-        labels, embeddings = regions.load_view(name, 9, 5)
-        assert torch.equal(labels, resize_labels(expected, 9, 5))
-        assert torch.equal(embeddings[1], regions.load_embeddings(name, "m"))
 
 
 def test_views_that_are_missing_or_given_up(tmp_path: Path) -> None:

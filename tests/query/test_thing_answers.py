@@ -120,12 +120,6 @@ def test_what_is_not_seen_does_not_answer() -> None:
     assert chosen_of([0.0, 9.0, 3.0], mass=[1.0, 0.0, 1.0]) == [2]
     assert chosen_of([0.0, 3.0, 2.9], mass=[1.0, LEAST_PART / 2, 1.0]) == [2]
     assert chosen_of([]) is None
-    blind = some_things([0, 0, 0])
-    blind.embeddings[1] = 0  # no view says what it is
-    ones = torch.ones(3, dtype=torch.float64)
-    found = choose_things(blind, torch.tensor([3.0, 9.0, 0.0]), ones, 0 * ones, 0 * ones[:2])
-    assert found is not None
-    assert found.tolist() == [0]
 
 
 def test_a_level_of_ones_own_answers() -> None:
@@ -136,13 +130,6 @@ def test_a_level_of_ones_own_answers() -> None:
     assert chosen_of(fits[:2], levels[:2], level=1) is None
     # Where what fits is of another level, the votes know more.
     assert chosen_of([2.0, 0.0, 9.0, 0.5], levels, level=0) is None
-
-
-def test_of_levels_that_fit_alike_the_votes_decide() -> None:
-    fits, levels = [3.0, 0.0, 3.0, 0.0], [0, 0, 1, 1]
-    assert chosen_of(fits, levels, agreement=0.9) is not None
-    assert chosen_of(fits, levels, voted=[0, 0, 1, 0], agreement=0.9) == [2]
-    assert chosen_of(fits, levels, voted=[1, 0, 0, 0], agreement=0.9) == [0]
 
 
 def test_the_less_views_agree_the_more_the_votes_count() -> None:
@@ -185,7 +172,7 @@ def literally_chosen(
     return [chosen for score, chosen in scores if score > best - 1e-6]
 
 
-@settings(max_examples=examples(150), deadline=None)
+@settings(max_examples=examples(1200), deadline=None)
 @given(
     st.integers(0, 2**31), st.integers(0, 12), st.sampled_from([1.0, 0.9, 0.3]),
     st.sampled_from([None, None, 0, 1]), st.sampled_from([0.3, 1.0, 3.0]),
@@ -196,6 +183,7 @@ def test_the_choice_is_that_of_the_rule(
     generator = torch.Generator().manual_seed(seed)
     levels = torch.randint(2, (count,), generator=generator).sort().values
     things = some_things(levels.tolist(), agreement)
+    things.embeddings[torch.rand(count, generator=generator) < 0.1] = 0  # no view says what they are
     fits = scale * torch.randn(count, generator=generator)
     mass = torch.rand(count, generator=generator, dtype=torch.float64) * 100
     mass[torch.rand(count, generator=generator) < 0.2] = 0
