@@ -16,8 +16,7 @@ from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.scenes import scene_of
 from scoup.base.errors import InputError
-from scoup.io import save_png, write_transforms
-from scoup.raster import render_colors
+from scoup.extract.own_views import save_views
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -145,11 +144,8 @@ def observe_desk(gaussians: Gaussians, cameras: Cameras, choice: str, observed: 
     folder = observed / choice
     poses = folder / "transforms.json"
     if not poses.exists():
-        for camera in cameras:
-            pixels = (render_colors(gaussians, camera).clamp(0, 1) * 255).round().byte()
-            save_png(pixels.numpy(), folder / "images" / _png(camera.name), overwrite=True)
-        renders = (replace(each, name=_png(each.name), image_path=None) for each in cameras)
-        write_transforms(Cameras(renders), poses)
+        renders = Cameras(replace(each, name=_png(each.name), image_path=None) for each in cameras)
+        save_views(gaussians, renders, folder, overwrite=True)
     kept = scoup.load_cameras(folder)
     for camera in cameras:
         if not torch.allclose(kept[_png(camera.name)].viewmat, camera.viewmat, atol=SAME):

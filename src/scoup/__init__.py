@@ -26,6 +26,7 @@ _HOMES = {
     "Codebook": "scoup.coding",
     "fit_codes": "scoup.coding",
     "choose_cameras": "scoup.extract.own_views",
+    "save_views": "scoup.extract.own_views",
     "project": "scoup.raster",
     "RegionSums": "scoup.uplift.region_sums",
     "region_sums": "scoup.uplift.rasterise",
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from scoup.coding import Codebook as Codebook
     from scoup.coding import fit_codes as fit_codes
     from scoup.extract.own_views import choose_cameras as choose_cameras
+    from scoup.extract.own_views import save_views as save_views
     from scoup.field.language_field import LanguageField as LanguageField
     from scoup.io import load_cameras as load_cameras
     from scoup.io import load_gaussians as load_gaussians

@@ -69,12 +69,12 @@ def test_half_of_the_cameras_stands_on_one_side() -> None:
 
 @pytest.mark.slow
 def test_rows_of_the_study() -> None:
-    choices = ("given", "own", "ring", "given-half", "own-half")
+    choices = ("given", "own", "ring", "given-half", "half-beside")
     with one_light():
         record = run(Views(scenes=("table-0",), choices=choices, size=SIZE), "views")
     means = record["means"]["procedural"]
     assert {choice: means[choice]["views"] for choice in choices} == {
-        "given": 6, "own": 6, "ring": 6, "given-half": 3, "own-half": 3
+        "given": 6, "own": 6, "ring": 6, "given-half": 3, "half-beside": 6
     }  # fmt: skip
     assert all(0 < means[choice]["always"] < 1 for choice in choices)
     found = record["differences"]["procedural"]["own - given"]["always"][0]

@@ -56,6 +56,7 @@ VERBS = {
     "update, added": ("update", "few.scoup", *ADD, "--out", "a.scoup"),
     "update, edited": ("update", "few.scoup", *EDIT, "--out", "a.scoup"),
     "update, edited without a scene": ("update", "kept.scoup", "--edited", "edited.ply", "--out", "a.scoup"),
+    "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "40", "--height", "30", "--out", "own"),
     "extract": ("extract", "scene", *FREE, "--out", "regions"),
     "extract, LangSplat": ("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat"),
     "convert": ("convert", "scene", "compact"),

@@ -39,29 +39,31 @@ def test_what_cannot_be_seen_is_refused(case: str) -> None:
         choose_cameras(Gaussians(**parts), width=64, height=48)
 
 
-def floor(normal: int, seed: int = 3, count: int = 600) -> Gaussians:
-    """Flat Gaussians that lie in a plane across an axis, and round ones about it."""
+def surface(normal: int, side: float = -1.0, seed: int = 3, count: int = 600) -> Gaussians:
+    """Flat Gaussians in a plane across an axis, at one side of round ones."""
     gaussians = random_gaussians(count, seed=seed)
     means, scales = gaussians.means.clone(), torch.full((count, 3), 0.05)
     lying = torch.arange(count) < count // 2
-    means[lying, normal] = 0
+    means[lying, normal] = side * float(means.abs().max())
     scales[lying, normal] = 0.001
     upright = torch.tensor([1.0, 0, 0, 0]).expand(count, 4).clone()
     return Gaussians(means, upright, scales, torch.full((count,), 0.9), gaussians.sh)
 
 
 @pytest.mark.parametrize(
-    ("normal", "expected"), [(2, (0, 0, 1)), (1, (0, -1, 0)), (0, (0, -1, 0))], ids=["z", "y", "neither"]
+    ("normal", "side", "expected"),
+    [(2, -1, (0, 0, 1)), (2, 1, (0, -1, 0)), (1, 1, (0, -1, 0)), (0, -1, (0, -1, 0))],
+    ids=["floor across z", "wall across z", "floor across y", "neither"],
 )
-def test_up_is_what_floors_face(normal: int, expected: tuple[float, ...]) -> None:
-    gaussians = floor(normal)
+def test_up_is_what_floors_face(normal: int, side: float, expected: tuple[float, ...]) -> None:
+    gaussians = surface(normal, side)
     assert estimate_up_of_splat(gaussians, torch.arange(len(gaussians))).tolist() == list(expected)
 
 
 def test_a_tilted_floor_tilts_what_is_up() -> None:
     angle = torch.tensor(0.35)
     turn = torch.tensor([[1, 0, 0], [0, angle.cos(), -angle.sin()], [0, angle.sin(), angle.cos()]])
-    flat = floor(1)
+    flat = surface(1, side=1)
     quat = torch.tensor([(angle / 2).cos(), (angle / 2).sin(), 0, 0]).expand(len(flat), 4).clone()
     tilted = Gaussians(flat.means @ turn.T, quat, flat.scales, flat.opacities, flat.sh)
     up = estimate_up_of_splat(tilted, torch.arange(len(tilted))).float()

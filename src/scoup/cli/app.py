@@ -19,6 +19,7 @@ DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, an
 
 Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of your own:
 
+  scoup views point_cloud.ply --out SCENE      (where there are no photographs)
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
   scoup update scene.scoup --scene SCENE --add all
@@ -39,6 +40,7 @@ SCOUP = Family(
     DESCRIPTION,
     {
         "demo": "scoup_lab.cli.demo:Demo",
+        "views": "scoup.cli.views:MakeViews",
         "extract": "scoup.cli.extract:Extract",
         "regions": "scoup.cli.regions:ShowRegions",
         "convert": "scoup.cli.convert:Convert",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -45,18 +45,20 @@ class _Loaded:
 class Build(BuildOptions, ViewOptions):
     """Build a language field from a trained splat, its cameras, and region features.
 
-    SCENE is a folder as COLMAP, nerfstudio or Inria's code leave it; every guess about it can be overridden.
+    SCENE is a folder as COLMAP, nerfstudio or Inria's code leave it; every guess about it can be overridden. Where
+    there is only a splat, name it instead: views of it are rendered and cut into regions first, in <out>_views.
     Interrupted, the same command continues where it stopped.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "gaussians raster_preset",
+        "splat without a scene": "segmenter embedder",
         "region sum": "keep_sums sums sums_weights least_weight shard",
         "output": "out",
     }
 
     scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
-    """Folder with cameras (and usually the photographs), or a cameras file."""
+    """Folder with cameras (and usually the photographs), or a cameras file; or a splat alone."""
     gaussians: OptionalPath = None
     """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
     out: OptionalPath = None
@@ -67,6 +69,10 @@ class Build(BuildOptions, ViewOptions):
     dimensions, laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
+    segmenter: OptionalText = None
+    """What finds regions in views of a splat alone, as for scoup extract."""
+    embedder: OptionalText = None
+    """What gives these regions embeddings, as for scoup extract."""
     keep_sums: Flag = False
     """Also keep the region sums, in <out>.sums: with them scoup update adds and removes views, and --sums builds again
     (other embeddings, codes or rounds) without rasterising."""
@@ -89,6 +95,8 @@ class Build(BuildOptions, ViewOptions):
         from scoup.uplift.build import build
         from scoup.uplift.checkpoint import save_field
 
+        if (scene := self._of_splat(console)) is not None:
+            return scene.run(console)
         share, device = Share.of_environment(), device_of_process(self.device)
         out = self._output(share)
         loaded = self._load(console, device, out)
@@ -109,6 +117,29 @@ class Build(BuildOptions, ViewOptions):
             bytes_of_sums = sums.bytes if self.keep_sums else None
         report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
         return None
+
+    def _of_splat(self, console: Console) -> Build | None:
+        """Make a scene of a splat alone; returns the build of that scene. None where there is a scene."""
+        from scoup.base.errors import InputError
+        from scoup.base.shares import Share
+        from scoup.cli.extract import Extract
+        from scoup.cli.views import is_splat, make_scene
+
+        if not is_splat(self.scene):
+            if self.segmenter is not None or self.embedder is not None:
+                raise InputError("--segmenter and --embedder are for a splat alone; run scoup extract first")
+            return None
+        if self.shard is not None or not Share.of_environment().is_everything:
+            raise InputError(f"{self.scene}: make its scene first, with scoup views and scoup extract")
+        if self.gaussians is not None:
+            raise InputError(f"{self.scene}: is a splat; pass the scene, and the splat with --gaussians")
+        out = self.out or Path(f"{self.scene.stem}.scoup")
+        check_field_name(out)
+        check_field_output(out, self.overwrite, self.keep_sums)
+        folder = out.with_name(f"{out.stem}_views")
+        models = Extract(device=self.device, segmenter=self.segmenter, embedder=self.embedder or CLIP_MODEL)
+        make_scene(console, self.scene, folder, models)
+        return replace(self, scene=folder, gaussians=self.scene, out=out, segmenter=None, embedder=None)
 
     def _write_shard(self, console: Console, out: Path, loaded: _Loaded) -> None:
         """Rasterise a share of the views, keep it and report."""

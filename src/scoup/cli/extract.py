@@ -79,10 +79,14 @@ class Extract(WritesCommon):
     with the same OUT."""
 
     def run(self, console: Console) -> None:
-        """Extract and report."""
+        """Extract and report, or list the models."""
         if self.list_models:
             _list_models(console)
-            return
+        else:
+            console.result(self.make(console))
+
+    def make(self, console: Console) -> dict[str, Any]:
+        """Extract and report; returns what the result says."""
         from scoup.base.errors import InputError
         from scoup.base.shares import device_of_process
         from scoup.extract import Output, extract, find_photographs
@@ -115,7 +119,7 @@ class Extract(WritesCommon):
         _say(console, report, out, seconds, share)
         shares = {} if share.is_everything else {"shard": share.number + 1, "of_shards": share.count}
         record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **shares}
-        console.result({"out": out, "photographs": len(photographs), **record})
+        return {"out": out, "photographs": len(photographs), **record}
 
     def _share(self) -> Share:
         """The photographs to do: by torchrun's rank, or as named."""

@@ -1,17 +1,23 @@
-"""Cameras for a splat without any, chosen by what they show."""
+"""Views of a splat without photographs: cameras chosen by what they show, and their renders."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base.errors import InputError
+from scoup.base.progress import Progress, no_progress, reported
+from scoup.base.staging import staged
 from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
-from scoup.raster import prepare_gaussians
+from scoup.io import save_png, write_transforms
+from scoup.pictures import as_picture, contact_sheet
+from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 
@@ -20,6 +26,9 @@ PARENTS = 24
 CHILDREN = 4
 LEAST_GAIN = 0.02
 MOST_VIEWS = 64
+OPAQUE = 0.5  # opacity from which a Gaussian counts for the coverage
+LEAST_SIDE, MOST_SIDE, MOST_COUNT = 16, 8192, 1000
+TRANSFORMS, IMAGES, SHEET = "transforms.json", "images", "views.png"
 
 
 def choose_cameras(
@@ -29,6 +38,7 @@ def choose_cameras(
     height: int = 720,
     count: int | None = None,
     up: Sequence[float] | None = None,
+    beside: Cameras | None = None,
     progress: Progress = no_progress,
 ) -> Cameras:
     """Choose cameras for a splat that comes without any, by what cheap renders of many candidates show.
@@ -38,12 +48,13 @@ def choose_cameras(
         width, height: of the images, in pixels.
         count: cameras to choose. By default the fewest that show nearly all that can be seen from several directions.
         up: [3] the direction that is up in the world; by default estimated.
+        beside: cameras that are there already: what they show needs no others.
 
     Returns:
-        The cameras, the one that shows the most first.
+        The cameras, the one that shows the most first; none where those of ``beside`` show all.
 
     Raises:
-        InputError: nothing can be seen, or ``up`` is not a direction.
+        InputError: nothing can be seen, ``up`` is not a direction, or a number is out of range.
 
     Example:
         >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
@@ -53,15 +64,16 @@ def choose_cameras(
     """
     from scipy.stats import qmc
 
+    _check_numbers(width, height, count)
     rows = find_matter(gaussians)
     upwards = estimate_up_of_splat(gaussians, rows) if up is None else checked_direction(up)
     matter = measure_matter(gaussians, rows, upwards)
-    prepared = prepare_gaussians(gaussians)
-    scorer = ViewScorer.of(prepared, matter)
+    scorer = ViewScorer.of(prepare_gaussians(gaussians), matter)
     draws = qmc.Halton(5, scramble=False).random(1 + ROUNDS * CHILDREN)[1:] * 2 - 1
-    cameras = candidate_cameras(matter, width, height)
+    there = list(beside or ())
+    cameras = [*there, *candidate_cameras(matter, width, height)]
     total, done = len(cameras) + ROUNDS * PARENTS * CHILDREN, 0
-    progress("views", done, total)
+    progress("cameras", done, total)
 
     def score(some: list[Camera]) -> Scores:
         nonlocal done
@@ -69,16 +81,96 @@ def choose_cameras(
         for camera in some:
             found.append(scorer.score(camera))
             done += 1
-            progress("views", done, total)
+            progress("cameras", done, total)
         return Scores.of(some, found)
 
     scores = score(cameras)
     for near in torch.from_numpy(draws).split(CHILDREN):
-        parents = choose_views(scores, front_sides(scores, scorer.means), PARENTS, 0, PARENTS)
+        parents = choose_views(scores, front_sides(scores, scorer.means), PARENTS, 0, PARENTS, len(there))
         moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
         scores = Scores.joined([scores, score(moved)])
     fronts = front_sides(scores, scorer.means)
-    chosen = choose_views(scores, fronts, count, LEAST_GAIN, MOST_VIEWS)
+    chosen = choose_views(scores, fronts, count, LEAST_GAIN, MOST_VIEWS, len(there))
     return Cameras(
-        replace(scores.cameras[view], name=f"view_{number:03d}.png") for number, view in enumerate(chosen)
+        replace(scores.cameras[view], name=f"own_{number:03d}.png") for number, view in enumerate(chosen)
     )
+
+
+def _check_numbers(width: int, height: int, count: int | None) -> None:
+    for name, value in (("width", width), ("height", height)):
+        if not LEAST_SIDE <= value <= MOST_SIDE:
+            raise InputError(f"`{name}` must be {LEAST_SIDE} to {MOST_SIDE} pixels, got {value}")
+    if count is not None and not 1 <= count <= MOST_COUNT:
+        raise InputError(f"`count` must be 1 to {MOST_COUNT} views, got {count}")
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of a splat views show: shares of its opaque Gaussians, 0..1."""
+
+    once: float
+    """Of those that one view or more shows."""
+    often: float
+    """Of those that three views or more show."""
+
+
+def save_views(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    folder: str | Path,
+    beside: Cameras | None = None,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> Coverage:
+    """Render a splat from cameras and write a scene folder that every tool reads.
+
+    It contains ``transforms.json``, ``images/`` and ``views.png``, a sheet of all renders; all appear together.
+
+    Args:
+        gaussians: the splat.
+        cameras: of the renders, without photographs.
+        folder: the scene.
+        beside: cameras with photographs: their photographs are copied, and transforms.json names them too.
+        overwrite: replace these files.
+
+    Returns:
+        What all cameras together show.
+
+    Raises:
+        InputError: there are no cameras, or two have one name.
+        OutputExistsError: a file is there already.
+
+    Example:
+        >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
+        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4)
+        >>> shown = scoup.save_views(gaussians, cameras, "views")
+        >>> shown.once >= shown.often
+        True
+    """
+    folder = Path(folder)
+    photographs = [camera for camera in beside or () if camera.image_path is not None]
+    places = {camera.name: f"{IMAGES}/{camera.name}" for camera in (*photographs, *cameras)}
+    together = Cameras((*photographs, *cameras))
+    if not len(cameras):
+        raise InputError("cameras: there are none to render")
+    seen = torch.zeros(len(gaussians), dtype=torch.int32)
+    tiles = []
+    with staged(folder, [TRANSFORMS, *places.values(), SHEET], overwrite) as hidden:
+        for camera in reported(together, "views", len(together), progress):
+            projection = project(gaussians, camera)
+            blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
+            seen[region_sums(projection, blank).gaussian.unique()] += 1
+            if camera.image_path is not None:
+                (hidden / places[camera.name]).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(camera.image_path, hidden / places[camera.name])
+                continue
+            picture = as_picture(render_colors(gaussians, camera, projection))
+            save_png(picture, hidden / places[camera.name])
+            tiles.append(picture)
+        save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
+        write_transforms(
+            Cameras(replace(camera, image_path=None) for camera in together), hidden / TRANSFORMS
+        )
+    opaque = seen[gaussians.opacities >= OPAQUE]
+    once, often = (float((opaque >= least).float().mean()) for least in (1, 3))
+    return Coverage(once, often)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.raster.projection import rotation_matrices
 from scoup.scene.gaussians import Gaussians
 
 FLAT = 0.3  # shortest by middle standard deviation, below which a Gaussian lies in a surface
@@ -16,7 +17,8 @@ CONE = math.cos(math.radians(12))  # normals within it face the same way
 REACH = math.cos(math.radians(26))  # how far from an axis of the file its surfaces may be tilted
 LEVELLED = 0.7  # of the normals that face a tilted direction: an axis of the file that has as many is kept
 LEVEL = 2.5  # times chance: normals in a cone that mark the floors of a scene
-PLAIN = 8.0  # times chance, and twice those along y: normals along z that overrule the usual frame
+PLAIN = 8.0  # times chance: normals along z that overrule the usual frame, where they are
+AHEAD = 1.2  # times those along y, and more in the lowest quarter of the scene than in the highest
 
 
 def checked_direction(up: Sequence[float]) -> Tensor:
@@ -35,7 +37,8 @@ def estimate_up_of_splat(gaussians: Gaussians, rows: Tensor) -> Tensor:
     """Return [3] float64, the direction along which floors, tables and shelves face.
 
     Trainers leave -y up (axes right, down, forward), or +z. Surfaces decide between them, and how far up is tilted:
-    flat Gaussians have their shortest axis across the surface.
+    flat Gaussians have their shortest axis across the surface. A floor lies at the bottom of a scene; a wall that
+    faces the cameras, which also lies across z, at its far end.
 
     Args:
         rows: [M] int64, the Gaussians that count.
@@ -43,7 +46,7 @@ def estimate_up_of_splat(gaussians: Gaussians, rows: Tensor) -> Tensor:
     normals, weights = _normals(gaussians, rows)
     down, high = (torch.tensor(axis, dtype=torch.float64) for axis in ((0, -1, 0), (0, 0, 1)))
     (along_y, y), (along_z, z) = (_facing(normals, weights, axis) for axis in (down, high))
-    if z > PLAIN and z > 2 * y:
+    if z > PLAIN and z > AHEAD * y and _is_floor(gaussians.means[rows].double(), normals, weights, along_z):
         return along_z
     return along_y if y > LEVEL else down
 
@@ -67,12 +70,18 @@ def _facing(normals: Tensor, weights: Tensor, axis: Tensor) -> tuple[Tensor, flo
     return (axis, level) if level >= LEVELLED * tilted else (found, tilted)
 
 
+def _is_floor(means: Tensor, normals: Tensor, weights: Tensor, axis: Tensor) -> bool:
+    """Tell whether more of the surfaces that face an axis are in the lowest quarter along it than in the highest."""
+    heights = means @ axis
+    low, high = heights[:: max(1, len(heights) // 100_000)].quantile(heights.new_tensor([0.03, 0.97]))
+    facing = weights * ((normals @ axis).abs() > CONE)
+    place = (heights - low) / (high - low)
+    return float(facing[place < 0.25].sum()) > float(facing[place > 0.75].sum())
+
+
 def _normals(gaussians: Gaussians, rows: Tensor) -> tuple[Tensor, Tensor]:
     """Return the shortest axes [M, 3] of Gaussians, and the area of the flat ones, 0 for others, [M] float64."""
-    from scipy.spatial.transform import Rotation
-
-    scales, quats = gaussians.scales[rows].double(), gaussians.quats[rows].double()
-    turned = torch.from_numpy(Rotation.from_quat(quats[:, [1, 2, 3, 0]].numpy()).as_matrix())
+    scales, turned = gaussians.scales[rows].double(), rotation_matrices(gaussians.quats[rows].double())
     shortest = scales.argmin(1)[:, None, None].expand(-1, 3, 1)
     sizes = scales.sort(1).values
     area = sizes[:, 1] * sizes[:, 2] * (sizes[:, 0] < FLAT * sizes[:, 1])

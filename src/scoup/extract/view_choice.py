@@ -12,17 +12,38 @@ from torch.nn.functional import normalize
 
 from scoup.extract.view_candidates import Matter
 from scoup.raster import PreparedGaussians, project, render_channels
+from scoup.raster.projection import rotation_matrices
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 
 MOST_COUNTED = 20_000  # Gaussians that are counted when views are compared
 SIDE = 160  # pixels of the longer side of a cheap render
-FIRM = (
-    0.12  # standard deviation of depth along a ray, as a share of depth, from which there is no clear surface
-)
 NEAR = 0.12  # of the radius of the scene: what is nearer is too near
 BLURRED = 0.06  # of the width of the image: standard deviation of a Gaussian that is too large to be sharp
-DIRECTIONS = 3  # from which each Gaussian is to be seen
+CLOSE = 2.0  # times the size at which all matter fills an image: Gaussians as large are near enough
+SMALLEST = 0.25  # quantile of sizes: smaller Gaussians need not be nearer than these
+FULL = 2  # power of the share of an image that is not empty
+STRICT = 8  # power of the quality of a view by that of the best
+TURNED, SPAN = 0.2, 0.2  # logarithms of elongation: what counts as facing, and how fast the rest loses
+MOST_ELONGATED = 4.0
+NO_QUALITY = 1e-6  # of a view that shows nothing well: it is chosen where there is no other
+DIRECTIONS = 10.0  # from which each Gaussian is to be seen, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What one candidate camera shows of M counted Gaussians, and how good its picture is."""
+
+    shown: Tensor
+    """[M] float32, how well each Gaussian is shown, 0..1."""
+    direction: Tensor
+    """[M] uint8, the sector of directions from which it is seen."""
+    opaque: float
+    """Share of the pixels that show something which show nothing behind it, less what is too near or blurred, 0..1."""
+    filled: float
+    """Mean alpha."""
+    elongation: float
+    """Mean over the pixels: logarithm of how long the Gaussians are along the ray, by across it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,32 +52,47 @@ class Scores:
 
     cameras: list[Camera]
     shown: Tensor
-    """[V, M] float16, how well each Gaussian is shown, 0..1."""
+    """[V, M] float16, as ``Score.shown``."""
     direction: Tensor
-    """[V, M] uint8, the sector of directions from which it is seen."""
-    quality: Tensor
-    """[V] float32, of each view as a picture, 0..1."""
+    """[V, M] uint8."""
+    pictures: Tensor
+    """[V, 3] float32: opaque, filled, elongation."""
 
     @classmethod
-    def of(cls, cameras: list[Camera], found: Sequence[tuple[Tensor, Tensor, float]]) -> Scores:
-        """Return the scores that ``ViewScorer.score`` gave of each camera."""
-        shown, direction, quality = zip(*found, strict=True)
-        return cls(cameras, torch.stack(shown).half(), torch.stack(direction), torch.tensor(quality))
+    def of(cls, cameras: list[Camera], found: Sequence[Score]) -> Scores:
+        """Return the scores of some cameras."""
+        pictures = torch.tensor([(each.opaque, each.filled, each.elongation) for each in found])
+        shown, direction = (
+            torch.stack([getattr(each, name) for each in found]) for name in ("shown", "direction")
+        )
+        return cls(cameras, shown.half(), direction, pictures)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Scores]) -> Scores:
+        """Return the scores of the cameras of all parts."""
+        shown, direction, pictures = (
+            torch.cat([getattr(part, name) for part in parts]) for name in ("shown", "direction", "pictures")
+        )
+        return cls([camera for part in parts for camera in part.cameras], shown, direction, pictures)
 
     @property
     def positions(self) -> Tensor:
         """[V, 3] float32 of the cameras."""
         return torch.stack([camera.position for camera in self.cameras]).float()
 
-    @classmethod
-    def joined(cls, parts: Sequence[Scores]) -> Scores:
-        """Return the scores of the cameras of all parts."""
-        return cls(
-            [camera for part in parts for camera in part.cameras],
-            torch.cat([part.shown for part in parts]),
-            torch.cat([part.direction for part in parts]),
-            torch.cat([part.quality for part in parts]),
-        )
+    def quality(self) -> Tensor:
+        """Return [V] float32, how good each view is as a picture by the best of them, 0..1.
+
+        Training makes Gaussians flat towards the cameras that saw them, and leaves them long along the rays of others:
+        where a view finds them long, no camera looked. Views into emptiness lose too, where others are full.
+        """
+        opaque, filled, elongation = self.pictures.T
+        found = opaque * (filled / filled.quantile(0.95).clamp(min=1e-6)).clamp(max=1) ** FULL
+        found = (found / found.quantile(0.98).clamp(min=1e-6)).clamp(max=1) ** STRICT
+        good = elongation[found > 0.3]
+        facing = good.quantile(0.05) if len(good) else elongation.min()
+        turned = (elongation - facing - TURNED).clamp(min=0) / SPAN
+        return found * torch.exp(-(turned**2)) + NO_QUALITY
 
 
 def prepared_order(prepared: PreparedGaussians, rows: Tensor) -> Tensor:
@@ -81,6 +117,8 @@ class ViewScorer:
     """Standard deviation at which all matter side by side would fill an image, as a share of its width."""
     sectors: Tensor
     """[B, 3] float32 unit vectors, middles of the sectors of directions."""
+    halves: Tensor
+    """[N, 3, 3] float32, columns: the axes of each times its standard deviations."""
     radius: float
     """Of the scene."""
 
@@ -91,34 +129,42 @@ class ViewScorer:
         counted = prepared_order(prepared, matter.rows[::step])
         sizes = gaussians.scales.sort(1).values[:, 1].contiguous()
         full_size = (0.75 / (4 * math.pi * len(matter.rows))) ** 0.5
-        return cls(prepared, counted, sizes, full_size, _sectors(), matter.radius)
+        turned = rotation_matrices(gaussians.quats)
+        halves = turned * gaussians.scales[:, None, :]
+        return cls(prepared, counted, sizes, full_size, _sectors(), halves, matter.radius)
 
     @property
     def means(self) -> Tensor:
         """[M, 3] of the counted Gaussians."""
         return self.prepared.gaussians.means[self.counted]
 
-    def score(self, camera: Camera) -> tuple[Tensor, Tensor, float]:
-        """Return how well a camera shows each counted Gaussian [M], from which sector [M], and its quality."""
+    def score(self, camera: Camera) -> Score:
+        """Return what a camera shows."""
         factor = SIDE / max(camera.width, camera.height)
         small = camera.resized(round(camera.width * factor), round(camera.height * factor))
         gaussians = self.prepared.gaussians
-        rotation, shift = small.viewmat[:3, :3].float(), small.viewmat[:3, 3].float()
-        depth = gaussians.means @ rotation[2] + shift[2]
-        near = NEAR * self.radius
+        depth = gaussians.means @ small.viewmat[2, :3].float() + float(small.viewmat[2, 3])
         blur = self.sizes * (small.fx / small.width) / depth.clamp(min=1e-6)
-        values = torch.stack([depth, depth * depth, (depth < near).float(), (blur > BLURRED).float()], 1)
+        flags = [(depth < NEAR * self.radius).float(), (blur > BLURRED).float()]
+        values = torch.stack([depth, depth * depth, *flags, self._elongation(small)], 1)
         image, alpha = render_channels(project(self.prepared, small), torch.nan_to_num(values, 0, 0, 0))
-        mean = image[..., 0] / alpha.clamp(min=1e-6)
-        spread = (image[..., 1] / alpha.clamp(min=1e-6) - mean * mean).clamp(min=0).sqrt()
+        mean, square, _, _, elongation = (image / alpha.clamp(min=1e-6)[..., None]).unbind(-1)
+        near, blurred = image[..., 2], image[..., 3]
+        spread = (square - mean * mean).clamp(min=0).sqrt()
         solid = alpha > 0.5
-        firm = solid & (spread < FIRM * mean)
-        bad = image[..., 2] + image[..., 3]
-        covered = float(alpha.mean())
-        share = float(firm.float().mean()) / max(float((alpha > 0.05).float().mean()), 1e-6)
-        quality = share**2 * max(0.0, 1 - 4 * float(image[..., 2].mean()))
-        quality *= max(0.0, 1 - 2 * float(image[..., 3].mean())) * min(1.0, covered / 0.25)
-        return *self._shown(small, depth, mean, spread, firm & (bad < 0.3)), quality
+        shown, direction = self._shown(small, depth, mean, spread, solid & (near + blurred < 0.3))
+        opaque = float((alpha > 0.9).sum()) / max(float((alpha > 0.05).sum()), 1.0)
+        opaque *= max(0.0, 1 - 4 * float(near.mean())) * max(0.0, 1 - 2 * float(blurred.mean()))
+        along = float(elongation[solid].mean()) if bool(solid.any()) else MOST_ELONGATED
+        return Score(shown, direction, opaque, float(alpha.mean()), along)
+
+    def _elongation(self, camera: Camera) -> Tensor:
+        """Return [N], the logarithm of the standard deviation along the ray by that across it."""
+        means = self.prepared.gaussians.means
+        rays = normalize(means - camera.position.float(), dim=1)
+        along = (rays[:, None, :] @ self.halves)[:, 0].square().sum(1)
+        across = (self.halves.square().sum((1, 2)) - along).clamp(min=1e-20) / 2
+        return (0.5 * (along.clamp(min=1e-20) / across).log()).clamp(-MOST_ELONGATED, MOST_ELONGATED)
 
     def _shown(
         self, camera: Camera, depth: Tensor, mean: Tensor, spread: Tensor, clear: Tensor
@@ -134,54 +180,63 @@ class ViewScorer:
         reach = spread.flatten()[pixel].clamp(max=0.1 * there) + 0.02 * there + self.sizes[rows]
         visible = inside & clear.flatten()[pixel] & (z < there + reach)
         sizes = self.sizes[rows]
-        shares = sizes.clamp(min=float(sizes.median())) * (camera.fx / camera.width) / z.clamp(min=1e-6)
-        sharp = (shares / self.full_size).clamp(max=1) ** 2 * (2 - shares / BLURRED).clamp(0, 1)
+        shares = (
+            sizes.clamp(min=float(sizes.quantile(SMALLEST))) * (camera.fx / camera.width) / z.clamp(min=1e-6)
+        )
+        sharp = (shares / (CLOSE * self.full_size)).clamp(max=1) ** 2 * (2 - shares / BLURRED).clamp(0, 1)
         way = camera.position.float() - means
         direction = (way @ self.sectors.T).argmax(1).to(torch.uint8)
         return visible * sharp, direction
 
 
 def choose_views(
-    scores: Scores, fronts: Tensor, count: int | None, least_gain: float, most: int
+    scores: Scores, fronts: Tensor, count: int | None, least_gain: float, most: int, n_there: int = 0
 ) -> list[int]:
     """Return the views that show the most, one after the other, by marginal gain.
 
-    A Gaussian that is shown from directions b with qualities q_b is worth sqrt(min(sum of q_b, 3)): a submodular
+    A Gaussian that is shown from directions b with qualities q_b is worth sqrt(min(sum of q_b, 10)): a submodular
     function of the views, for which the greedy choice is within 1 - 1/e of the best (Nemhauser et al. 1978).
 
     Args:
         fronts: [V, M] bool, whether a view sees the front of a Gaussian.
         count: views to choose; by default as many as gain at least ``least_gain`` of the first.
         most: views, where ``count`` is None.
+        n_there: the first views are there already; others are chosen beside them.
     """
-    worth = scores.shown.float() * scores.quality[:, None] ** 2 * fronts
+    quality = scores.quality()
+    quality[:n_there] = 1.0  # photographs are good wherever they were taken
+    worth = scores.shown.float() * quality[:, None] * fronts
     n_sectors = int(scores.direction.max()) + 1
     state = torch.zeros(worth.shape[1], n_sectors)
+    sectors = scores.direction.long()
+    for view in range(n_there):
+        state.scatter_reduce_(1, sectors[view, :, None], worth[view, :, None], "amax")
     chosen: list[int] = []
-    first = 0.0
-    bound = [float("inf")] * len(worth)
-    while len(chosen) < min(count or most, len(worth)):
+    most = min(most if count is None else count, len(worth) - n_there)
+    bound = torch.cat([torch.full((n_there,), -1.0), _alone(worth[n_there:])])
+    first = float(bound.max()) if len(bound) else 0.0
+    while len(chosen) < most:
         total = state.sum(1)
         before = total.clamp(max=DIRECTIONS).sqrt()
         best, gain = -1, 0.0
-        for view in sorted(range(len(worth)), key=lambda view: -bound[view]):
+        for view in bound.argsort(descending=True, stable=True).tolist():
             if bound[view] <= gain:
                 break
-            if view in chosen:
-                continue
-            sector = scores.direction[view].long()[:, None]
-            more = (worth[view] - state.gather(1, sector)[:, 0]).clamp(min=0)
-            bound[view] = float(((total + more).clamp(max=DIRECTIONS).sqrt() - before).sum())
+            more = (worth[view] - state.gather(1, sectors[view, :, None])[:, 0]).clamp(min=0)
+            bound[view] = ((total + more).clamp(max=DIRECTIONS).sqrt() - before).sum()
             if bound[view] > gain:
-                best, gain = view, bound[view]
-        first = first or gain
+                best, gain = view, float(bound[view])
         if best < 0 or (count is None and gain < least_gain * first):
             break
         chosen.append(best)
         bound[best] = -1.0
-        sector = scores.direction[best].long()[:, None]
-        state.scatter_reduce_(1, sector, worth[best][:, None], "amax")
+        state.scatter_reduce_(1, sectors[best, :, None], worth[best, :, None], "amax")
     return chosen
+
+
+def _alone(worth: Tensor) -> Tensor:
+    """Return [V], what each view gains alone."""
+    return worth.clamp(max=DIRECTIONS).sqrt().sum(1)
 
 
 def front_sides(scores: Scores, means: Tensor) -> Tensor:
@@ -190,7 +245,7 @@ def front_sides(scores: Scores, means: Tensor) -> Tensor:
     Args:
         means: [M, 3] of the Gaussians.
     """
-    richness = scores.quality * scores.shown.float().mean(1)
+    richness = scores.quality() * scores.shown.float().mean(1)
     mean, total = torch.zeros_like(means), torch.zeros(len(means))
     for view, place in enumerate(scores.positions):
         weight = richness[view] * scores.shown[view].float()

@@ -1,0 +1,100 @@
+"""scoup views: cameras and renders for a splat that comes without photographs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import tyro
+
+from scoup.base.counts import counted
+from scoup.cli.console import Console
+from scoup.cli.options import OptionalInteger, OptionalPath, OptionGroups, WritesCommon
+
+if TYPE_CHECKING:
+    from scoup.cli.extract import Extract
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeViews(WritesCommon):
+    """Choose cameras for a splat that comes without photographs, and render them as if they were photographs.
+
+    The fewest are taken that show nearly all of the splat clearly and from several directions. The folder then serves
+    every tool as a scene: scoup extract finds regions in it, scoup build takes it with --gaussians SPLAT.
+    """
+
+    option_groups: ClassVar[OptionGroups] = {"view": "views width height up beside", "output": "out"}
+
+    splat: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SPLAT", help_behavior_hint="")]
+    """The splat: .ply, .splat, .spz, .sog, .glb and more, or a folder that contains one."""
+    out: OptionalPath = None
+    """The scene folder to write: transforms.json, images, and views.png, a sheet of all views. Default: <name of
+    SPLAT>_views here."""
+    views: OptionalInteger = None
+    """Number of views. Default: as many as still show something new."""
+    width: int = 960
+    """Width of the views, in pixels."""
+    height: int = 720
+    """Height of the views, in pixels."""
+    up: Annotated[
+        tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
+    ] = None
+    """The direction that is up in the splat. Default: estimated from its floors and tables."""
+    beside: OptionalPath = None
+    """A scene whose photographs show a part of the splat: they are copied to OUT, and the views show the rest."""
+
+    def run(self, console: Console) -> None:
+        """Choose, render, report."""
+        console.result(self.make(console))
+
+    def make(self, console: Console) -> dict[str, Any]:
+        """Choose the cameras and write the scene; returns what the result says."""
+        from scoup.base.staging import check_outputs
+        from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, save_views
+        from scoup.io import load_cameras, load_gaussians
+        from scoup.io.scene_parts import find_splat
+
+        source = find_splat(self.splat, self.splat)
+        out = self.out or Path(f"{source.stem}_views")
+        check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
+        beside = None if self.beside is None else load_cameras(self.beside, missing_images="skip")
+        gaussians = load_gaussians(source)
+        with console.progress() as progress:
+            cameras = choose_cameras(
+                gaussians, width=self.width, height=self.height, count=self.views, up=self.up, beside=beside,
+                progress=progress,
+            )  # fmt: skip
+            shown = save_views(gaussians, cameras, out, beside, self.overwrite, progress)
+        there = f" beside {counted(len(beside), 'photograph')}" if beside is not None else ""
+        console.say(
+            f"{out}: {counted(len(cameras), 'view')}{there}; {shown.once:.1%} of the opaque Gaussians are in one or "
+            f"more, {shown.often:.1%} in three or more"
+        )
+        console.say(
+            f"look at {out / SHEET}; then: scoup extract {out}, scoup build {out} --gaussians {source}"
+        )
+        return {"scene": out, "views": len(cameras), "coverage": shown.once, "coverage_by_three": shown.often}
+
+
+def is_splat(path: Path) -> bool:
+    """Tell whether a file, by its name, is a splat rather than a scene."""
+    from scoup.io.splats.formats import READERS
+
+    return path.suffix.lower() in READERS and not path.is_dir()
+
+
+def make_scene(console: Console, splat: Path, folder: Path, extract: Extract) -> None:
+    """Make a scene of a splat alone: its views, unless they are there already, and their regions.
+
+    Args:
+        folder: the scene to write.
+        extract: with the models.
+    """
+    from scoup.extract.own_views import TRANSFORMS
+
+    if (folder / TRANSFORMS).exists():
+        console.say(f"{folder}: the views that are there are used; for others: scoup views --overwrite")
+    else:
+        MakeViews(splat=splat, out=folder).make(console)
+    replace(extract, scene=folder).make(console)

@@ -1,0 +1,96 @@
+"""scoup views, and scoup build of a splat alone, as a user runs them; without models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from cli_support import QUICK, refused, run, run_json, snapshot
+from scoup.field.language_field import LanguageField
+from scoup.io import load_cameras
+
+pytestmark = pytest.mark.usefixtures("here")
+
+SPLAT = Path("scene/point_cloud.ply")
+SMALL = ("--width", "40", "--height", "30", "--up", "0", "-1", "0")
+FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+
+
+def test_a_splat_becomes_a_scene_that_is_extracted_and_built() -> None:
+    record = run_json("views", SPLAT, *SMALL, "--views", 4, "--out", "own")
+    assert record["views"] == 4
+    assert record["coverage"] >= record["coverage_by_three"] > 0
+    cameras = load_cameras("own")
+    assert [camera.image_path is not None for camera in cameras] == [True] * 4
+    assert {(camera.width, camera.height) for camera in cameras} == {(40, 30)}
+    with Image.open("own/views.png") as sheet:
+        assert sheet.width == 1200
+    run_json("extract", "own", *FREE)
+    # The renders are those of the splat: the check that photographs fit it passes.
+    built = run_json("build", "own", "--gaussians", SPLAT, *QUICK, "--out", "a.scoup")
+    assert built["views"] == 4
+
+
+def test_views_that_are_there_are_not_replaced() -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "own")
+    before = snapshot(Path())
+    assert "own/transforms.json" in refused("views", SPLAT, *SMALL, "--views", 3, "--out", "own")
+    assert snapshot(Path()) == before
+    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "own", "--overwrite")
+    assert len(load_cameras("own")) == 3
+
+
+def test_views_beside_photographs_keep_them() -> None:
+    given = load_cameras("scene")
+    record = run_json("views", SPLAT, *SMALL, "--views", 2, "--beside", "scene", "--out", "more")
+    assert record["views"] == 2
+    together = load_cameras("more")
+    assert len(together) == len(given) + 2
+    for camera in given:
+        assert camera.image_path is not None
+        copied = together[camera.name]
+        assert copied.image_path is not None
+        assert copied.image_path.read_bytes() == camera.image_path.read_bytes()
+        assert torch.allclose(copied.viewmat, camera.viewmat, atol=1e-5)
+
+
+@pytest.mark.slow  # views of the usual size
+def test_a_build_of_a_splat_alone_makes_its_views() -> None:
+    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    assert built["views"] == len(load_cameras("alone_views")) > 1
+
+
+def test_a_build_of_a_splat_alone_continues() -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "alone_views")
+    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    cameras = LanguageField.load("alone.scoup").cameras
+    assert cameras is not None
+    assert cameras.names == load_cameras("alone_views").names
+    assert built["views"] == 3
+    kept = snapshot(Path("alone_views"))
+    code, said, _ = run("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup", "--overwrite")
+    assert code == 0
+    assert "the views that are there are used" in said
+    assert "already there" in said
+    assert snapshot(Path("alone_views")) == kept
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("views", "nothing.ply"), "nothing.ply: there is no such file"),
+        (("views", SPLAT, "--views", "0"), "--views must be 1 to 1000 views, got 0"),
+        (("views", SPLAT, "--width", "4"), "--width must be 16 to 8192 pixels, got 4"),
+        (("views", SPLAT, "--up", "0", "0", "0"), "up: expected three numbers that are not all 0"),
+        (("build", SPLAT, "--shard", "1/2"), "make its scene first, with scoup views and scoup extract"),
+        (("build", SPLAT, "--gaussians", SPLAT), "is a splat; pass the scene"),
+        (("build", "scene", "--embedder", "colors"), "--segmenter and --embedder are for a splat alone"),
+    ],
+)
+def test_what_cannot_be_done_is_said(arguments: tuple[str, ...], expected: str) -> None:
+    before = snapshot(Path())
+    assert expected in refused(*arguments)
+    assert snapshot(Path()) == before
