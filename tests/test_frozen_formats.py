@@ -113,8 +113,8 @@ def test_a_scene_is_written_as_it_was(made_now: Path) -> None:
     assert len(regions) == 3
     for name in regions:
         (mine, tensors), (kept, stored) = contents(now / name), contents(then / name)
-        assert mine == kept
-        assert tensors.keys() == stored.keys()
+        assert mine.pop("checksums").keys() == kept.pop("checksums").keys() == tensors.keys() == stored.keys()
+        assert mine | {"checksum": ""} == kept | {"checksum": ""}  # checksums are of what zlib packs
         for part, array in tensors.items():
             both = array.tobytes(), stored[part].tobytes()
             assert (

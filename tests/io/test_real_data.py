@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 
@@ -10,6 +11,7 @@ import pytest
 import torch
 
 from io_samples import camera_difference, same_gaussians
+from scoup.base.errors import ScoupWarning
 from scoup.io import (
     load_cameras,
     load_gaussians,
@@ -56,7 +58,10 @@ def test_real_files_survive_writing(data_folder, tmp_path, name):
 @pytest.mark.parametrize("suffix", [".glb", ".spz", ".compressed.ply"])
 def test_real_splats_in_other_formats(data_folder, tmp_path, name, suffix):
     given = load_gaussians(data_folder / name)
-    save_gaussians(given, tmp_path / f"a{suffix}")
+    flat = suffix == ".spz" and name.startswith("guitar")
+    clipped = pytest.warns(ScoupWarning, match="4,998 of 90,854 Gaussians had scales outside")
+    with clipped if flat else contextlib.nullcontext():
+        save_gaussians(given, tmp_path / f"a{suffix}")
     found = load_gaussians(tmp_path / f"a{suffix}")
     assert len(found) == len(given)
     if suffix == ".glb":
