@@ -38,6 +38,7 @@ from benchmarks.server_load import ServerLoad
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
+from benchmarks.views import Views
 from scoup.extract.registry import EMBEDDERS, SEGMENTERS, Choice
 from scoup_lab.bench import markdown
 
@@ -182,6 +183,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "labels": (Labels, "labels"),
     "locate": (Locate, "locate"),
     "things": (Things, "things"),
+    "views": (Views, "views"),
     "absence": (Absence, "absence"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "coding, compared": (Coding, "coding"),

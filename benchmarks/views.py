@@ -173,7 +173,8 @@ class Views(Study):
                 if whole.get(one) and whole.get(other)
             }
         left_out = {key: row["left out"] for key, row in rows.items() if "left out" in row}
-        return {"means": means, "differences": differences, "left out": left_out, "rows": found}
+        kept = {key: {name: row[name] for name in row if name != "pairs"} for key, row in found.items()}
+        return {"means": means, "differences": differences, "left out": left_out, "rows": kept}
 
     @staticmethod
     def table(record: Record) -> str:
