@@ -39,6 +39,11 @@ def test_what_cannot_be_seen_is_refused(case: str) -> None:
         choose_cameras(Gaussians(**parts), width=64, height=48)
 
 
+def test_a_fog_of_large_gaussians_is_refused() -> None:
+    with pytest.raises(InputError, match="gaussians: nothing can be seen clearly"):
+        choose_cameras(random_gaussians(3000, seed=1), width=64, height=48)
+
+
 def surface(normal: int, side: float = -1.0, seed: int = 3, count: int = 600) -> Gaussians:
     """Flat Gaussians in a plane across an axis, at one side of round ones."""
     gaussians = random_gaussians(count, seed=seed)

@@ -88,9 +88,11 @@ def choose_cameras(
     for near in torch.from_numpy(draws).split(CHILDREN):
         parents = choose_views(scores, front_sides(scores, scorer.means), PARENTS, 0, PARENTS, len(there))
         moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
-        scores = Scores.joined([scores, score(moved)])
+        scores = Scores.joined([scores, score(moved)]) if moved else scores
     fronts = front_sides(scores, scorer.means)
     chosen = choose_views(scores, fronts, count, LEAST_GAIN, MOST_VIEWS, len(there))
+    if not chosen and not there:
+        raise InputError("gaussians: nothing can be seen clearly (no view shows an opaque, sharp surface)")
     return Cameras(
         replace(scores.cameras[view], name=f"own_{number:03d}.png") for number, view in enumerate(chosen)
     )

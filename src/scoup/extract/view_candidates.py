@@ -67,8 +67,9 @@ def find_matter(gaussians: Gaussians) -> Tensor:
     rows = (usable & (gaussians.opacities >= level)).nonzero().flatten()
     means, largest = gaussians.means[rows].double(), gaussians.scales[rows].amax(1).double()
     middle = means.median(0).values
-    extent = float((means - middle).norm(dim=1).quantile(0.8)) if len(rows) < 2**24 else 0.0
-    kept = rows[(largest <= 0.5 * extent) & ((means - middle).norm(dim=1) <= 4 * extent)]
+    away = (means - middle).norm(dim=1)
+    extent = float(away[:: max(1, len(away) // 1_000_000)].quantile(0.8))
+    kept = rows[(largest <= 0.5 * extent) & (away <= 4 * extent)]
     kept = kept[_with_neighbours(gaussians.means[kept].double(), extent / 12)]
     if len(kept) < 2 or not extent > 0:
         raise InputError(f"gaussians: nothing to look at ({len(rows)} opaque Gaussians at one place)")
