@@ -31,7 +31,6 @@ INNER = {
     *(
         "base.staging",
         "base.version",
-        "cli.build",
         "cli.console",
         "cli.options",
         "cli.parsing",

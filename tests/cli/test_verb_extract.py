@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json, snapshot
-from scoup.cli.build import CLIP_MODEL
+from scoup.cli.options import CLIP_MODEL
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions
 from scoup.io.regions.manifest import MANIFEST

@@ -13,7 +13,7 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.build_options import BuildOptions, check_field_name, check_field_output, report_field
 from scoup.cli.console import Console, kept
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import CLIP_MODEL, Flag, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from scoup.uplift.region_sums import RegionSums
     from scoup.uplift.shards import Shard
 
-CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 CLIP_DIM = 512
 
 

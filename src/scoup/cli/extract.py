@@ -12,9 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console, kept
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.options import (
+    CLIP_MODEL,
+    Flag,
+    OptionalInteger,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+    WritesCommon,
+)
 
 if TYPE_CHECKING:
     from scoup.base.progress import Progress

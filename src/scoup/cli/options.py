@@ -8,6 +8,9 @@ from typing import Annotated, ClassVar, TypeAlias
 
 import tyro
 
+CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+"""LangSplat's, which verbs assume where no other is named."""
+
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 """A switch that is off by default."""
 

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from scoup.cli.build import CLIP_MODEL
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.options import CLIP_MODEL, Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
