@@ -113,3 +113,12 @@ def test_a_field_is_built_on_a_splat_of_another_format():
     chosen = run_json("select", "b.scoup", "kettle", "--out", "kettle.glb", "--always")
     assert len(load_gaussians("kettle.glb")) == chosen["written"] > 0
     assert run_json("label", "b.scoup", "kettle", "mug", "--out", "labels")["gaussians"] == 150
+
+
+def test_openusd_is_written_and_not_read():
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    chosen = run_json("select", "f.scoup", "kettle", "--out", "kettle.usdz", "--always")
+    stage = usd.Stage.Open("kettle.usdz")
+    assert len(stage.GetDefaultPrim().GetAttribute("positions").Get()) == chosen["written"] > 0
+    assert run_json("convert", "scene/point_cloud.ply", "a.usd")["gaussians"] == 150
+    assert ".usd files are not read" in refused("convert", "a.usd", "b.ply")

@@ -24,7 +24,7 @@ class Convert(WritesCommon):
     """Convert splats, region features or fields of other systems; what SOURCE and TARGET are decides.
 
     A splat (a file, or a folder with one) becomes another: .ply, .compressed.ply, .splat, .spz, .glb, .gltf, .ksplat,
-    .sog, by the suffix of TARGET.
+    .sog, or OpenUSD's .usd, .usda, .usdc, .usdz, by the suffix of TARGET.
 
     A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
     compact file per view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's
@@ -46,8 +46,8 @@ class Convert(WritesCommon):
     target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET", help_behavior_hint="")]
     """Splat, folder or .scoup to write."""
     keep_axes: Flag = False
-    """Do not turn .spz and glTF, which name their axes, from and to those of 3DGS: for files of programs that keep the
-    numbers of the PLY."""
+    """Do not turn .spz, glTF and OpenUSD, which name their axes, from and to those of 3DGS: for files of programs that
+    keep the numbers of the PLY."""
     model: OptionalText = None
     """Id of the model that made the embeddings, or a table of words. Default: as SOURCE says; most say nothing."""
     to: Annotated[

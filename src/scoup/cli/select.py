@@ -51,7 +51,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     between them any may answer. "mug left of the laptop", "largest box" and "second chair from the left" select things
     by relation or order (docs/things.md). A text in double quotes of its own is taken as it stands."""
     out: Path
-    """The splat (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog) or field (.scoup) to write."""
+    """The splat (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .usd, .usdz) or field (.scoup) to write."""
     edit: Literal["keep", "remove", "recolor", "fade", "ids"] = "keep"
     """keep: write those found. remove: all others. recolor, fade: all, with those found changed. ids: all, with a
     property `selected`: number of text, or 0 (PLY only; `scoup label` writes one class each)."""

@@ -81,7 +81,7 @@ def save_gaussians(
     gaussians: Gaussians, path: str | Path, overwrite: bool = False, keep_axes: bool = False
 ) -> None:
     """Write a splat in the format of the suffix: .ply (Inria's layout), .compressed.ply (PlayCanvas), .splat, .spz,
-    .glb, .gltf, .ksplat or .sog. All but .ply round values (docs/formats.md).
+    .glb, .gltf, .ksplat, .sog, or OpenUSD's .usd, .usda, .usdc, .usdz. All but .ply round values (docs/formats.md).
 
     Args:
         keep_axes: as ``load_gaussians``.

@@ -105,6 +105,21 @@ def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarra
     return {**arrays, "opacities": arrays["opacities"].clip(0, 1)}
 
 
+def linear_arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    """Return means, quats (unit norm), scales (positive), opacities (0 to 1) and sh as float32, for a format that has
+    them as they are."""
+    arrays = {
+        name: getattr(gaussians, name).detach().cpu().numpy()
+        for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+    return {
+        **arrays,
+        "quats": unit_quats(arrays["quats"]),
+        "scales": np.abs(arrays["scales"]),
+        "opacities": arrays["opacities"].clip(0.0, 1.0),
+    }
+
+
 def _settled(raw: np.ndarray, wanted: np.ndarray, forward: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Return ``raw``, or a float32 neighbour where that maps to ``wanted`` and ``raw`` does not."""
     wrong = np.flatnonzero((forward(raw) != wanted).ravel() & np.isfinite(raw.ravel()))

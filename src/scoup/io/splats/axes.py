@@ -17,8 +17,13 @@ from scoup.scene.gaussians import Gaussians
 Axis = Literal["x", "y", "z"]
 Columns = dict[str, np.ndarray]
 """means, quats (w, x, y, z), scales, opacities, sh, as ``keep_finite`` takes them."""
-AXES: dict[str, Axis] = {".spz": "x", ".glb": "z", ".gltf": "z"}
-"""Suffix -> axis of the half-turn. .spz: right, up, back; glTF: left, up, forward."""
+AXES: dict[str, Axis] = {
+    ".spz": "x",
+    ".glb": "z",
+    ".gltf": "z",
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "x"),
+}
+"""Suffix -> axis of the half-turn. .spz and OpenUSD: right, up, back; glTF: left, up, forward."""
 
 
 def half_turn(columns: Mapping[str, np.ndarray], axis: Axis) -> Columns:

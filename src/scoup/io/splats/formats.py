@@ -12,6 +12,7 @@ from scoup.io.splats.ply import read_ply, write_ply
 from scoup.io.splats.ply_compressed_write import write_compressed_ply
 from scoup.io.splats.splat import read_splat, write_splat
 from scoup.io.splats.spz import read_spz, write_spz
+from scoup.io.splats.usd import write_usd
 from scoup.scene.gaussians import Gaussians
 
 COMPRESSED_PLY = ".compressed.ply"
@@ -36,6 +37,7 @@ WRITERS: dict[str, Callable[[Gaussians, str | Path, bool], None]] = {
     ".gltf": write_gltf,
     ".ksplat": write_through_gaussforge,
     ".sog": write_through_gaussforge,
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), write_usd),
 }
 
 

@@ -14,7 +14,7 @@ import torch
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError, ScoupWarning
-from scoup.io.splats.activation import keep_finite, unit_quats
+from scoup.io.splats.activation import keep_finite, linear_arrays
 from scoup.io.splats.axes import AXES, Columns, half_turn
 from scoup.io.splats.gltf_document import GltfDocument, read_document
 from scoup.io.splats.gltf_features import (
@@ -174,10 +174,7 @@ def _no_gaussians(document: GltfDocument) -> Exception:
 
 
 def _writable(gaussians: Gaussians, path: Path) -> Columns:
-    values = {
-        name: getattr(gaussians, name).detach().cpu().numpy()
-        for name in ("means", "quats", "scales", "opacities", "sh")
-    }
+    values = linear_arrays(gaussians)
     bases = (SH_DEGREE + 1) ** 2
     if values["sh"].shape[1] > bases:
         warnings.warn(
@@ -185,13 +182,7 @@ def _writable(gaussians: Gaussians, path: Path) -> Columns:
             ScoupWarning,
             stacklevel=4,
         )
-    return {
-        "means": values["means"],
-        "quats": unit_quats(values["quats"]),
-        "scales": np.abs(values["scales"]),
-        "opacities": values["opacities"].clip(0.0, 1.0),
-        "sh": values["sh"][:, :bases],
-    }
+    return {**values, "sh": values["sh"][:, :bases]}
 
 
 def _root(builder: GltfBuilder, gaussians: Gaussians, features: GaussianFeatures | None) -> dict[str, Any]:

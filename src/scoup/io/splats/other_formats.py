@@ -10,7 +10,7 @@ READ = f"{', '.join(READERS)}, or a gsplat checkpoint (.pt)"
 """Splats that are read, for messages."""
 
 _SPLATS = (".lcc",)  # those that splat-transform reads
-_OTHER_SPLATS = (".usdz",)
+_OTHER_SPLATS = (".usd", ".usda", ".usdc", ".usdz")
 _NOT_SPLATS = (".obj", ".fbx", ".stl", ".off", ".las", ".laz", ".e57", ".pcd", ".pts")
 _ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2")
 

@@ -1,0 +1,122 @@
+"""OpenUSD files, read back with usd-core itself."""
+
+from __future__ import annotations
+
+import sys
+import zipfile
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+
+from io_samples import some_gaussians
+from scoup.base.errors import InputError, ScoupError, ScoupWarning, WriteError
+from scoup.io import save_gaussians
+from scoup.io.splats import usd
+from scoup.io.splats.axes import turned
+
+pytest.importorskip("pxr", reason="usd-core is not installed")
+Tf, Usd, UsdGeom, UsdValidation, UsdVol = (
+    cast(Any, import_module(f"pxr.{name}")) for name in ("Tf", "Usd", "UsdGeom", "UsdValidation", "UsdVol")
+)
+SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+STAGES: list[Any] = []
+
+
+def read(path: Path) -> Any:
+    """The default prim. Its stage is kept with it, since it would end with it."""
+    stage = Usd.Stage.Open(str(path))
+    STAGES.append(stage)
+    return stage.GetDefaultPrim()
+
+
+def attribute(prim: Any, name: str) -> np.ndarray:
+    return np.array(prim.GetAttribute(name).Get())
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("degree", [0, 3])
+def test_values_keep_their_bits_in_the_axes_of_a_stage_with_y_up(
+    tmp_path: Path, suffix: str, degree: int
+) -> None:
+    given = some_gaussians(40, degree)
+    save_gaussians(given, tmp_path / f"a{suffix}")
+    prim = read(tmp_path / f"a{suffix}")
+    stage = prim.GetStage()
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert prim.IsA(UsdVol.ParticleField3DGaussianSplat)
+    wanted = turned(given, "x")
+    np.testing.assert_array_equal(attribute(prim, "positions"), given.means.numpy() * [1, -1, -1])
+    np.testing.assert_array_equal(attribute(prim, "scales"), given.scales.numpy())
+    np.testing.assert_array_equal(attribute(prim, "opacities"), given.opacities.numpy())
+    quats = [[q.GetReal(), *q.GetImaginary()] for q in prim.GetAttribute("orientations").Get()]
+    np.testing.assert_allclose(quats, wanted.quats.numpy(), atol=1e-7)
+    assert prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get() == degree
+    sh = attribute(prim, "radiance:sphericalHarmonicsCoefficients")
+    np.testing.assert_array_equal(sh.reshape(wanted.sh.shape), wanted.sh.numpy())
+    low, high = attribute(prim, "extent")
+    assert (low < attribute(prim, "positions").min(0)).all()
+    assert (high > attribute(prim, "positions").max(0)).all()
+    save_gaussians(given, tmp_path / f"b{suffix}", keep_axes=True)
+    np.testing.assert_array_equal(attribute(read(tmp_path / f"b{suffix}"), "positions"), given.means.numpy())
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_validators_of_openusd_find_nothing(tmp_path: Path, suffix: str) -> None:
+    save_gaussians(some_gaussians(20, 2), tmp_path / f"a{suffix}")
+    checks = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    assert [error.GetMessage() for error in checks.Validate(read(tmp_path / f"a{suffix}").GetStage())] == []
+
+
+def test_a_package_begins_at_byte_64_and_has_no_time_of_day(tmp_path: Path) -> None:
+    save_gaussians(some_gaussians(20), tmp_path / "a.usdz")
+    save_gaussians(some_gaussians(20), tmp_path / "b.usdc")
+    with zipfile.ZipFile(tmp_path / "a.usdz") as package:
+        (entry,) = package.infolist()
+    assert entry.compress_type == zipfile.ZIP_STORED
+    assert entry.date_time == (1980, 1, 1, 0, 0, 0)
+    assert (tmp_path / "a.usdz").read_bytes()[64 : 64 + entry.file_size] == (tmp_path / "b.usdc").read_bytes()
+
+
+def test_what_the_format_has_no_place_for(tmp_path: Path) -> None:
+    given = some_gaussians(5)
+    odd = replace(
+        given,
+        quats=given.quats * 3,
+        opacities=torch.tensor([2.0, -1.0, 0.5, torch.inf, 0.25]),
+        means=torch.cat([given.means[:4], torch.full((1, 3), torch.nan)]),
+    )
+    with pytest.warns(ScoupWarning, match="dropped 1 of 5 Gaussians"):
+        save_gaussians(odd, tmp_path / "a.usdc")
+    prim = read(tmp_path / "a.usdc")
+    assert attribute(prim, "opacities").tolist() == [1.0, 0.0, 0.5, 1.0]
+    lengths = [q.GetLength() for q in prim.GetAttribute("orientations").Get()]
+    np.testing.assert_allclose(lengths, 1, atol=1e-6)
+    with pytest.raises(InputError, match="there are no Gaussians to write"):
+        save_gaussians(given.select([]), tmp_path / "b.usdc")
+    assert not (tmp_path / "b.usdc").exists()
+
+
+def test_a_refusal_of_the_system_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*given: Any) -> Any:
+        class Stage:
+            def GetRootLayer(self) -> Any:  # as usd-core has it
+                raise Tf.ErrorException("Error in 'CrateFile' at line 7")
+
+        return Stage()
+
+    monkeypatch.setattr(usd, "_stage", refuse)
+    with pytest.raises(WriteError, match=r"a\.usda: cannot be written \(usd-core cannot write it\)"):
+        save_gaussians(some_gaussians(5), tmp_path / "a.usda")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    with pytest.raises(ScoupError, match=r"pip install 'scoup\[usd\]'"):
+        save_gaussians(some_gaussians(5), tmp_path / "a.usda")
