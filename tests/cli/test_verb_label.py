@@ -23,7 +23,11 @@ def test_the_main_path():
     counts = labels.counts()
     assert f"kettle: {counts['kettle']} Gaussians" in out
     assert f"none of these: {counts['none']} Gaussians" in out
+    assert [len(things) for things in labels.things] == [1, 1]
+    assert f"kettle: {counts['kettle']} Gaussians, thing {labels.things[0][0]}\n" in out
     folder = Path("f_labels")
+    classes = json.loads((folder / "labels.json").read_text())["classes"]
+    assert [one["things"] for one in classes] == [list(things) for things in labels.things]
     assert {path.name for path in folder.iterdir()} == {
         "labels.npy", "labels.json", "labels.ply", "colored.ply", "labels.png",
     }  # fmt: skip

@@ -10,7 +10,7 @@ import torch
 
 from query.conftest import Queried
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.query.answering import judged_selections
+from scoup.query.answering import answer_scene, judged_selections
 from scoup.query.label import NONE, label
 from scoup.query.presence import scene_z_scores, with_evidence
 from scoup.query.select import select_each
@@ -68,6 +68,22 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried,
     expected = torch.tensor([*present, NONE])[alone.ids.long()]
     assert judged.ids.equal(expected.int())
     assert not judged.ids.equal(everything.ids)
+
+
+def test_words_name_the_things_that_answer_them(queried: Queried, voted: Queried) -> None:
+    field, texts = queried.field, queried.texts
+    found = label(field, texts)
+    assert found.things == tuple(field.location(answer).things for answer in answer_scene(field, texts))
+    assert any(found.things)
+    table = field.thing_table
+    assert table is not None
+    for name, level, things in zip(found.names, found.levels, found.things, strict=True):
+        assert {field.levels[int(table.levels[thing])] for thing in things} <= {level}, name
+    assert not any(label(voted.field, texts).things)
+    assert not any(label(field, replace(texts, threshold=0.3)).things)
+    judged = label(field, replace(texts, present_from=1e3))
+    assert not any(judged.presence)
+    assert not any(judged.things)
 
 
 @pytest.mark.parametrize("words", [("word 1", "word 1"), ("word 1", "none")])

@@ -113,7 +113,8 @@ def _report(console: Console, labels: GaussianLabels, out: Path, files: list[str
     record: dict[str, Any] = label_record(labels)
     for one in record["classes"]:
         absent = "" if one["present"] else f" (not in this scene, z-score {one['z_score']})"
-        console.say(f"{one['name']}: {counted(one['gaussians'], 'Gaussian')}{absent}")
+        things = f", thing {', '.join(map(str, one['things']))}" if one["things"] else ""
+        console.say(f"{one['name']}: {counted(one['gaussians'], 'Gaussian')}{things}{absent}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:
         console.say(f"{out / name}")

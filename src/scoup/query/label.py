@@ -12,6 +12,7 @@ from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
 from scoup.query.answering import judged_selections
 from scoup.query.coded_scene import CodedScene
+from scoup.query.locate import answering_things
 from scoup.query.question import Question
 from scoup.query.select import Selection
 
@@ -43,6 +44,9 @@ class GaussianLabels:
     """Per word, whether the thing is in the scene; true if that was not judged."""
     levels: tuple[str, ...]
     """Per word, the name of the level that answers it."""
+    things: tuple[tuple[int, ...], ...]
+    """Per word, the numbers of the things that answer it (``field.things`` describes them); empty where the votes
+    answer, and for what is not there."""
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
@@ -84,6 +88,7 @@ def label(field: CodedScene, question: Question) -> GaussianLabels:
     judged: list[float] = []
     presence: list[bool] = []
     levels: list[str] = []
+    things: list[tuple[int, ...]] = []
 
     def selections() -> Iterator[tuple[Selection, bool]]:
         """One after the other, so that only one relevancy is in memory."""
@@ -92,11 +97,15 @@ def label(field: CodedScene, question: Question) -> GaussianLabels:
                 judged.append(z_score)
             presence.append(present_from is None or judged[-1] >= present_from)
             levels.append(field.levels[found.level])
+            numbers = answering_things(field, found.mask, found.level, found.threshold)
+            things.append(tuple(numbers.tolist()) if presence[-1] and numbers is not None else ())
             yield found, presence[-1]
 
     ids, scores = label_by_selections(selections(), len(field), field.codebook.device)
     z_scores = tuple(judged) if present_from is not None else None
-    return GaussianLabels(ids.cpu(), names, scores.cpu(), z_scores, tuple(presence), tuple(levels))
+    return GaussianLabels(
+        ids.cpu(), names, scores.cpu(), z_scores, tuple(presence), tuple(levels), tuple(things)
+    )
 
 
 def label_by_selections(

@@ -143,6 +143,7 @@ def label_record(labels: GaussianLabels) -> dict[str, Any]:
             "color": colors[number],
             "gaussians": counts[name],
             "level": labels.levels[number],
+            "things": list(labels.things[number]),
             "present": labels.presence[number],
             **({} if labels.z_scores is None else {"z_score": _finite(labels.z_scores[number])}),
         }

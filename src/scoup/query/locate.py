@@ -119,17 +119,19 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
     points = ThingPoints.of_one_thing(means[own], weights[own])
     position, box = torch.from_numpy(points.medians()[0]), points.boxes()[0]
     confidence = float((relevancy[own] * weights[own]).sum() / weights[own].sum())
-    things = answering_things(field, answer)
+    things = answering_things(field, answer.mask, answer.level, answer.threshold)
     numbers = () if things is None else tuple(things.tolist())
     return Location(position, box, confidence, members[own], answer, numbers)
 
 
-def answering_things(field: CodedScene, answer: SceneAnswer) -> Tensor | None:
-    """Return the numbers [M] int64 of the things that an answer of ``answer_scene`` consists of; None where the votes
-    answer, or the field has no things."""
-    if field.thing_table is None or answer.threshold is not None:
+def answering_things(
+    field: CodedScene, mask: Tensor, level: str | int, threshold: float | None
+) -> Tensor | None:
+    """Return the numbers [M] int64 of the things that a selection ``mask`` [N] at a level consists of; None where the
+    votes answer (by a threshold), or the field has no things."""
+    if field.thing_table is None or threshold is not None:
         return None
-    return things_in_mask(field.thing_table, answer.mask, field.levels.index(answer.level))
+    return things_in_mask(field.thing_table, mask, field.level_index(level))
 
 
 def metres_record(

@@ -130,7 +130,8 @@ def things_of_answer(field: CodedScene, question: Question, number: int, answer:
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
-    numbers, of_things = answering_things(field, answer), thing_fits(field, question.one(number))
+    numbers = answering_things(field, answer.mask, answer.level, answer.threshold)
+    of_things = thing_fits(field, question.one(number))
     if numbers is None or of_things is None:
         return _connected_things(field, answer)
     fits = of_things.fits[:, 0]
