@@ -58,13 +58,13 @@ void for_rows(int64_t n, const GaussianCodes& codes, int n_threads, const Interr
     for (const int32_t of_chunk : largest) check_atoms(of_chunk, codes.n_atoms);
 }
 
-// Columns one after the other, as long as an index can be large.
+// Columns one after the other, as long as an index can be large; atoms that none can name are left out.
 Buffer<float> padded(const GaussianCodes& codes, const AtomScores& scores) {
     const int64_t padded_level = codes.index_values(), column = codes.levels * padded_level;
     Buffer<float> table(scores.columns * column);
     table.fill(0.0f);
     for (int64_t level = 0; level < codes.levels; ++level)
-        for (int64_t atom = 0; atom < codes.n_atoms; ++atom)
+        for (int64_t atom = 0; atom < std::min<int64_t>(codes.n_atoms, padded_level); ++atom)
             for (int64_t c = 0; c < scores.columns; ++c)
                 table[c * column + level * padded_level + atom] =
                     scores.values[(level * codes.n_atoms + atom) * scores.columns + c];

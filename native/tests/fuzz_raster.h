@@ -192,9 +192,9 @@ struct CodeArrays {
     int64_t index(int64_t i) const { return bytes ? indices8[i] : indices16[i]; }
 };
 inline CodeArrays random_codes(Random& random, int64_t entries, int32_t n_atoms) {
-    CodeArrays codes{{random, entries}, {random, entries}, {random, entries}, n_atoms <= 256 && random.chance(0.7)};
+    CodeArrays codes{{random, entries}, {random, entries}, {random, entries}, random.chance(n_atoms <= 256 ? 0.7 : 0.3)};
     for (int64_t i = 0; i < entries; ++i) {
-        const int64_t atom = random.below(n_atoms);
+        const int64_t atom = random.below(codes.bytes ? std::min(n_atoms, 256) : n_atoms);
         codes.indices8[i] = uint8_t(atom), codes.indices16[i] = uint16_t(atom);
         codes.weights[i] = random.chance(0.2) ? 0.0f : float(random.uniform());
     }

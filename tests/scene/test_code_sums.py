@@ -131,6 +131,14 @@ def test_the_same_bytes_for_any_number_of_threads(levels: int, seed: int) -> Non
     assert all(one.equal(other) for one, other in zip(*found, strict=True))
 
 
+@needs_native
+def test_bytes_name_the_first_of_many_atoms() -> None:
+    indices = torch.tensor([0, 255, 7], dtype=torch.uint8).reshape(3, 1, 1)
+    scores = torch.arange(60_000.0).reshape(1, -1, 1)
+    found = code_scores(indices, torch.ones(3, 1, 1), scores)
+    assert found.flatten().tolist() == [0, 255, 7]
+
+
 @pytest.mark.parametrize("n_atoms", [7, 300])
 def test_atoms_there_are_not_are_refused(n_atoms: int) -> None:
     indices = torch.zeros(100, 1, 2, dtype=torch.uint8 if n_atoms == 7 else torch.uint16)
