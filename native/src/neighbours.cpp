@@ -1,12 +1,11 @@
 #include "neighbours.h"
 
 #include <algorithm>
-#include <numeric>
 #include <stdexcept>
-#include <vector>
 
 #include "buffer.h"
 #include "neighbour_kernels.h"
+#include "unions.h"
 
 namespace scoup {
 namespace {
@@ -76,11 +75,6 @@ class Tree {
     int64_t leaves_ = 1;
 };
 
-int64_t part_of(int64_t* parents, int64_t point) {
-    while (parents[point] != point) point = parents[point] = parents[parents[point]];
-    return point;
-}
-
 }  // namespace
 
 void nearest_points(const double* points, int64_t n, int64_t count, int64_t* numbers, double* lengths, int n_threads,
@@ -102,19 +96,13 @@ void nearest_points(const double* points, int64_t n, int64_t count, int64_t* num
 }
 
 void linked_parts(const int64_t* numbers, const double* lengths, int64_t n, int64_t count, double longest, int64_t* parts) {
-    Buffer<int64_t> parents(n);
-    std::iota(parents.begin(), parents.end(), int64_t(0));
+    Unions<int64_t> points(n);
     for (int64_t i = 0; i < n * count; ++i) {
         if (!(lengths[i] <= longest)) continue;
         if (numbers[i] < 0 || numbers[i] >= n) throw std::invalid_argument("a link leads to no point");
-        const int64_t one = part_of(parents.data(), i / count), other = part_of(parents.data(), numbers[i]);
-        parents[std::max(one, other)] = std::min(one, other);  // so that the first point of a part leads it
+        points.join(i / count, numbers[i]);
     }
-    int64_t found = 0;
-    for (int64_t i = 0; i < n; ++i) {
-        const int64_t leader = part_of(parents.data(), i);
-        parts[i] = leader == i ? found++ : parts[leader];
-    }
+    points.number(parts);
 }
 
 }  // namespace scoup
