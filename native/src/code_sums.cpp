@@ -46,7 +46,7 @@ void for_rows(int64_t n, const GaussianCodes& codes, int n_threads, const Interr
     if (kSumRows * codes.levels * std::max(codes.k, 1) > most || codes.levels * codes.index_values() > most)
         throw std::invalid_argument("codes of too many levels or entries");
     const int64_t chunks = (n + kRows - 1) / kRows;
-    n_threads = int(std::max<int64_t>(1, std::min<int64_t>(n_threads, chunks)));
+    n_threads = workers(chunks, n_threads);
     std::vector<SumMemory> memory;
     for (int worker = 0; worker < n_threads; ++worker) memory.emplace_back(codes);
     std::vector<int32_t> largest(size_t(chunks), -1);

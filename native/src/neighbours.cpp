@@ -85,7 +85,7 @@ void nearest_points(const double* points, int64_t n, int64_t count, int64_t* num
     const auto& kernels = pick(baseline::neighbour_kernels, v3::neighbour_kernels, v4::neighbour_kernels);
     constexpr int64_t kAtOnce = 64;
     const int64_t chunks = (tree.leaves + kAtOnce - 1) / kAtOnce;
-    n_threads = int(std::max<int64_t>(1, std::min<int64_t>(n_threads, chunks)));
+    n_threads = workers(chunks, n_threads);
     Buffer<double> squares(n_threads * kLeaf * count);
     Buffer<int64_t> nearest(n_threads * kLeaf * count);
     for_chunks(chunks, n_threads, interrupted, [&](int64_t chunk, int worker) {

@@ -24,8 +24,6 @@ SomeValues part_of(const ValueRows& rows, int64_t chunk) {
     return {rows.values + at, rows.included == nullptr ? nullptr : rows.included + at, std::min(kPart, rows.length - first)};
 }
 
-int workers(int64_t chunks, int n_threads) { return int(std::max<int64_t>(1, std::min<int64_t>(n_threads, chunks))); }
-
 }  // namespace
 
 void count_stretched(const ValueRows& rows, float share, float* spans, int64_t* bins, int n_threads, const Interrupted& interrupted) {
@@ -69,7 +67,7 @@ void above_thresholds(const ValueRows& rows, const float* spans, const float* th
             least[size_t(row)] = kernels().first_above(spans[2 * row], spans[2 * row + 1], thresholds[row]);
         else
             least[size_t(row)] = std::numeric_limits<float>::quiet_NaN();
-    for_chunks(chunks, workers(chunks, n_threads), interrupted, [&](int64_t chunk, int) {
+    for_chunks(chunks, n_threads, interrupted, [&](int64_t chunk, int) {
         const int64_t row = chunk / parts, first = chunk % parts * kPart;
         sums[size_t(chunk)] = kernels().above(part_of(rows, chunk), least[size_t(row)], masks + row * rows.length + first);
     });

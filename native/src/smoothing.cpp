@@ -61,15 +61,13 @@ class MaskMemory {
     Buffer<int32_t> counts_, sums_;
 };
 
-int workers(const Maps& maps, int n_threads) { return int(std::max<int64_t>(1, std::min<int64_t>(n_threads, maps.count))); }
-
 }  // namespace
 
 void box_means(const Maps& maps, int32_t kernel, bool reflect, float* out, int n_threads, const Interrupted& interrupted) {
     if (maps.count == 0) return;
     const auto& kernels = pick(baseline::smoothing_kernels, v3::smoothing_kernels, v4::smoothing_kernels);
     const Axis across(maps.width, kernel, reflect), along(maps.height, kernel, reflect);
-    n_threads = workers(maps, n_threads);
+    n_threads = workers(maps.count, n_threads);
     std::vector<BoxMemory> memory;
     for (int worker = 0; worker < n_threads; ++worker) memory.emplace_back(maps.width, kernel);
     for_chunks(maps.count, n_threads, interrupted, [&](int64_t map, int worker) {
@@ -81,7 +79,7 @@ void box_means(const Maps& maps, int32_t kernel, bool reflect, float* out, int n
 void level_masks(const Maps& relevancy, const float* averaged, const float* thresholds, int32_t smoothing,
                  float* smoothed, uint8_t* masks, int n_threads, const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::smoothing_kernels, v3::smoothing_kernels, v4::smoothing_kernels);
-    n_threads = workers(relevancy, n_threads);
+    n_threads = workers(relevancy.count, n_threads);
     std::vector<MaskMemory> memory;
     for (int worker = 0; worker < n_threads; ++worker) memory.emplace_back(relevancy.width, relevancy.height);
     for_chunks(relevancy.count, n_threads, interrupted, [&](int64_t level, int worker) {
@@ -93,7 +91,7 @@ void level_masks(const Maps& relevancy, const float* averaged, const float* thre
 
 void level_sums(const Maps& smoothed, const uint8_t* masks, LevelSums* out, int n_threads, const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::smoothing_kernels, v3::smoothing_kernels, v4::smoothing_kernels);
-    for_chunks(smoothed.count, workers(smoothed, n_threads), interrupted, [&](int64_t level, int) {
+    for_chunks(smoothed.count, n_threads, interrupted, [&](int64_t level, int) {
         const int64_t first = level * smoothed.pixels();
         out[level] = kernels.sums(smoothed.values + first, masks + first, smoothed.pixels());
     });

@@ -85,10 +85,10 @@ void for_chunks(int64_t n_chunks, int n_threads, const Interrupted& interrupted,
                 const std::function<void(int64_t, int)>& body) {
     if (n_chunks <= 0) return;
     Run run(n_chunks, body);
-    const int64_t workers = std::clamp<int64_t>(n_threads, 1, n_chunks);
     {
-        Team others(workers - 1);
-        for (int worker = 1; worker < workers; ++worker)
+        const int team = workers(n_chunks, n_threads);
+        Team others(team - 1);
+        for (int worker = 1; worker < team; ++worker)
             if (!others.start([&run, worker] { run.work(worker, nullptr); })) break;  // those there are do the work
         run.work(0, &interrupted);
     }

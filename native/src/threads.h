@@ -4,6 +4,7 @@
 // may fork at any time, and several Python threads may call at once.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <exception>
 #include <functional>
@@ -17,6 +18,11 @@ using Interrupted = std::function<bool()>;
 struct Cancelled : std::exception {
     const char* what() const noexcept override { return "interrupted"; }
 };
+
+// How many threads there is work for: 1 to n_chunks.
+inline int workers(int64_t n_chunks, int n_threads) {
+    return int(std::max<int64_t>(1, std::min<int64_t>(n_threads, n_chunks)));
+}
 
 // Runs body(chunk, worker) for every chunk in 0 .. n_chunks - 1, with worker in 0 .. n_threads - 1.
 //
