@@ -25,11 +25,7 @@ inline void fuzz_code_sums(Random& random, int threads) {
     const auto levels = int32_t(random.between(1, 4)), k = int32_t(random.between(0, 5));
     const int32_t n_atoms = random.one_of({1, 7, 64, 256, 257}), columns = int32_t(random.between(0, 3));
     const CodeArrays codes = random_codes(random, n * levels * k, n_atoms);
-    GaussianCodes table{nullptr, nullptr, codes.weights.data(), nullptr, levels, k, n_atoms};
-    if (codes.bytes)
-        table.indices8 = codes.indices8.data();
-    else
-        table.indices16 = codes.indices16.data();
+    GaussianCodes table = codes.table(levels, k, n_atoms);
     Exact<float> grams(random, int64_t(levels) * n_atoms * n_atoms), scores(random, int64_t(levels) * n_atoms * columns);
     for (int64_t a = 0; a < int64_t(levels) * n_atoms; ++a)
         for (int64_t b = 0; b < n_atoms; ++b) {  // symmetric

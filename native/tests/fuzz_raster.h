@@ -190,6 +190,9 @@ struct CodeArrays {
     bool bytes;
 
     int64_t index(int64_t i) const { return bytes ? indices8[i] : indices16[i]; }
+    GaussianCodes table(int32_t levels, int32_t k, int32_t n_atoms) const {
+        return {bytes ? indices8.data() : nullptr, bytes ? nullptr : indices16.data(), weights.data(), nullptr, levels, k, n_atoms};
+    }
 };
 inline CodeArrays random_codes(Random& random, int64_t entries, int32_t n_atoms) {
     CodeArrays codes{{random, entries}, {random, entries}, {random, entries}, random.chance(n_atoms <= 256 ? 0.7 : 0.3)};
@@ -207,11 +210,7 @@ inline void fuzz_codes(Random& random, const Seen& seen) {
     const auto levels = int32_t(random.between(1, 3)), k = int32_t(random.between(0, 5));
     const int32_t n_atoms = seen.pixels() > 5000 ? 7 : random.one_of({1, 2, 7, 64, 257});
     const CodeArrays codes = random_codes(random, n * levels * k, n_atoms);
-    GaussianCodes table{nullptr, nullptr, codes.weights.data(), nullptr, levels, k, n_atoms};
-    if (codes.bytes)
-        table.indices8 = codes.indices8.data();
-    else
-        table.indices16 = codes.indices16.data();
+    GaussianCodes table = codes.table(levels, k, n_atoms);
     const int64_t channels = table.atoms_of_all_levels(), image = seen.pixels() * n_atoms;
     Exact<float> rendered(random, levels * image), alone(random, levels * image);
     render_codes(seen.projection, table, rendered.data(), seen.threads, never);
