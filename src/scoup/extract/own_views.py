@@ -86,11 +86,12 @@ def choose_cameras(
 
     scores = score(cameras)
     for near in torch.from_numpy(draws).split(CHILDREN):
-        parents = choose_views(scores, front_sides(scores, scorer.means), PARENTS, 0, PARENTS, len(there))
+        parents = choose_views(scores, front_sides(scores, scorer.means), PARENTS, n_there=len(there))
         moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
         scores = Scores.joined([scores, score(moved)]) if moved else scores
     fronts = front_sides(scores, scorer.means)
-    chosen = choose_views(scores, fronts, count, LEAST_GAIN, MOST_VIEWS, len(there))
+    most, least_gain = (MOST_VIEWS, LEAST_GAIN) if count is None else (count, 0.0)
+    chosen = choose_views(scores, fronts, most, least_gain, len(there))
     if not chosen and not there:
         raise InputError("gaussians: nothing can be seen clearly (no view shows an opaque, sharp surface)")
     return Cameras(

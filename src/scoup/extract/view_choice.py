@@ -190,7 +190,7 @@ class ViewScorer:
 
 
 def choose_views(
-    scores: Scores, fronts: Tensor, count: int | None, least_gain: float, most: int, n_there: int = 0
+    scores: Scores, fronts: Tensor, most: int, least_gain: float = 0.0, n_there: int = 0
 ) -> list[int]:
     """Return the views that show the most, one after the other, by marginal gain.
 
@@ -199,8 +199,8 @@ def choose_views(
 
     Args:
         fronts: [V, M] bool, whether a view sees the front of a Gaussian.
-        count: views to choose; by default as many as gain at least ``least_gain`` of the first.
-        most: views, where ``count`` is None.
+        most: views to choose; fewer where no other gains anything.
+        least_gain: share of what the best view gains alone that each must gain.
         n_there: the first views are there already; others are chosen beside them.
     """
     quality = scores.quality()
@@ -212,7 +212,7 @@ def choose_views(
     for view in range(n_there):
         state.scatter_reduce_(1, sectors[view, :, None], worth[view, :, None], "amax")
     chosen: list[int] = []
-    most = min(most if count is None else count, len(worth) - n_there)
+    most = min(most, len(worth) - n_there)
     bound = torch.cat([torch.full((n_there,), -1.0), _alone(worth[n_there:])])
     first = float(bound.max()) if len(bound) else 0.0
     while len(chosen) < most:
@@ -226,7 +226,7 @@ def choose_views(
             bound[view] = ((total + more).clamp(max=DIRECTIONS).sqrt() - before).sum()
             if bound[view] > gain:
                 best, gain = view, float(bound[view])
-        if best < 0 or (count is None and gain < least_gain * first):
+        if best < 0 or gain < least_gain * first:
             break
         chosen.append(best)
         bound[best] = -1.0
