@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,20 @@ def test_views_beside_photographs_keep_them() -> None:
         assert copied.image_path is not None
         assert copied.image_path.read_bytes() == camera.image_path.read_bytes()
         assert torch.allclose(copied.viewmat, camera.viewmat, atol=1e-5)
+
+
+def test_cameras_without_photographs_have_nothing_to_be_beside() -> None:
+    shutil.rmtree("scene/images")
+    code, _, said = run("views", SPLAT, *SMALL, "--beside", "scene", "--out", "more")
+    assert code == 2
+    assert "error: scene: has no photographs, only cameras" in said
+    assert not Path("more").exists()
+
+
+def test_views_beside_views_have_other_names() -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "first")
+    run_json("views", SPLAT, *SMALL, "--views", 1, "--beside", "first", "--out", "second")
+    assert load_cameras("second").names == ("own_000.png", "own_001.png", "own_002.png")
 
 
 @pytest.mark.slow  # views of the usual size

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from scoup.base.errors import InputError
-from scoup.extract.own_views import choose_cameras
-from scoup.extract.scene_up import estimate_up_of_splat
+from scoup.extract.own_views import choose_cameras, save_views
+from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
+from scoup.pictures import contact_sheet
+from scoup.pictures.colors import Picture
+from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
-from support import random_gaussians
+from support import make_camera, random_gaussians
 
 
 def test_cameras_are_as_many_as_asked_for_and_the_same_each_time() -> None:
@@ -79,3 +87,53 @@ def test_a_tilted_floor_tilts_what_is_up() -> None:
 def test_what_is_not_a_direction_is_refused(up: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match="up: expected three numbers"):
         choose_cameras(random_gaussians(50, seed=1), width=64, height=48, up=up)
+
+
+@pytest.mark.parametrize("size", [(8192, 16), (16, 4096)])
+def test_images_may_be_long_and_narrow(size: tuple[int, int]) -> None:
+    (camera,) = choose_cameras(random_gaussians(300, seed=1), width=size[0], height=size[1], count=1)
+    assert (camera.width, camera.height) == size
+
+
+@pytest.mark.parametrize("places", [8, 20])
+def test_many_gaussians_may_be_at_one_place(places: int) -> None:
+    gaussians = random_gaussians(300, seed=1)
+    means = gaussians.means[torch.arange(300) % places]
+    assert len(choose_cameras(replace(gaussians, means=means), width=64, height=48, count=2)) == 2
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e300])
+def test_up_may_have_any_length(length: float) -> None:
+    up = checked_direction((0, length, length))
+    torch.testing.assert_close(up, torch.tensor([0, 0.5, 0.5], dtype=torch.float64).sqrt())
+
+
+def test_names_of_cameras_beside_are_not_taken_again() -> None:
+    gaussians = random_gaussians(300, seed=1)
+    first = choose_cameras(gaussians, width=64, height=48, count=2)
+    second = choose_cameras(gaussians, width=64, height=48, count=2, beside=first)
+    assert second.names == ("own_002.png", "own_003.png")
+
+
+def test_where_nothing_is_opaque_all_that_is_seen_is_covered(tmp_path: Path) -> None:
+    gaussians = replace(random_gaussians(300, seed=1), opacities=torch.full((300,), 0.3))
+    cameras = choose_cameras(gaussians, width=64, height=48, count=3)
+    shown = save_views(gaussians, cameras, tmp_path)
+    assert 0 < shown.often <= shown.once <= 1
+
+
+def test_only_small_pictures_are_kept_for_the_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    widths: list[int] = []
+
+    def sheet(tiles: list[Picture], titles: list[str]) -> Picture:
+        widths.extend(tile.shape[1] for tile in tiles)
+        return contact_sheet(tiles, titles)
+
+    monkeypatch.setattr("scoup.extract.own_views.contact_sheet", sheet)
+    gaussians = random_gaussians(50, seed=1)
+    cameras = Cameras(replace(make_camera(600, 40, seed=seed), name=f"{seed}.png") for seed in range(5))
+    save_views(gaussians, cameras, tmp_path)
+    assert widths == [290] * 5
+    pictures = [np.asarray(Image.open(tmp_path / "images" / camera.name)) for camera in cameras]
+    whole = contact_sheet(pictures, [camera.stem for camera in cameras])
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "views.png")), whole)

@@ -50,15 +50,19 @@ class MakeViews(WritesCommon):
 
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
+        from scoup.base.errors import InputError
         from scoup.base.staging import check_outputs
         from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, save_views
-        from scoup.io import load_cameras, load_gaussians
-        from scoup.io.scene_parts import find_splat
+        from scoup.io import find_gaussians, load_cameras, load_gaussians
 
-        source = find_splat(self.splat, self.splat)
+        source = find_gaussians(self.splat)
         out = self.out or Path(f"{source.stem}_views")
         check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
         beside = None if self.beside is None else load_cameras(self.beside, missing_images="skip")
+        if beside is not None and not any(camera.image_path for camera in beside):
+            raise InputError(
+                f"{self.beside}: has no photographs, only cameras; name a scene with photographs"
+            )
         gaussians = load_gaussians(source)
         with console.progress() as progress:
             cameras = choose_cameras(

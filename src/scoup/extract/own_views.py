@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import count as count_from
 from pathlib import Path
 
 import torch
@@ -17,6 +18,7 @@ from scoup.extract.view_candidates import candidate_cameras, find_matter, measur
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
 from scoup.io import save_png, write_transforms
 from scoup.pictures import as_picture, contact_sheet
+from scoup.pictures.sheet import sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
@@ -94,8 +96,10 @@ def choose_cameras(
     chosen = choose_views(scores, fronts, most, least_gain, len(there))
     if not chosen and not there:
         raise InputError("gaussians: nothing can be seen clearly (no view shows an opaque, sharp surface)")
+    taken = {camera.stem for camera in there}
+    names = (name for number in count_from(0) if (name := f"own_{number:03d}") not in taken)
     return Cameras(
-        replace(scores.cameras[view], name=f"own_{number:03d}.png") for number, view in enumerate(chosen)
+        replace(scores.cameras[view], name=f"{name}.png") for view, name in zip(chosen, names, strict=False)
     )
 
 
@@ -109,7 +113,8 @@ def _check_numbers(width: int, height: int, count: int | None) -> None:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of a splat views show: shares of its opaque Gaussians, 0..1."""
+    """How much of a splat views show: shares of its opaque Gaussians, 0..1; where none is opaque, of those that can be
+    seen."""
 
     once: float
     """Of those that one view or more shows."""
@@ -155,7 +160,9 @@ def save_views(
     places = {camera.name: f"{IMAGES}/{camera.name}" for camera in (*photographs, *cameras)}
     together = Cameras((*photographs, *cameras))
     if not len(cameras):
-        raise InputError("cameras: there are none to render")
+        raise InputError(
+            "cameras: there are none to render" + (", the photographs show all" * bool(photographs))
+        )
     seen = torch.zeros(len(gaussians), dtype=torch.int32)
     tiles = []
     with staged(folder, [TRANSFORMS, *places.values(), SHEET], overwrite) as hidden:
@@ -169,11 +176,12 @@ def save_views(
                 continue
             picture = as_picture(render_colors(gaussians, camera, projection))
             save_png(picture, hidden / places[camera.name])
-            tiles.append(picture)
+            tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
         write_transforms(
             Cameras(replace(camera, image_path=None) for camera in together), hidden / TRANSFORMS
         )
-    opaque = seen[gaussians.opacities >= OPAQUE]
-    once, often = (float((opaque >= least).float().mean()) for least in (1, 3))
+    opaque = gaussians.opacities >= OPAQUE
+    counted = seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
+    once, often = (float((counted >= least).double().mean()) for least in (1, 3))
     return Coverage(once, often)

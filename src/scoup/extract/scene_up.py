@@ -28,8 +28,9 @@ def checked_direction(up: Sequence[float]) -> Tensor:
         InputError: it is none.
     """
     direction = torch.as_tensor(tuple(up), dtype=torch.float64).flatten()
-    if direction.shape != (3,) or not bool(direction.isfinite().all()) or not float(direction.norm()) > 0:
+    if direction.shape != (3,) or not bool(direction.isfinite().all()) or not bool(direction.any()):
         raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")
+    direction = direction / direction.abs().max()  # whose squares are in range
     return direction / direction.norm()
 
 

@@ -184,9 +184,9 @@ def _around_parts(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]
     poses = []
     for part, centre in enumerate(centres):
         own = along[nearest == part]
-        if len(own) < 2:
+        size = float((own - centre).norm(dim=1).quantile(0.9)) if len(own) else 0.0
+        if size < 1e-9 * matter.radius:  # all at one place
             continue
-        size = float((own - centre).norm(dim=1).quantile(0.9))
         for step in range(AROUND_PART):
             angle = 2 * math.pi * (step + 0.37 * part) / AROUND_PART
             level = math.radians(ELEVATIONS[(step + part) % len(ELEVATIONS)])

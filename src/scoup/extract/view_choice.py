@@ -141,7 +141,7 @@ class ViewScorer:
     def score(self, camera: Camera) -> Score:
         """Return what a camera shows."""
         factor = SIDE / max(camera.width, camera.height)
-        small = camera.resized(round(camera.width * factor), round(camera.height * factor))
+        small = camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
         gaussians = self.prepared.gaussians
         depth = gaussians.means @ small.viewmat[2, :3].float() + float(small.viewmat[2, 3])
         blur = self.sizes * (small.fx / small.width) / depth.clamp(min=1e-6)

@@ -60,6 +60,11 @@ def sheet_tile_width(width: int, columns: int) -> int:
     return (width - GAP * (columns + 1)) // columns
 
 
+def sheet_tile(picture: Picture, tiles: int, columns: int = 4, width: int = 1200) -> Picture:
+    """Return a picture at its size on a sheet of some tiles, of which many take little memory."""
+    return _scaled(picture, sheet_tile_width(width, min(columns, tiles)))
+
+
 def _titled(
     tiles: list[Picture], titles: Sequence[str], remarks: Sequence[str], columns: int
 ) -> list[Picture]:
