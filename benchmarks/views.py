@@ -18,14 +18,13 @@ from benchmarks.study import Record, Study
 from benchmarks.view_scenes import DESK, NotObserved, ViewScene, make_view_scene
 from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of
 from scoup.base.errors import looked_up
-from scoup.extract.own_views import choose_cameras
+from scoup.extract.own_views import OPAQUE, choose_cameras
 from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import bootstrap_interval
 
 Floats = NDArray[np.float64]
-OPAQUE = 0.5  # opacity from which a Gaussian counts for the coverage
 SCORES = ("always", "localisation")
 RING_ANGLE, RING_RISE = 60.0, 30.0  # degrees: angle of view, and height of the ring above the middle
 

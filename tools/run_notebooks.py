@@ -41,11 +41,7 @@ def main() -> None:
             made = {cell["id"]: cell for cell in executed(path, Path(folder)).cells}
         for cell in notebook["cells"]:
             if cell["cell_type"] == "code" and cell["id"] != LEFT_OUT:
-                outputs = made[cell["id"]]["outputs"]
-                cell["outputs"] = [
-                    {**output, "execution_count": None} if "execution_count" in output else output
-                    for output in outputs
-                ]
+                cell["outputs"] = [_kept(output) for output in made[cell["id"]]["outputs"]]
         path.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
