@@ -18,10 +18,12 @@ from benchmarks.desk import Desk
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study
+from benchmarks.things_room import bytes_per_gaussian, of_room
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
 from scoup.query.frame import Frame
 from scoup.query.phrases import is_plain_text
 from scoup_lab.bench import markdown
+from scoup_lab.synthetic.random_scene import HEIGHT, WIDTH
 
 PAIRS = ("left of", "right of", "in front of", "behind", "on", "above", "under", "near", "inside")
 FREE_OF_SCALE = tuple(name for name in PAIRS if name not in ("on", "inside"))
@@ -56,6 +58,7 @@ class Things(Study):
     their boxes, as many of one as of the other where there are; a phrase counts as found if any thing answers. The
     truth is the meshes; in draws of the kitchen it is the Gaussians labelled by hand, along the field's own directions.
     Desk: facts listed by hand, and their converses, which nothing may answer.
+    Room: what things cost in a scene of LERF's size (benchmarks.things_room).
     """
 
     scenes: tuple[str, ...] = ("table-4", "shelves-2", "hall-3", "yard-3", "kitchen-21", "kitchen-22")
@@ -66,6 +69,12 @@ class Things(Study):
     """True and false phrases of each relation that are asked at most."""
     desk: bool = True
     """Ask the real scene too."""
+    room: tuple[int, int] = (1_000_000, 200)
+    """Gaussians and views of the random room; 0 Gaussians omit it."""
+    room_size: tuple[int, int] = (WIDTH, HEIGHT)
+    """Of its views, in pixels."""
+    threads: int = 2
+    """Of its build; texts are asked with one."""
     data: Path = field(default_factory=data_folder)
     """Folder that contains desk/, kitchen/ and clip/."""
 
@@ -79,6 +88,8 @@ class Things(Study):
                     yield name, of_layout(name, self.n_gaussians, self.most)
         if self.desk and "desk" not in known:
             yield "desk", of_desk(self.data)
+        if self.room[0] and "room" not in known:
+            yield "room", of_room(*self.room, self.room_size, self.threads)
 
     def record(self, rows: dict[str, Any]) -> Record:
         return {"rows": [{"scene": name, **figures} for name, figures in rows.items()]}
@@ -103,6 +114,15 @@ class Things(Study):
             ),
             ("true facts found", lambda row: _share(row["facts"])),
             ("false converses found", lambda row: _share(row["converses"])),
+            ("things", lambda row: f"{row['things']:,}"),
+            ("build, s", lambda row: f"{row['build_s']:.0f}"),
+            ("of it things, s", lambda row: f"{row['things_s']:.1f}"),
+            (
+                "memory of the build beyond its inputs, GB",
+                lambda row: f"{row['peak_memory_bytes'] / 1e9:.2f}",
+            ),
+            ("bytes per Gaussian: file / of things", lambda row: "{:.0f} / {:.0f}".format(*row["bytes"])),
+            ("ms to compare all things with a text", lambda row: f"{row['fits_ms']:.2f}"),
             ("ms per text", lambda row: f"{row['text_ms']:.0f}"),
             ("ms for all things", lambda row: f"{row['all_ms']:.0f}"),
         ]
@@ -112,9 +132,10 @@ class Things(Study):
             for row in rows:
                 try:
                     cells.append(cell(row))
-                except KeyError:
+                except (KeyError, TypeError):  # memory is not known on every system
                     cells.append("")
-            body.append([title, *cells])
+            if any(cells):
+                body.append([title, *cells])
         return markdown(["", *(row["scene"] for row in rows)], body)
 
 
@@ -159,6 +180,7 @@ def of_scene(truth: Instances, built: scoup.LanguageField, frame: Frame, cases: 
         **instances(built, truth),
         "counts": exact,
         "relations": relations(built, frame, cases, most),
+        "bytes": bytes_per_gaussian(built),
         "text_ms": 1e3 * mean(times),
         "all_ms": _all_ms(built),
     }
@@ -258,6 +280,7 @@ def of_desk(data: Path) -> Record:
         "converses": [len(wrong), len(FACTS)],
         "missed": missed,
         "wrong": wrong,
+        "bytes": bytes_per_gaussian(built),
         "text_ms": 1e3 * seconds,
         "all_ms": _all_ms(built),
     }
