@@ -93,6 +93,26 @@ def test_a_build_of_a_splat_alone_continues() -> None:
     assert snapshot(Path("alone_views")) == kept
 
 
+def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "alone_views")
+    build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    for place, expected in (
+        ("scoup.extract.pipeline.describe_masks", "the views are kept"),
+        ("scoup.uplift.build.build", "3 of 3 views are kept"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, interrupt)
+            code, said, error = run(*build)
+        assert code == 130
+        assert f"interrupted; {expected}, run the same command again to continue" in error
+        assert "scoup extract" not in said  # which the build does itself
+    assert run(*build)[0] == 0
+
+
+def interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

@@ -280,7 +280,8 @@ class Build(BuildOptions, ViewOptions):
         from scoup.uplift.checkpoint import resume_message
 
         if self.sums is None:
-            console.kept = lambda: kept(len(sums), views, "views", "codes" if sums.codes else "")
+            before = console.kept()
+            console.kept = lambda: kept(len(sums), views, "views", "codes" if sums.codes else "", before)
         if message := resume_message(sums, views):
             console.say(message)
 

@@ -159,10 +159,10 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
             return console.fail(_OUT_OF_MEMORY, 2)
 
 
-def kept(done: int, total: int, what: str, also: str = "") -> str:
+def kept(done: int, total: int, what: str, also: str = "", otherwise: str = "nothing was written") -> str:
     """Return in words what an interruption leaves: some of what a verb makes one by one, or what it makes before."""
     if not done and not also:
-        return "nothing was written"
+        return otherwise
     left = f"{done} of {total} {what}" if done else f"the {also}"
     return f"{left} are kept, run the same command again to continue"
 

@@ -178,14 +178,14 @@ def _at_work(console: Console, out: Path, share: Share) -> Iterator[Progress]:
     """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked."""
     from scoup.base.locks import locked_folder
 
-    started = False
+    started, before = False, console.kept()
 
     def report(stage: str, done: int, total: int) -> None:
         nonlocal started
         if not started and 0 < done < total:
             console.say(f"{out}: continues: {done} of {total} views are there")
         started = True
-        console.kept = lambda: kept(done, total, "views")
+        console.kept = lambda: kept(done, total, "views", otherwise=before)
         progress(stage, done, total)
 
     with locked_folder(out, share), console.progress() as progress:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.console import Console
+from scoup.cli.console import Console, kept
 from scoup.cli.options import OptionalInteger, OptionalPath, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
@@ -46,7 +46,14 @@ class MakeViews(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Choose, render, report."""
-        console.result(self.make(console))
+        from scoup.extract.own_views import SHEET
+
+        record = self.make(console)
+        out = record["scene"]
+        console.say(
+            f"look at {out / SHEET}; then: scoup extract {out}, scoup build {out} --gaussians {self.splat}"
+        )
+        console.result(record)
 
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
@@ -75,9 +82,6 @@ class MakeViews(WritesCommon):
             f"{out}: {counted(len(cameras), 'view')}{there}; {shown.once:.1%} of the opaque Gaussians are in one or "
             f"more, {shown.often:.1%} in three or more"
         )
-        console.say(
-            f"look at {out / SHEET}; then: scoup extract {out}, scoup build {out} --gaussians {source}"
-        )
         return {"scene": out, "views": len(cameras), "coverage": shown.once, "coverage_by_three": shown.often}
 
 
@@ -101,4 +105,5 @@ def make_scene(console: Console, splat: Path, folder: Path, extract: Extract) ->
         console.say(f"{folder}: the views that are there are used; for others: scoup views --overwrite")
     else:
         MakeViews(splat=splat, out=folder).make(console)
+    console.kept = lambda: kept(0, 0, "", "views")
     replace(extract, scene=folder).make(console)
