@@ -121,6 +121,7 @@ def interrupt(*_: object, **__: object) -> None:
         (("views", SPLAT, "--width", "4"), "--width must be 16 to 8192 pixels, got 4"),
         (("views", SPLAT, "--up", "0", "0", "0"), "up: expected three numbers that are not all 0"),
         (("build", SPLAT, "--shard", "1/2"), "make its scene first, with scoup views and scoup extract"),
+        (("build", "ckpt_9_rank0.pt", "--shard", "1/2"), "make its scene first"),
         (("build", SPLAT, "--gaussians", SPLAT), "is a splat; pass the scene"),
         (("build", "scene", "--embedder", "colors"), "--segmenter and --embedder are for a splat alone"),
     ],

@@ -87,9 +87,9 @@ class MakeViews(WritesCommon):
 
 def is_splat(path: Path) -> bool:
     """Tell whether a file, by its name, is a splat rather than a scene."""
-    from scoup.io.splats.formats import READERS
+    from scoup.io.scenes import is_splat_name
 
-    return path.suffix.lower() in READERS and not path.is_dir()
+    return is_splat_name(path) and not path.is_dir()
 
 
 def make_scene(console: Console, splat: Path, folder: Path, extract: Extract) -> None:

@@ -111,11 +111,16 @@ def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
     return "gsplat" if path.is_dir() or path.suffix.lower() in _CHECKPOINTS else "inria"
 
 
+def is_splat_name(path: Path) -> bool:
+    """Return whether the name of a file is that of a splat."""
+    return path.suffix.lower() in (*READERS, *_CHECKPOINTS)
+
+
 def find_gaussians(path: str | Path) -> Path:
     """Return the file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``."""
     path = Path(path)
     if os.path.isfile(path):
-        if path.suffix.lower() not in (*READERS, *_CHECKPOINTS):
+        if not is_splat_name(path):
             raise FileFormatError(
                 path, *(other_format(path) or ("is not a kind of splat known here", f"use {READ}"))
             )
