@@ -1,6 +1,7 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
 # make test   create the environment, install, run the tests (two processes of one thread each, about five minutes)
-# make test-all   the same, then all random examples, and the exhaustive sweeps (about half an hour)
+# make test-all   the same, then all random examples, the exhaustive sweeps, and the engines that are installed (about half an hour)
+# make test-engines   the examples of many machines under Slurm (Debian's slurm-wlm and munge; needs root) and Ray
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
 # make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
 # make lint   ruff, spelling and pyright; the types of the viewer's page
@@ -13,7 +14,7 @@ NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
 VIEWER := $(wildcard viewer/*.* viewer/src/*)
 INSTALL := pyproject.toml tools/install.py tools/build_viewer.py tools/build_backend.py $(NATIVE) $(VIEWER)
 
-.PHONY: demo page docs test test-all test-native count lint format clean
+.PHONY: demo page docs test test-all test-engines test-native count lint format clean
 
 demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
@@ -29,6 +30,10 @@ test: .venv/installed-dev
 
 test-all: test
 	SCOUP_TEST_EXAMPLES=all OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis"
+
+test-engines: .venv/installed-dev
+	$(BIN)/python -m pip install --quiet ray || true
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -rs -m slow tests/test_engines.py
 
 test-native: .venv/installed-dev
 	$(BIN)/cmake -S native -B build/native-tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN))/ninja \

@@ -21,11 +21,17 @@ def make_shard(number: int) -> str:
     path = f"{field}.{number}-of-{count}.sums"
     if not Path(path).exists():  # a folder of this name is whole
         command = ["scoup", "build", scene, "--out", field, "--model", words, "--shard", f"{number}/{count}"]
-        subprocess.run(command, check=True)
+        done = subprocess.run(command)
+        if (
+            done.returncode < 0
+        ):  # killed, as when memory runs out: Ray tries again, on another machine if it likes
+            raise ChildProcessError(f"shard {number} was ended by signal {-done.returncode}")
+        done.check_returncode()
     return path
 
 
 ray.init()
-task = ray.remote(num_cpus=1)(make_shard)  # threads of a shard; num_gpus=1 and --device cuda for a GPU each
+# num_cpus: threads of a shard; num_gpus=1 and --device cuda for a GPU each
+task = ray.remote(make_shard).options(num_cpus=1, max_retries=3, retry_exceptions=[ChildProcessError])
 shards = ray.get([task.remote(number) for number in range(1, count + 1)])
 subprocess.run(["scoup", "merge", *shards, "--out", field], check=True)

@@ -7,6 +7,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,11 @@ pytestmark = pytest.mark.usefixtures("quick_python")
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCOUP = """#!/bin/sh
 exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
+"""
+TOLD = """#!/bin/sh
+trap 'touch told; exit 143' TERM
+touch begun
+while :; do sleep 0.05; done
 """
 TORCHRUN = """#!/bin/sh
 exec "$PYTHON" -m torch.distributed.run "$@"
@@ -69,9 +75,9 @@ def init():
     global pool
     pool = ThreadPoolExecutor(2)
 
-def remote(**resources):
-    assert set(resources) <= {"num_cpus", "num_gpus"}
-    return lambda work: SimpleNamespace(remote=lambda *given: pool.submit(work, *given))
+def remote(work):
+    task = SimpleNamespace(remote=lambda *given: pool.submit(work, *given))
+    return SimpleNamespace(options=lambda num_cpus, max_retries, retry_exceptions: task)
 
 def get(futures):
     return [future.result() for future in futures]
@@ -129,6 +135,18 @@ def test_slurm_array(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "3 shards merged" in said
     assert is_whole()
     assert "give SCENE FIELD.scoup COUNT" in launched(*submit[:3], code=1)
+
+
+def test_slurm_signals_reach_scoup(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scoup = here.parent / "programs" / "scoup"
+    scoup.write_text(TOLD)
+    monkeypatch.setenv("SLURM_ARRAY_TASK_ID", "1")
+    script = subprocess.Popen(["bash", str(EXAMPLES / "slurm/shard.sbatch"), "scene", "g.scoup", "2"])
+    while not Path("begun").exists():
+        time.sleep(0.02)
+    script.terminate()
+    assert script.wait(60) == 143
+    assert Path("told").exists()
 
 
 def test_slurm_merge_of_shards_that_are_not_all_there(here: Path) -> None:

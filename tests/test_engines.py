@@ -1,0 +1,197 @@
+"""The examples that build in shards under Slurm (one node on loopback) and Ray (two nodes of this machine) as they are.
+
+`make test-all` runs these where the engines are installed (Debian: slurm-wlm and munge; pip: ray);
+tests/test_shard_examples.py has stand-ins for them.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli_support import run, write_scene
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_python")]
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+PATIENCE = 900  # seconds: machines that test may be busy
+# As the kernel does when memory runs out: it kills scoup, not the script that has started it.
+SCOUP = """#!/bin/sh
+case "$*" in *"--shard 2/3"*) [ -e killed ] || { echo > killed; kill -9 $$; } ;; esac
+exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
+"""
+TORCHRUN = """#!/bin/sh
+exec "$PYTHON" -m torch.distributed.run "$@"
+"""
+SLURM = """
+ClusterName=test
+SlurmctldHost={host}(127.0.0.1)
+SlurmUser={user}
+SlurmdUser={user}
+AuthInfo=socket={folder}/munge.socket
+SlurmctldPort={controller}
+SlurmdPort={node}
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.pid
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU
+SchedulerParameters=batch_sched_delay=1,sched_interval=2,bf_interval=2
+SlurmdParameters=config_overrides
+NodeName={host} NodeAddr=127.0.0.1 CPUs=32 RealMemory=64000
+PartitionName=all Nodes={host} Default=YES
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with a scene and the field that one process builds of it; the programs are on the PATH."""
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "scene", count=600)
+    assert run("build", "scene", "--out", "alone.scoup", "--model", "scene/words.npz")[0] == 0
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for name, text in {"scoup": SCOUP, "torchrun": TORCHRUN}.items():
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("PYTHON", sys.executable)
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    return tmp_path
+
+
+def is_whole() -> bool:
+    return Path("g.scoup").read_bytes() == Path("alone.scoup").read_bytes()
+
+
+def free_ports() -> tuple[int, int]:
+    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+        return one.getsockname()[1], other.getsockname()[1]
+
+
+def said(*command: object) -> str:
+    """What a program of Slurm prints; "" where it fails, as while the controller starts."""
+    done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=120)
+    return done.stdout.strip() if not done.returncode else ""
+
+
+def wait_for(what: str, is_there: Any) -> None:
+    end = time.monotonic() + PATIENCE
+    while not is_there():
+        assert time.monotonic() < end, f"{what}, not after {PATIENCE} seconds"
+        time.sleep(1)
+
+
+@pytest.fixture
+def slurm(
+    here: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """A controller and one node, with all of their files in a folder of their own."""
+    programs = [
+        shutil.which(name, path=f"{os.environ['PATH']}:/usr/sbin")
+        for name in ("munged", "slurmctld", "slurmd")
+    ]
+    if None in programs:
+        pytest.skip("Slurm is not installed (slurm-wlm and munge)")
+    if os.getuid():
+        pytest.skip("a node of Slurm needs root")
+    folder = tmp_path_factory.mktemp("slurm")
+    controller, node = free_ports()
+    host = socket.gethostname().split(".")[0]
+    text = SLURM.format(host=host, user="root", folder=folder, controller=controller, node=node)
+    (folder / "slurm.conf").write_text(text)
+    for name in ("state", "spool"):
+        (folder / name).mkdir()
+    (folder / "key").write_bytes(os.urandom(128))
+    (folder / "key").chmod(0o400)
+    monkeypatch.setenv("SLURM_CONF", str(folder / "slurm.conf"))
+    places = {
+        "key-file": "key",
+        "socket": "munge.socket",
+        "pid-file": "pid",
+        "log-file": "log",
+        "seed-file": "seed",
+    }
+    options = [f"--{option}={folder / name}" for option, name in places.items()]
+    started: list[subprocess.Popen[bytes]] = []
+    try:
+        for program, given in zip(
+            programs, (["--foreground", "--force", *options], ["-D"], ["-D"]), strict=True
+        ):
+            with (folder / f"{Path(str(program)).name}.out").open("wb") as log:
+                started.append(subprocess.Popen([str(program), *given], stdout=log, stderr=log))
+            if program == programs[0]:
+                wait_for("munged has its socket", (folder / "munge.socket").exists)
+        wait_for("the node is idle", lambda: "idle" in said("sinfo", "--noheader", "--format=%T"))
+        yield
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait(60)
+
+
+def submitted(*command: object) -> None:
+    """Submit jobs and wait for their end; a job that was put back is started at once, not two minutes later."""
+    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+    assert not done.returncode, done.stdout + done.stderr
+
+    def is_done() -> bool:
+        waiting = said("squeue", "--noheader", "--array", "--format=%i %r").splitlines()
+        for job, reason in (line.split(maxsplit=1) for line in waiting):
+            if reason == "BeginTime":
+                said("scontrol", "update", f"JobId={job}", "StartTime=now")
+        return not waiting
+
+    wait_for("all jobs are done", is_done)
+
+
+@pytest.mark.usefixtures("slurm")
+def test_slurm_array_with_a_task_that_is_killed() -> None:
+    submit = ("bash", EXAMPLES / "slurm/submit.sh", "scene", "g.scoup", 3, "--model", "scene/words.npz")
+    submitted(*submit)
+    logs = "".join(path.read_text() for path in sorted(Path().glob("scoup-shard-*.log")))
+    assert Path("killed").exists()
+    assert "DUE TO JOB REQUEUE" in logs
+    assert "3 shards merged" in "".join(path.read_text() for path in Path().glob("scoup-merge-*.log"))
+    assert is_whole()
+
+
+@pytest.mark.usefixtures("slurm")
+def test_slurm_with_torchrun(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("killed").touch()
+    monkeypatch.setenv("PER_NODE", "2")
+    script = EXAMPLES / "slurm/torchrun.sbatch"
+    submitted("sbatch", "--nodes=1", script, "scene", "g.scoup", "--model", "scene/words.npz")
+    assert is_whole(), "".join(path.read_text() for path in Path().glob("scoup-build-*.log"))
+
+
+def test_ray_with_a_task_that_is_killed(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ray", reason="ray is not installed")
+    from ray.cluster_utils import Cluster  # pyright: ignore[reportMissingImports]
+
+    monkeypatch.setenv("RAY_worker_niceness", "0")  # or busy machines hardly run them
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    try:
+        cluster.add_node(num_cpus=1)
+        monkeypatch.setenv("RAY_ADDRESS", str(cluster.address))
+        example = (EXAMPLES / "11_shards_with_ray.py", "scene", "scene/words.npz", 3, "g.scoup")
+        command = [sys.executable, *(str(part) for part in example)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    finally:
+        cluster.shutdown()
+    assert not done.returncode, done.stdout + done.stderr
+    assert (here / "killed").exists()
+    assert "3 shards merged" in done.stdout
+    assert is_whole()
