@@ -24,6 +24,26 @@ SCOUP_INLINE void store_singles(float* to, Doubles x) {
     __builtin_memcpy(to, &singles, sizeof singles);
 }
 
+SCOUP_INLINE Doubles load(const double* from) {
+    Doubles x;
+    __builtin_memcpy(&x, from, sizeof x);
+    return x;
+}
+SCOUP_INLINE void store(double* to, Doubles x) { __builtin_memcpy(to, &x, sizeof x); }
+
+// The lanes of a mask that are set, as bits.
+SCOUP_INLINE uint32_t bits(Longs mask) {
+#if defined(__AVX512DQ__)
+    return _mm512_movepi64_mask((__m512i)mask);
+#elif defined(__AVX2__)
+    return uint32_t(_mm256_movemask_pd((__m256d)mask));
+#elif defined(__SSE2__)
+    return uint32_t(_mm_movemask_pd((__m128d)mask));
+#else
+    return uint32_t((mask[0] & 1) + (mask[1] & 2));
+#endif
+}
+
 template <double (*function)(double)>
 SCOUP_INLINE Doubles each(Doubles x) {
     for (int i = 0; i < kGroup; ++i) x[i] = function(x[i]);

@@ -1,6 +1,6 @@
 #include "neighbour_kernels.h"
 
-#include "vector.h"
+#include "doubles.h"
 
 namespace scoup::SCOUP_ISA {
 namespace {
@@ -23,7 +23,6 @@ struct Nearest {
     int64_t* numbers;
     int64_t count;
 
-    SCOUP_INLINE double worst() const { return squares[count - 1]; }
     SCOUP_INLINE void offer(double square, int64_t number) const {
         int64_t place = count - 1;
         if (square > squares[place] || (square == squares[place] && number > numbers[place])) return;
@@ -35,17 +34,43 @@ struct Nearest {
     }
 };
 
-// Offers the points of a leaf to point `own`.
-SCOUP_INLINE void offer_leaf(const PointTree& tree, int64_t leaf, int64_t own, const Nearest& nearest) {
+// Offers the points of a leaf to point `own`; returns the square of the farthest that it has then.
+SCOUP_INLINE double offer_leaf(const PointTree& tree, int64_t leaf, int64_t own, double worst, const Nearest& nearest) {
     const int64_t first = tree.first[leaf], count = tree.first[leaf + 1] - first;
-    const double x = tree.x[own], y = tree.y[own], z = tree.z[own];
     double squares[kLeaf];
-    for (int64_t i = 0; i < count; ++i) {
-        const double dx = tree.x[first + i] - x, dy = tree.y[first + i] - y, dz = tree.z[first + i] - z;
-        squares[i] = dx * dx + dy * dy + dz * dz;
+    uint32_t near = 0;
+    for (int64_t i = 0; i < kLeaf; i += kGroup) {
+        const Doubles dx = load(tree.x + first + i) - tree.x[own], dy = load(tree.y + first + i) - tree.y[own],
+                      dz = load(tree.z + first + i) - tree.z[own];
+        Doubles square = dx * dx;  // rounded as gap() is, which is never more
+        square += dy * dy;
+        square += dz * dz;
+        store(squares + i, square);
+        near |= bits(square <= worst) << i;
     }
-    for (int64_t i = 0; i < count; ++i)
-        if (squares[i] <= nearest.worst() && first + i != own) nearest.offer(squares[i], tree.number[first + i]);
+    near &= (uint32_t(1) << count) - 1;
+    if (own >= first && own < first + count) near &= ~(uint32_t(1) << (own - first));
+    for (; near != 0; near &= near - 1) {
+        const int i = __builtin_ctz(near);
+        nearest.offer(squares[i], tree.number[first + i]);
+    }
+    return nearest.squares[nearest.count - 1];
+}
+
+// The points of a leaf that may have a neighbour in a box, as bits.
+SCOUP_INLINE uint32_t points_near(const PointTree& tree, int64_t first, const Box& box, const double* worst) {
+    uint32_t near = 0;
+    for (int64_t i = 0; i < kLeaf; i += kGroup) {
+        Doubles square{};
+        const double* const axes[] = {tree.x, tree.y, tree.z};
+        for (int axis = 0; axis < 3; ++axis) {
+            const Doubles place = load(axes[axis] + first + i);
+            const Doubles apart = at_least(at_least(place - box.high[axis], box.low[axis] - place), Doubles{});
+            square += apart * apart;
+        }
+        near |= bits(square <= load(worst + i)) << i;
+    }
+    return near;
 }
 
 void nearest(const PointTree& tree, int64_t leaf, int64_t count, const NeighbourScratch& scratch, int64_t* numbers,
@@ -54,11 +79,13 @@ void nearest(const PointTree& tree, int64_t leaf, int64_t count, const Neighbour
     const Box& own = tree.boxes[inner + leaf];
     const auto of = [&](int64_t point) { return Nearest{scratch.squares + point * count, scratch.numbers + point * count, count}; };
     for (int64_t i = 0; i < points * count; ++i) scratch.squares[i] = __builtin_inf(), scratch.numbers[i] = INT64_MAX;
-    for (int64_t point = 0; point < points; ++point) offer_leaf(tree, leaf, first + point, of(point));
+    double worst[kLeaf];  // of each point
+    for (int64_t point = 0; point < kLeaf; ++point)
+        worst[point] = point < points ? offer_leaf(tree, leaf, first + point, __builtin_inf(), of(point)) : -1;
     double farthest = 0;  // of what is wanted yet
     const auto measure = [&] {
         farthest = 0;
-        for (int64_t point = 0; point < points; ++point) farthest = larger_of(farthest, of(point).worst());
+        for (int64_t point = 0; point < kLeaf; ++point) farthest = larger_of(farthest, worst[point]);
     };
     measure();
     struct Waiting {
@@ -80,10 +107,9 @@ void nearest(const PointTree& tree, int64_t leaf, int64_t count, const Neighbour
         }
         const int64_t other = next.box - inner;
         if (other == leaf) continue;
-        for (int64_t point = 0; point < points; ++point) {
-            const int64_t at = first + point;
-            const Box place{{tree.x[at], tree.y[at], tree.z[at]}, {tree.x[at], tree.y[at], tree.z[at]}};
-            if (gap(place, tree.boxes[next.box]) <= of(point).worst()) offer_leaf(tree, other, at, of(point));
+        for (uint32_t near = points_near(tree, first, tree.boxes[next.box], worst); near != 0; near &= near - 1) {
+            const int point = __builtin_ctz(near);
+            worst[point] = offer_leaf(tree, other, first + point, worst[point], of(point));
         }
         measure();
     }

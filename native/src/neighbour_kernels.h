@@ -7,7 +7,7 @@
 
 namespace scoup {
 
-constexpr int64_t kLeaf = 16;  // most points of a leaf
+constexpr int64_t kLeaf = 24;  // most points of a leaf, whole vectors of them; a bit each in 32
 
 struct Box {
     double low[3], high[3];
@@ -15,7 +15,7 @@ struct Box {
 
 // Points sorted into leaves, which halve the points along their widest side again and again.
 struct PointTree {
-    const double *x, *y, *z;  // [count] in the order of the leaves
+    const double *x, *y, *z;  // [count + kLeaf] in the order of the leaves, zeros at the end
     const int64_t* number;    // [count] of each point
     const int64_t* first;     // [leaves + 1], where the points of each leaf begin
     const Box* boxes;         // [2 * leaves - 1], tight; the children of box i are 2 i + 1 and 2 i + 2, the leaves come last

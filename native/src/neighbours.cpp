@@ -28,7 +28,8 @@ Box box_of(const Point* points, int64_t count) {
 // A tree with the memory that it points to.
 class Tree {
   public:
-    Tree(const double* points, int64_t n) : x_(n), y_(n), z_(n), number_(n) {
+    Tree(const double* points, int64_t n) : x_(n + kLeaf), y_(n + kLeaf), z_(n + kLeaf), number_(n) {
+        x_.fill(0), y_.fill(0), z_.fill(0);
         leaves_ = 1;
         while (leaves_ * kLeaf < n) leaves_ *= 2;
         first_ = Buffer<int64_t>(leaves_ + 1);
