@@ -23,6 +23,7 @@ STUDIES = Family(
         "locate": "benchmarks.locate:Locate",
         "things": "benchmarks.things:Things",
         "views": "benchmarks.views:Views",
+        "splats": "benchmarks.splats:Splats",
         "coding": "benchmarks.coding:Coding",
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",

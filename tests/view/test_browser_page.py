@@ -17,22 +17,27 @@ from browser_support import (
     ABSENT,
     ALIKE,
     CONTRASTS,
+    DIM,
     MIXED,
     Visit,
     difference,
     patches,
     places_in,
+    things_field,
     visiting,
 )
 from PIL import Image
 
 import scoup
+from io_samples import some_regions
 from scoup import raster
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera
+from scoup.uplift.build import BuildSettings
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
+from scoup.view.viewer import Viewer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -310,3 +315,23 @@ def test_every_text_can_be_read(browser: Browser, live: str, camera: Camera, sch
         assert faint == []
     seen = {text["text"] for texts in states for text in texts}
     assert {"Keys and gestures", "kettle, wooden table", "closed", "Heat", "Something went wrong."} <= seen
+
+
+def test_cameras_that_were_chosen_for_a_splat_are_bookmarks(
+    browser: Browser, saved: Path, tmp_path: Path
+) -> None:
+    gaussians = things_field().gaussians
+    chosen = scoup.choose_cameras(gaussians, width=400, height=300, count=3, up=(0, 0, 1))
+    scoup.save_views(gaussians, chosen, tmp_path)
+    cameras = scoup.load_cameras(tmp_path)
+    field = scoup.build(gaussians, cameras, some_regions(cameras, DIM), BuildSettings(n_atoms=8))
+    viewed = ViewedField(field, str(saved.with_name("words.npz")))
+    with Viewer(viewed, port=0) as viewer, visiting(browser, viewer.address) as visit:
+        visit.tab("View")
+        for camera in cameras:
+            assert visit.page.get_by_role("button", name=camera.name).is_visible()
+        visit.page.get_by_role("button", name="own_002.png").click()
+        visit.until("window.scoupViewer.state().camera === 'own_002.png'")
+        visit.settle()
+        assert difference(visit.picture(), render(viewed, cameras[2])) < ALIKE
+        assert difference(visit.picture(), render(viewed, cameras[0])) > 3 * ALIKE
