@@ -2,8 +2,10 @@
 //
 //     fuzz [rounds [seed [first round]]]
 //
-// Rounds do not depend on each other: one that failed is run again by `fuzz 1 SEED ROUND`.
+// Rounds do not depend on each other: one that failed is run again by `fuzz 1 SEED ROUND`. With SCOUP_FUZZING_ENGINE
+// it is a target of libFuzzer instead, whose inputs are the random numbers of a part of a round (tools/oss_fuzz/).
 #include <cstdio>
+#include <iterator>
 
 #include "fuzz_code_sums.h"
 #include "fuzz_coder.h"
@@ -15,24 +17,40 @@
 
 namespace {
 
-void run_round(uint64_t seed, long long round, const std::vector<const char*>& sets) {
-    scoup::Random random(seed * 0x100000001b3u + uint64_t(round));
-    scoup::use_isa(sets[size_t(round) % sets.size()]);
-    scoup::fuzz_raster(random);
-    for (int i = 0; i < 2; ++i) {
-        scoup::fuzz_vote(random, int(random.between(1, 4)));
-        scoup::fuzz_damaged_sums(random, int(random.between(1, 4)));
-    }
-    for (int i = 0; i < 4; ++i) scoup::fuzz_coder(random);
-    scoup::fuzz_code_sums(random, int(random.between(1, 4)));
-    scoup::fuzz_neighbours(random, int(random.between(1, 4)));
-    scoup::fuzz_selection(random, int(random.between(1, 4)));
-    scoup::fuzz_mask_parts(random);
-    scoup::fuzz_smoothing(random, int(random.between(1, 4)));
+// One of these with the random numbers that it takes, and how often a round does it.
+struct Part {
+    void (*run)(scoup::Random&);
+    int times;
+};
+
+template <void (*Run)(scoup::Random&, int)>
+void with_threads(scoup::Random& random) {
+    Run(random, int(random.between(1, 4)));
 }
+
+const Part kParts[] = {
+    {scoup::fuzz_raster, 1},
+    {with_threads<scoup::fuzz_vote>, 2},
+    {with_threads<scoup::fuzz_damaged_sums>, 2},
+    {scoup::fuzz_coder, 4},
+    {with_threads<scoup::fuzz_code_sums>, 1},
+    {with_threads<scoup::fuzz_neighbours>, 1},
+    {with_threads<scoup::fuzz_selection>, 1},
+    {scoup::fuzz_mask_parts, 1},
+    {with_threads<scoup::fuzz_smoothing>, 1},
+};
 
 }  // namespace
 
+#if defined(SCOUP_FUZZING_ENGINE)
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+    static const auto sets = scoup::instruction_sets();
+    scoup::Random random(data, size);
+    scoup::use_isa(sets[size_t(random.below(int64_t(sets.size())))]);
+    kParts[random.below(int64_t(std::size(kParts)))].run(random);
+    return 0;
+}
+#else
 int main(int argc, char** argv) {
     const long long rounds = argc > 1 ? std::atoll(argv[1]) : 30;
     const unsigned long long seed = argc > 2 ? std::strtoull(argv[2], nullptr, 10) : 1;
@@ -42,7 +60,10 @@ int main(int argc, char** argv) {
         // A sanitizer ends the program without a word about the round.
         if ((round - first) % 10 == 0) std::fprintf(stderr, "seed %llu, rounds from %lld\n", seed, round);
         try {
-            run_round(seed, round, sets);
+            scoup::Random random(seed * 0x100000001b3u + uint64_t(round));
+            scoup::use_isa(sets[size_t(round) % sets.size()]);
+            for (const Part& part : kParts)
+                for (int i = 0; i < part.times; ++i) part.run(random);
         } catch (const std::exception& error) {
             std::printf("seed %llu, round %lld, %s: %s\n", seed, round, scoup::name_of(scoup::current_isa()), error.what());
             return 1;
@@ -50,3 +71,4 @@ int main(int argc, char** argv) {
     }
     std::printf("%lld rounds from seed %llu on %zu instruction sets\n", rounds, seed, sets.size());
 }
+#endif

@@ -28,8 +28,17 @@ namespace scoup {
 class Random {
   public:
     explicit Random(uint64_t seed) : state_(seed) {}
+    // First the numbers that the bytes are: a fuzzer that changes one of them changes one choice.
+    Random(const uint8_t* data, size_t size) : state_(size), data_(data), left_(size) {}
 
     uint64_t bits() {
+        if (left_ >= sizeof(uint64_t)) {
+            uint64_t number;
+            std::memcpy(&number, data_, sizeof(number));
+            data_ += sizeof(number);
+            left_ -= sizeof(number);
+            return number;
+        }
         uint64_t z = state_ += 0x9e3779b97f4a7c15u;
         z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
         z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
@@ -46,6 +55,8 @@ class Random {
 
   private:
     uint64_t state_;
+    const uint8_t* data_ = nullptr;
+    size_t left_ = 0;
 };
 
 inline float hostile_float(Random& random) {
@@ -122,8 +133,8 @@ inline std::vector<const char*> instruction_sets() {
 
 // for_chunks asks whether to go on after a tenth of a second only. The calls here are over long before, so a timer
 // goes off within them and its handler sleeps for as long: the question comes after the chunk that was at work. Windows
-// has no such timers: there calls come to their end.
-#if defined(_WIN32)
+// has no such timers, and libFuzzer needs them itself: there calls come to their end.
+#if defined(_WIN32) || defined(SCOUP_FUZZING_ENGINE)
 struct Timer {
     explicit Timer(double) {}
 };
