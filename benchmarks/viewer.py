@@ -1,4 +1,4 @@
-"""The cost of the viewer: bytes sent for a scene and for a query, and the start of the server."""
+"""The cost of the viewer: bytes sent, the start of server and page, and what is lost where Gaussians are merged."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ import time
 import urllib.request
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import IO, Any
 
+from tools.chromium import chromium, program
+
 import scoup
+from benchmarks.data import data_folder
+from benchmarks.merged import OTHERS, TUNED, of_scene
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import save_table
@@ -45,15 +49,27 @@ class ViewerCost(Study):
 
     n_gaussians: int = 1_000_000
     """Of the scene that is served and exported."""
+    scenes: tuple[str, ...] = (*TUNED, *OTHERS)
+    """Whose pages are compared with all of their Gaussians (benchmarks.merged)."""
+    data: Path = field(default_factory=data_folder)
+    """Folder that contains desk/, guitar/, kitchen/ and clip/."""
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as folder:
             path = write_field(Path(folder), self.n_gaussians)
             yield "sent", sent_bytes(path)
             yield "start", start_seconds(path)
+            if program() is not None:
+                yield "page", page_seconds(path)
+        for name in self.scenes:
+            if f"merged/{name}" not in known:
+                yield f"merged/{name}", of_scene(name, self.data)
 
     def record(self, rows: dict[str, Any]) -> Record:
-        return rows
+        merged = {
+            name.removeprefix("merged/"): row for name, row in rows.items() if name.startswith("merged/")
+        }
+        return {**{name: row for name, row in rows.items() if "/" not in name}, "merged": merged}
 
     @staticmethod
     def table(record: Record) -> str:
@@ -61,9 +77,37 @@ class ViewerCost(Study):
         count = round(sent["scene, bytes"] / sent["scene, bytes a Gaussian"])
         body = [
             [what, f"{value:,.2f}" if isinstance(value, float) else f"{value:,}"]
-            for what, value in {**sent, **record["start"]}.items()
+            for what, value in {**sent, **record["start"], **record.get("page", {})}.items()
         ]
-        return markdown([f"{count:,} Gaussians", ""], body)
+        return markdown([f"{count:,} Gaussians", ""], body) + "\n\n" + merged_table(record)
+
+
+def merged_table(record: Record) -> str:
+    """Return pictures and selections of merged Gaussians beside those of the largest, scene by scene."""
+    body = []
+    for name, found in record["merged"].items():
+        scene = f"{name} (tuned on)" if name in TUNED else name
+        for row in found["rows"]:
+            merged, largest = row["merged"], row["largest"]
+            overlaps = f"{merged['iou']:.3f} / {largest['iou']:.3f}" if found["texts"] else ""
+            body.append(
+                [scene, f"1/{row['part']}", f"{merged['psnr']:.1f} / {largest['psnr']:.1f}", overlaps]
+            )
+    return markdown(
+        ["scene", "Gaussians", "PSNR, merged / largest", "IoU of selections, merged / largest"], body
+    )
+
+
+def page_seconds(path: Path) -> dict[str, float]:
+    """Return seconds from opening the address to the first picture and to all Gaussians, drawn in software."""
+    with served(path) as (address, _), chromium() as browser:
+        page = browser.new_page(viewport={"width": 640, "height": 480})
+        started = time.perf_counter()
+        page.goto(address)
+        page.evaluate("scoupViewer.ready.then(() => scoupViewer.render())")
+        first = time.perf_counter() - started
+        page.evaluate("scoupViewer.whole")
+        return {"first picture, s": first, "all Gaussians loaded, s": time.perf_counter() - started}
 
 
 def write_field(folder: Path, count: int) -> Path:

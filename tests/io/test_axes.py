@@ -15,9 +15,9 @@ from scoup.io import load_gaussians, read_gltf, read_spz, save_gaussians
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf_rotation import rotated_sh
 from scoup.raster import view_colors
-from scoup.raster.projection import rotation_matrices
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.rotations import rotation_matrices
 
 
 def covariances(gaussians: Gaussians) -> torch.Tensor:

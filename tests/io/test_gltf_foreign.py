@@ -14,9 +14,9 @@ from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.splats.gltf import read_gltf_features
 from scoup.io.splats.gltf_rotation import quat_from_rotation, rotated_sh, rotation_from_quat
 from scoup.raster import view_colors
-from scoup.raster.projection import rotation_matrices
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.rotations import rotation_matrices
 
 
 def test_interleaved_rows_and_several_primitives(tmp_path):

@@ -8,6 +8,9 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +63,32 @@ def exact_picture(visit: Visit) -> Picture:
       return Array.from(bytes);
     }"""
     return np.asarray(Image.open(io.BytesIO(bytes(visit.page.evaluate(script)))).convert("RGB"))
+
+
+def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+    viewed = ViewedField(things_field(), table())
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        assert visit.state()["gaussians"] == len(viewed.field)
+        visit.ask("kettle")
+        wanted = visit.picture()
+    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 60)
+    held = threading.Event()
+    monkeypatch.setattr(viewed, "scene", partial(_whole_when, held, viewed.scene))
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        assert 0 < visit.state()["gaussians"] <= 60
+        assert "more are loading" in visit.page.inner_text("#facts")
+        held.set()
+        visit.page.evaluate("window.scoupViewer.whole")
+        assert visit.state()["gaussians"] == len(viewed.field)
+        assert "more are loading" not in visit.page.inner_text("#facts")
+        visit.ask("kettle")
+        assert difference(visit.picture(), wanted) < ALIKE
+
+
+def _whole_when(held: threading.Event, scene: Callable[..., bytes], coarse: bool) -> bytes:
+    """The file of a page; all of a scene only once it may be sent."""
+    assert coarse or held.wait(HANGS)
+    return scene(coarse=coarse)
 
 
 @pytest.mark.parametrize(("k", "n_others"), [(4, 10), (6, 300)])

@@ -16,7 +16,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import SH_C0
 from scoup.view.packing import byte_planes, packed
 from scoup.view.scene_data import surroundings
-from scoup.view.shown import morton_codes, shown_rows
+from scoup.view.shown import shown_gaussians
 from scoup.view.viewed_field import ViewedField
 from support import KINDS, examples, random_gaussians
 
@@ -24,7 +24,7 @@ from support import KINDS, examples, random_gaussians
 def test_the_splat_comes_through_within_its_rounding() -> None:
     viewed = viewed_field(count=200)
     tensors, metadata = unpacked(viewed.scene())
-    rows = shown_rows(viewed.gaussians)
+    rows = shown_gaussians(viewed.gaussians).rows
     given, shown = viewed.gaussians.select(rows), splat_of(tensors, metadata)
     extent = (given.means.amax(0) - given.means.amin(0)).max()
     assert (shown.means - given.means).abs().max() < 2e-7 * float(extent)
@@ -42,7 +42,7 @@ def test_the_splat_comes_through_within_its_rounding() -> None:
 def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
     viewed = viewed_field(count=150, k=5)
     tensors, metadata = unpacked(viewed.scene())
-    rows = shown_rows(viewed.gaussians)
+    rows = shown_gaussians(viewed.gaussians).rows
     answer = viewed.answers(["thing 3"])[0]
     weights = tensors["code_weights"] / 65535 * metadata["weights_scale"]  # [S, K, N]
     found = []
@@ -66,7 +66,8 @@ def test_owners_are_those_of_the_gaussians_shown() -> None:
     viewed = ViewedField(field, table(), most=40)
     tensors, metadata = unpacked(viewed.scene())
     assert metadata["n_things"] == len(field.thing_table)
-    owners = field.thing_table.owners[shown_rows(viewed.gaussians, 40)].T.numpy()
+    middle = field.thing_table.owners[:, 1]
+    owners = field.thing_table.owners[shown_gaussians(viewed.gaussians, 40, middle).rows].T.numpy()
     assert tensors["owners"].dtype == np.uint16
     assert (owners == -1).any()
     np.testing.assert_array_equal(tensors["owners"], np.where(owners == -1, 65535, owners))
@@ -86,13 +87,28 @@ def test_owners_are_those_of_the_gaussians_shown() -> None:
 def test_ugly_gaussians_are_left_out_and_the_rest_is_finite(count: int, seed: int, most: int) -> None:
     viewed = viewed_field(count=count, seed=seed, kinds=KINDS, most=most)
     tensors, metadata = unpacked(viewed.scene())
-    drawable = viewed.gaussians.finite() & (viewed.gaussians.opacities > 0)
-    assert tensors["opacities"].shape == (min(most, int(drawable.sum())),)
+    drawable = viewed.gaussians.finite() & (viewed.gaussians.opacities > 0) & viewed.gaussians.quats.any(1)
+    count_shown, count_drawable = len(tensors["opacities"]), int(drawable.sum())
+    assert min(1, count_drawable) <= count_shown <= min(most, count_drawable)
+    assert count_shown == count_drawable or count_drawable > most
     assert metadata["n_gaussians"] == count
     shown = splat_of(tensors, metadata)
     assert all(bool(torch.isfinite(part).all()) for part in (shown.means, shown.scales, shown.quats))
     assert math.isfinite(metadata["radius"])
     assert metadata["radius"] > 0
+
+
+def test_a_large_scene_is_sent_in_few_gaussians_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 50)
+    tensors, metadata = unpacked(viewed_field(count=101).scene(coarse=True))
+    assert metadata["coarse"]
+    assert metadata["n_gaussians"] == 101
+    assert 0 < len(tensors["opacities"]) <= 50
+    assert tensors["code_indices"].shape[2] == len(tensors["opacities"])
+    for viewed, coarse in ((viewed_field(count=101), False), (viewed_field(count=100), True)):
+        tensors, metadata = unpacked(viewed.scene(coarse=coarse))
+        assert "coarse" not in metadata
+        assert len(tensors["opacities"]) == len(viewed.field)
 
 
 def test_a_few_large_gaussians_keep_their_size() -> None:
@@ -113,26 +129,6 @@ def test_cameras_that_turn_on_the_spot_and_a_single_gaussian_have_a_scale() -> N
     assert surroundings(gaussians, cameras)[2] > 0.05
     single = gaussians.select(slice(0, 1))
     assert surroundings(single, None)[2] >= float(single.scales.max())
-
-
-def test_the_most_opaque_and_largest_are_kept() -> None:
-    gaussians = random_gaussians(100, 0)
-    gaussians.opacities[:] = 0.1
-    gaussians.scales[:] = 0.1
-    gaussians.opacities[17] = 0.9
-    gaussians.scales[23] = torch.tensor([0.5, 0.4, 1e-4])  # flat, and seen from its side large
-    gaussians.scales[40] = torch.tensor([3.0, 1e-4, 1e-4])  # a needle covers little
-    kept = shown_rows(gaussians, 2).tolist()
-    assert sorted(kept) == [17, 23]
-
-
-def test_near_points_are_near_in_the_order() -> None:
-    points = np.random.default_rng(0).random((4000, 3))
-    order = np.argsort(morton_codes(points), kind="stable")
-    steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
-    assert np.median(steps) < 0.25 * np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], float)
-    assert morton_codes(corners).argsort(kind="stable").tolist() == [0, 1, 2, 3, 4]
 
 
 def test_packing_gives_the_same_bytes_and_bears_one_point() -> None:

@@ -70,7 +70,8 @@ export interface Source {
   /** @throws Error with a sentence for the visitor */
   ask(texts: string[], always: boolean): Promise<Answer[]>;
   thumbnail(camera: number): string | null;
-  scene(progress: Progress): Promise<Packed>;
+  /** @param coarse few Gaussians of a large scene, to be seen until all are there */
+  scene(progress: Progress, coarse: boolean): Promise<Packed>;
   /** The things of the field, in the order of their numbers; none where it has none. */
   things(): Promise<Thing[]>;
   /** The facts of a scene without its Gaussians. */

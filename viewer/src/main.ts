@@ -10,7 +10,10 @@ import { Viewer } from "./viewer";
 
 /** What tests and other scripts may ask of the page. */
 export interface ViewerHandle {
+  /** Something is shown, and can be asked. */
   ready: Promise<void>;
+  /** All Gaussians of the page are shown. */
+  whole: Promise<void>;
   state(): object;
   ask(texts: string[]): Promise<void>;
   set(change: { mode?: Mode; level?: number | null; threshold?: number | null; opacity?: number }): void;
@@ -65,12 +68,14 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
   });
   return {
     ready,
+    whole: ready.then(() => viewer.whole),
     state: () => {
       const { state, eye } = viewer;
       const queries = state.queries.map(({ answer, color, hidden }) => ({ ...answer, scores: undefined, color, hidden }));
       const { level, threshold, opacity, mode } = state;
       const things = state.things && { selected: state.things.selected, hidden: [...state.things.hidden], hovered: state.things.hovered };
-      return { queries, things, mode, level, threshold, opacity, camera: eye.at?.name ?? null };
+      const camera = eye.at?.name ?? null;
+      return { queries, things, mode, level, threshold, opacity, camera, gaussians: viewer.gaussians };
     },
     ask: (texts) => viewer.ask(texts),
     set: ({ mode, ...change }) => viewer.state.set(mode === undefined ? change : { ...change, chosenMode: mode }),

@@ -21,6 +21,8 @@ export interface Metadata {
   embedding_model: string;
   words_problem: string | null;
   present_from: number | null;
+  /** Whether the whole scene has more Gaussians than this file. */
+  coarse?: boolean;
   /** Things of all levels; missing where the field has none. */
   n_things?: number;
   cameras: CameraRecord[];

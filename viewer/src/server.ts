@@ -20,8 +20,8 @@ export class LiveServer implements Server {
     return (await this.get("api/scene")).json();
   }
 
-  async scene(progress: Progress): Promise<Packed> {
-    return unpack(await download(await this.get("scene.bin"), progress));
+  async scene(progress: Progress, coarse: boolean): Promise<Packed> {
+    return unpack(await download(await this.get(coarse ? "scene.bin?coarse" : "scene.bin"), progress));
   }
 
   async things(): Promise<Thing[]> {

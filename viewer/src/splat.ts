@@ -47,6 +47,8 @@ export class Splat {
   private readonly level = dyno.dynoInt(0);
   private readonly opacity = dyno.dynoFloat(1);
   private readonly anySelected = dyno.dynoInt(0);
+  /** Those that the shader reads. */
+  private readonly textures: THREE.Texture[] = [];
 
   private constructor(scene: Scene, splats: ExtSplats) {
     this.scene = scene;
@@ -125,21 +127,30 @@ export class Splat {
     this.mesh.updateVersion();
   }
 
+  /** Free what it has on the GPU. */
+  dispose(): void {
+    this.mesh.dispose();
+    for (const texture of this.textures) texture.dispose();
+  }
+
   private modifier() {
     const { scene } = this;
     const sizes = { levels: scene.levels, k: scene.k, phrases: scene.phrases, things: scene.metadata.n_things ?? 0 };
     const [indices, weights] = codeTextures(scene);
+    const [canonical, owners] = [canonicalTexture(scene), ownerTexture(scene)];
+    const [confidence, codeColors] = [confidenceTexture(scene), codeColorTexture(scene)];
+    this.textures.push(indices, weights, canonical, owners, confidence, codeColors, this.scores, this.queries, this.things);
     const uniforms = {
       indices: dyno.dynoUsampler2D(indices),
       weights: dyno.dynoUsampler2D(weights),
       scale: dyno.dynoFloat(scene.metadata.weights_scale / 65535),
-      canonical: dyno.dynoSampler2D(canonicalTexture(scene)),
+      canonical: dyno.dynoSampler2D(canonical),
       scores: dyno.dynoSampler2D(this.scores),
       queries: dyno.dynoSampler2D(this.queries),
-      owners: dyno.dynoUsampler2D(ownerTexture(scene)),
+      owners: dyno.dynoUsampler2D(owners),
       things: dyno.dynoUsampler2D(this.things),
-      confidence: dyno.dynoSampler2D(confidenceTexture(scene)),
-      codeColors: dyno.dynoSampler2D(codeColorTexture(scene)),
+      confidence: dyno.dynoSampler2D(confidence),
+      codeColors: dyno.dynoSampler2D(codeColors),
       mode: this.mode,
       level: this.level,
       opacity: this.opacity,

@@ -44,9 +44,15 @@ export class SplatStage implements Stage {
     this.world.add(this.spark, this.boxes.lines);
   }
 
+  /** Show a scene, in place of the one before. */
   async load(scene: Scene, progress: Progress): Promise<void> {
+    const before = this.splat;
     this.splat = await Splat.of(scene, progress);
     this.world.add(this.splat.mesh);
+    if (before) {
+      this.world.remove(before.mesh);
+      before.dispose();
+    }
     this.update();
   }
 

@@ -40,13 +40,15 @@ export class Viewer {
   /** The point that was clicked last, until the camera moves. */
   private clicked: [number, number] | null = null;
   private hoverIsDue = false;
+  /** Resolves when the page holds the whole scene. */
+  whole = Promise.resolve();
 
   private constructor(
     readonly settings: Settings,
     readonly metadata: Metadata,
     private readonly source: Source,
     private readonly server: Server | null,
-    private readonly scene: Scene | null,
+    private scene: Scene | null,
   ) {
     this.state = new State(metadata.levels.length);
     this.eye = new Eye(metadata, this.canvas);
@@ -73,15 +75,34 @@ export class Viewer {
     withGaussians: boolean,
     progress: (stage: string, done: number, total: number) => void,
   ): Promise<Viewer> {
-    const scene = withGaussians ? new Scene(await source.scene(progress)) : null;
+    const scene = withGaussians ? new Scene(await source.scene(progress, true)) : null;
     const metadata = scene?.metadata ?? (await source.metadata());
     const viewer = new Viewer(settings, metadata, source, server, scene);
     if (scene && viewer.stage instanceof SplatStage) await viewer.stage.load(scene, progress);
     viewer.describe();
+    viewer.prepareWords();
     if (scene && metadata.n_things) void viewer.listThings();
     if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
     viewer.stage.redraw();
+    if (metadata.coarse) viewer.whole = viewer.refine();
     return viewer;
+  }
+
+  /** How many Gaussians it shows itself. */
+  get gaussians(): number {
+    return this.scene?.count ?? 0;
+  }
+
+  /** Show the whole scene in place of the coarse one. */
+  private async refine(): Promise<void> {
+    try {
+      const scene = new Scene(await this.source.scene(() => {}, false));
+      if (this.stage instanceof SplatStage) await this.stage.load(scene, () => {});
+      this.scene = scene;
+      this.describe();
+    } catch (error) {
+      this.say((error as Error).message);
+    }
   }
 
   /** Ask texts; several are separated by commas. */
@@ -306,7 +327,7 @@ export class Viewer {
     }
   }
 
-  /** Facts of the scene, and the words that the text box completes. */
+  /** Facts of the scene. */
   private describe(): void {
     const { metadata, scene } = this;
     document.title = `${metadata.name} – SCOUP`;
@@ -314,8 +335,16 @@ export class Viewer {
     const all = counted(metadata.n_gaussians, "Gaussian");
     const some = scene && scene.count < metadata.n_gaussians;
     const full = this.server ? "; the exact picture has all" : "";
-    const shown = some ? `${scene.count.toLocaleString("en")} of ${all} shown, the most opaque and largest${full}` : all;
+    const count = scene?.count.toLocaleString("en");
+    const shown = scene?.metadata.coarse
+      ? `${count} of ${all} shown, more are loading`
+      : some ? `${count} of ${all} shown, neighbours merged${full}` : all;
     byId("facts").textContent = `${shown}. Embeddings: ${metadata.embedding_model || "unnamed model"}. SCOUP ${this.settings.version}.`;
+  }
+
+  /** Words that the text box completes, or why none can be asked. */
+  private prepareWords(): void {
+    const { metadata } = this;
     if (metadata.words_problem !== null) {
       this.say(`No text can be asked: ${metadata.words_problem}`);
       for (const part of byId("ask").querySelectorAll<HTMLInputElement | HTMLButtonElement>("input, button")) part.disabled = true;

@@ -36,7 +36,8 @@ class View(TextOptions):
     """A list of words, one a line: what a click chooses from, and all that an exported page can be asked. Default:
     everyday words; of a table, all its names."""
     most: int = 1_000_000
-    """The page shows so many Gaussians at most, the most opaque and largest. Pictures of the server have all."""
+    """The page shows so many Gaussians at most; neighbours are merged until no more are left. Pictures of the server
+    have all."""
     remote: Flag = False
     """The page shows pictures of the server only: for scenes or machines that are too much for the browser."""
     host: str = "127.0.0.1"

@@ -12,9 +12,9 @@ from torch.nn.functional import normalize
 
 from scoup.extract.view_candidates import Matter
 from scoup.raster import PreparedGaussians, project, render_channels
-from scoup.raster.projection import rotation_matrices
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.rotations import rotation_matrices
 
 MOST_COUNTED = 20_000  # Gaussians that are counted when views are compared
 SIDE = 160  # pixels of the longer side of a cheap render

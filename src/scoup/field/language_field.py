@@ -129,7 +129,7 @@ class LanguageField(FieldQueries):
         Args:
             encoder: see ``text_encoder``.
             words: what a click chooses from; by default everyday words, or the names of the table.
-            most: Gaussians that the page shows at most, the most opaque and largest.
+            most: Gaussians that the page shows at most; neighbours are merged until no more are left.
             remote: show rendered pictures only, for scenes that are too much for the browser.
             height: of the page in a notebook, in pixels.
 

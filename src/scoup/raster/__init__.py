@@ -27,6 +27,7 @@ from scoup.raster.combinations import CombinedLabels as CombinedLabels
 from scoup.raster.combinations import combine as combine
 from scoup.raster.native import NativeProjection
 from scoup.raster.ordering import AT_A_TIME
+from scoup.raster.ordering import morton_codes as morton_codes
 from scoup.raster.ordering import morton_order as morton_order
 from scoup.raster.ordering import restored as restored
 from scoup.raster.presets import RASTER_PRESETS as RASTER_PRESETS

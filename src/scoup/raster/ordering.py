@@ -10,18 +10,23 @@ BITS = 21  # an axis: enough for rooms in scenes with a far-away background
 
 
 def morton_order(means: Tensor) -> Tensor:
-    """Return [N] int64 rows of ``means`` [N, 3] along a Z-order curve; rows in one cell of its grid keep their order.
+    """Return [N] int64 rows of ``means`` [N, 3] along a Z-order curve; rows in one of its cells keep their order."""
+    return torch.argsort(morton_codes(means)[0], stable=True)
 
-    Entries that are not finite count as 0.
+
+def morton_codes(means: Tensor) -> tuple[Tensor, float]:
+    """Return [N] int64 places of ``means`` [N, 3] on a Z-order curve through a cube, and the edge of its cells.
+
+    Bits 3 b to 3 b + 2 of a place are bit b of the cell along x, y, z. Entries that are not finite count as 0.
     """
     if not len(means):
-        return torch.zeros(0, dtype=torch.int64, device=means.device)
+        return torch.zeros(0, dtype=torch.int64, device=means.device), 1.0
     parts = means.split(AT_A_TIME)
     low = torch.stack([_finite(part).amin(0) for part in parts]).amin(0)
     span = torch.stack([(_finite(part) - low).amax() for part in parts]).amax()
     span = span.clamp(min=torch.finfo(torch.float64).tiny)
     code = torch.cat([_codes(_finite(part), low, span) for part in parts])
-    return torch.argsort(code, stable=True)
+    return code, float(span) / (2**BITS - 1)
 
 
 def restored(rows: Tensor, order: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ from torch import Tensor
 from scoup.raster.presets import ALPHA_MIN, LOW_PASS, RasterPreset
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.rotations import rotation_matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,19 +111,6 @@ def ray_limits(camera: Camera, preset: RasterPreset) -> tuple[float, float, floa
         (camera.width - camera.cx) / camera.fx + 0.3 * tan_x,
         -camera.cy / camera.fy - 0.3 * tan_y,
         (camera.height - camera.cy) / camera.fy + 0.3 * tan_y,
-    )
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """Return [M, 3, 3] rotation matrices of quaternions [M, 4] (w, x, y, z), normalised first."""
-    w, x, y, z = (quats / torch.linalg.vector_norm(quats, dim=1, keepdim=True)).unbind(1)
-    return torch.stack(
-        [
-            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1),
-            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1),
-            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1),
-        ],
-        1,
     )
 
 

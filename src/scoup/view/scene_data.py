@@ -21,7 +21,7 @@ from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.paths import upwards
 from scoup.scene.things import NO_THING
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
-from scoup.view.shown import MOST_GAUSSIANS, shown_rows
+from scoup.view.shown import MOST_GAUSSIANS, shown_gaussians
 from scoup.view.unit_codes import UnitCodes
 
 VERSION = 1
@@ -77,23 +77,25 @@ def scene_data(
         codes: ``UnitCodes.of(field)``.
         canonical: [S, L, P] scores of the canonical phrases; None if no text can be asked.
         metadata: from ``scene_metadata``.
-        most: Gaussians at most (``shown_rows``).
+        most: Gaussians at most (``shown_gaussians``).
         effort: of compression, 1 to 9.
     """
-    gaussians = field.gaussians.to("cpu")
-    rows = shown_rows(gaussians, most)
+    owners = None if field.thing_table is None else field.thing_table.owners.cpu()
+    middle = None if owners is None else owners[:, len(field.levels) // 2]  # what a click selects
+    shown = shown_gaussians(field.gaussians.to("cpu"), most, middle)
+    rows = shown.rows
     weights = codes.weights[rows]
     largest = float(weights.max()) if weights.numel() else 0.0
-    tensors, ranges = _splat(gaussians.select(rows))
+    tensors, ranges = _splat(shown.gaussians)
     tensors |= {
         "code_indices": rows_of(codes.indices, rows).permute(1, 2, 0).numpy(),
         "code_weights": fine_fractions(weights.permute(1, 2, 0).numpy(), largest),
         "confidence": fractions(codes.confidence[rows].T.numpy(), 0.0, 1.0),
         **_code_colors(field, codes),
     }
-    if field.thing_table is not None:
-        owners = field.thing_table.owners.cpu()[rows].T.numpy()
-        tensors["owners"] = np.where(owners == NO_THING, _NO_OWNER, owners).astype(np.uint16)
+    if owners is not None:
+        own = owners[rows].T.numpy()
+        tensors["owners"] = np.where(own == NO_THING, _NO_OWNER, own).astype(np.uint16)
     if canonical is not None:
         tensors["canonical"] = canonical.permute(0, 2, 1).numpy()
     return packed(tensors, {**metadata, **ranges, "weights_scale": largest}, effort)

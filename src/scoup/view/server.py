@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -70,14 +71,17 @@ class _Answers:
         self.page = page
         self.mode = mode
         self.work = Work()
-        self._scene: bytes | None = None
+        self._scenes: dict[bool, bytes] = {}  # by whether they are coarse
         self._thumbnails: dict[int, bytes] = {}
 
     def by_name(self) -> dict[str, Answer]:
         return {"query": self.query, "render": self.render, "point": self.point, "select": self.select}
 
     async def index(self, request: Request) -> Response:
-        return Response(self.page.with_settings(self.viewed.settings(self.mode)), media_type="text/html")
+        html = self.page.with_settings(self.viewed.settings(self.mode))
+        # Packed while the browser loads the program.
+        first = None if self.mode == "remote" else BackgroundTask(self._prepare)
+        return Response(html, media_type="text/html", background=first)
 
     async def program(self, request: Request) -> Response:
         if "gzip" not in request.headers.get("accept-encoding", ""):
@@ -95,13 +99,20 @@ class _Answers:
         return Response(status_code=204, headers={"x-scoup-field": self.viewed.identity})
 
     async def scene(self, request: Request) -> Response:
-        def packed() -> bytes:
-            if self._scene is None:
-                self._scene = self.viewed.scene()
-            return self._scene
-
-        data = self._scene or await self.work.run(packed)
+        data = await self._packed_scene(coarse=request.url.query == "coarse")
         return Response(data, media_type="application/octet-stream")
+
+    async def _prepare(self) -> None:
+        with suppress(BusyError):
+            await self._packed_scene(coarse=True)
+
+    async def _packed_scene(self, coarse: bool) -> bytes:
+        def packed() -> bytes:
+            if coarse not in self._scenes:
+                self._scenes[coarse] = self.viewed.scene(coarse=coarse)
+            return self._scenes[coarse]
+
+        return self._scenes.get(coarse) or await self.work.run(packed)
 
     async def metadata(self, request: Request) -> Response:
         return JSONResponse(await self.work.run(self.viewed.metadata))

@@ -27,7 +27,7 @@ from scoup.view.exact import ExactPictures, PictureMode, PictureRequest, what_is
 from scoup.view.page_things import page_things
 from scoup.view.scene_answers import PageAnswer, scene_answers
 from scoup.view.scene_data import scene_data, scene_metadata
-from scoup.view.shown import MOST_GAUSSIANS
+from scoup.view.shown import COARSE_GAUSSIANS, MOST_GAUSSIANS
 from scoup.view.unit_codes import UnitCodes, atom_scores
 from scoup.view.vocabulary import everyday_vocabulary
 
@@ -48,7 +48,7 @@ class ViewedField:
         encoder: of texts; by default the one that the field names. If that cannot be opened, the field is shown all the
             same, and ``words_problem`` says why no text can be asked.
         words: the vocabulary that a click chooses from; by default everyday words, or the names of the table.
-        most: Gaussians that the page shows at most.
+        most: Gaussians that the page shows at most (``shown_gaussians``).
     """
 
     def __init__(
@@ -134,12 +134,20 @@ class ViewedField:
         problem = NO_WORDS if exported and self.words_problem is not None else self.words_problem
         return scene_metadata(self.field, self.name, problem, present_from)
 
-    def scene(self, effort: int = 1, exported: bool = False) -> bytes:
-        """Return the file that the page loads (``scene_data``)."""
-        canonical = None
+    def scene(self, effort: int = 1, exported: bool = False, coarse: bool = False) -> bytes:
+        """Return the file that the page loads (``scene_data``).
+
+        Args:
+            effort: of compression, 1 to 9.
+            exported: for a page without a server.
+            coarse: with few Gaussians, to be seen until the others are there; all of a small scene.
+        """
+        canonical, metadata, most = None, self.metadata(exported), self.most
+        if coarse and min(most, len(self.field)) > 2 * COARSE_GAUSSIANS:
+            metadata, most = {**metadata, "coarse": True}, COARSE_GAUSSIANS
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.question(self._probe).canonical)
-        return scene_data(self.field, self.codes, canonical, self.metadata(exported), self.most, effort)
+        return scene_data(self.field, self.codes, canonical, metadata, most, effort)
 
     def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
         """Return the answers of the scene to texts."""
