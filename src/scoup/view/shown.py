@@ -60,10 +60,11 @@ def _groups(drawn: Gaussians, owners: Tensor | None, most: int) -> Tensor:
     """Return [N] int64 numbers from 0 of the groups to merge, at most so many unless the coarsest cells hold more."""
     code, unit = morton_codes(drawn.means)
     shades = ((SH_C0 * drawn.sh[:, 0].double() + 0.5).clamp(0, 1) * _SHADES).long().clamp(max=_SHADES - 1)
-    apart = shades if owners is None else torch.cat([shades, owners[:, None]], 1)
-    kind = np.unique(apart.numpy(), axis=0, return_inverse=True)[1].ravel()
-    order = torch.from_numpy(np.lexsort((code.numpy(), kind)))
-    code, kinds, largest = code[order], torch.from_numpy(kind)[order], drawn.scales.double().amax(1)[order]
+    kinds = shades @ torch.tensor([1, _SHADES, _SHADES**2])
+    if owners is not None:
+        kinds += _SHADES**3 * owners.long()
+    order = torch.from_numpy(np.lexsort((code.numpy(), kinds.numpy())))
+    code, kinds, largest = code[order], kinds[order], drawn.scales.double().amax(1)[order]
 
     def cells(level: int) -> tuple[Tensor, int]:
         """Return the numbers of the groups in this order, and how many there are."""
@@ -83,17 +84,23 @@ def _groups(drawn: Gaussians, owners: Tensor | None, most: int) -> Tensor:
     group, count = cells(level)
     if level > 0 and count <= most:
         finer, n_finer = cells(level - 1)
-        inside = torch.zeros(n_finer, dtype=torch.int64)
-        inside[finer] = group  # all members of a finer cell lie in one
-        more = inside.bincount(minlength=count) - 1
         heaviest = group.bincount(_cover(drawn)[order], count).argsort(descending=True, stable=True)
-        halved = torch.zeros(count, dtype=torch.bool)
-        halved[heaviest] = more[heaviest].cumsum(0) <= most - count
-        chosen = torch.where(halved[group], count + finer, group)
-        used = torch.zeros(count + n_finer, dtype=torch.int64)
-        used[chosen] = 1
-        group = (used.cumsum(0) - 1)[chosen]
+        group = _halved(group, finer, n_finer, heaviest, most)
     return restored(group, order)
+
+
+def _halved(group: Tensor, finer: Tensor, n_finer: int, heaviest: Tensor, most: int) -> Tensor:
+    """Return [N] the groups with as many of the heaviest as possible in place of finer ones, which lie in one each."""
+    count = len(heaviest)
+    inside = torch.zeros(n_finer, dtype=torch.int64)
+    inside[finer] = group
+    more = inside.bincount(minlength=count) - 1
+    halved = torch.zeros(count, dtype=torch.bool)
+    halved[heaviest] = more[heaviest].cumsum(0) <= most - count
+    chosen = torch.where(halved[group], count + finer, group)
+    used = torch.zeros(count + n_finer, dtype=torch.int64)
+    used[chosen] = 1
+    return (used.cumsum(0) - 1)[chosen]
 
 
 def _merged(drawn: Gaussians, group: Tensor, most: int) -> tuple[Gaussians, Tensor]:
