@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json, snapshot
 from scoup.field.language_field import LanguageField
-from scoup.io import load_cameras
+from scoup.io import load_cameras, write_transforms
+from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -56,6 +58,21 @@ def test_views_beside_photographs_keep_them() -> None:
         assert copied.image_path is not None
         assert copied.image_path.read_bytes() == camera.image_path.read_bytes()
         assert torch.allclose(copied.viewmat, camera.viewmat, atol=1e-5)
+
+
+def test_photographs_beside_keep_their_distortion() -> None:
+    bent = Cameras(
+        replace(camera, distortion=(0.1, 0.0, 0.0, 0.0), image_path=None) for camera in load_cameras("scene")
+    )
+    write_transforms(bent, "bent/transforms.json")
+    shutil.copytree("scene/images", "bent/images")
+    run_json("views", SPLAT, *SMALL, "--views", 1, "--beside", "bent", "--out", "more")
+    assert "pass --undistort" in refused("build", "more", "--gaussians", SPLAT)
+    together = load_cameras("more", distorted="undistort")
+    assert {camera.name: camera.distortion for camera in together} == {
+        "own_000.png": (),
+        **{camera.name: camera.distortion for camera in bent},
+    }
 
 
 def test_cameras_without_photographs_have_nothing_to_be_beside() -> None:

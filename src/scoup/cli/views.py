@@ -65,7 +65,7 @@ class MakeViews(WritesCommon):
         source = find_gaussians(self.splat)
         out = self.out or Path(f"{source.stem}_views")
         check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
-        beside = None if self.beside is None else load_cameras(self.beside, missing_images="skip")
+        beside = None if self.beside is None else load_cameras(self.beside, distorted="undistort")
         if beside is not None and not any(camera.image_path for camera in beside):
             raise InputError(
                 f"{self.beside}: has no photographs, only cameras; name a scene with photographs"
