@@ -35,6 +35,7 @@ from benchmarks.power_loss import PowerLoss
 from benchmarks.query import Query
 from benchmarks.selection import Selections
 from benchmarks.server_load import ServerLoad
+from benchmarks.splats import Splats
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
@@ -184,6 +185,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "locate": (Locate, "locate"),
     "things": (Things, "things"),
     "views": (Views, "views"),
+    "splats": (Splats, "splats"),
     "absence": (Absence, "absence"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "coding, compared": (Coding, "coding"),
