@@ -82,6 +82,18 @@ def test_ref_lerf(here: Path) -> None:
     assert (here / "eval_ref-lerf" / "failures" / "table_scoup.png").is_file()
 
 
+def test_sentences_of_ref_lerf_are_read_as_phrases(here: Path) -> None:
+    """Things answer them, left and right as seen from the frame, in a table of its own."""
+    result = run_json("eval", "ref-lerf", "ref-lerf", *QUICK, "--scenes", "table")
+    record = result["reports"]["ref-lerf_things"]
+    assert record["protocol"] == "ref-lerf by things"
+    assert set(record["relations"]) == {"no relation", "near", "left of", "right of"}
+    count = sum(row["sentences"] for row in record["relations"].values())
+    assert count == record["overall"]["pairs"] == result["reports"]["ref-lerf_scoup"]["overall"]["pairs"]
+    assert 0.2 < record["relations"]["no relation"]["things"] < 1
+    assert "by relation" in (here / "eval_ref-lerf" / "ref-lerf_things.md").read_text()
+
+
 def test_methods_are_compared_on_ref_lerf(here: Path) -> None:
     record = run_json(
         "eval", "baselines", "ref-lerf", "--data-set", "ref-lerf", "--scenes", "table", "--methods", "dense"

@@ -25,6 +25,7 @@ from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import PairScore, SceneScore
+from scoup_lab.evaluate.sentences import SentenceScore, score_sentences, sentence_report
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class PixelResult:
 
     score: SceneScore  # by the 2D protocol
     selected: SceneScore | None  # by the 3D-selection protocol; None if it was not wanted
+    by_things: SentenceScore | None  # of sentences; None for other labels
     levels: tuple[str, ...]  # names of the field's levels
 
 
@@ -48,7 +50,8 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
     @property
     def stems(self) -> Sequence[str]:
         self.protocol.preset(self.rules)  # rules that the data set has not are refused at once
-        return (f"{self.protocol.name}_{self.rules}",)
+        of_things = (f"{self.protocol.name}_things",) if self.protocol.refers else ()
+        return (f"{self.protocol.name}_{self.rules}", *of_things)
 
     def scene(
         self,
@@ -71,6 +74,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
             selected = selection.score_method(
                 scene, vectors, FittedField(field), field.gaussians, raster_preset
             )
+        by_things = score_sentences(scene, field, source, self._title) if self.protocol.refers else None
         if self.sheets:
 
             def map_of(pair: PairScore) -> Tensor:
@@ -79,7 +83,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
 
             sheet = failure_sheet(score, scene, field, map_of, preset)
             save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
-        return PixelResult(score, selected, field.levels)
+        return PixelResult(score, selected, by_things, field.levels)
 
     def reports(self, results: dict[str, PixelResult], described: dict[str, Any]) -> list[Report]:
         """See ``Evaluation``: one by each protocol."""
@@ -87,7 +91,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         shared = {**described, "build": asdict(self.build)}
         published, levels = self.protocol.scenes, found[0].levels
         scores = tuple(each.score for each in found)
-        (stem,) = self.stems
+        stem = self.stems[0]
         of_frames = PixelScores(self.protocol.title, self.rules, scores, published, shared)
         reports = [of_frames.report(stem, levels)]
         selected = tuple(each.selected for each in found if each.selected is not None)
@@ -96,7 +100,14 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
             rules = selected[0].preset
             of_gaussians = PixelScores(selection.PROTOCOL, rules, selected, published, shared, (note,))
             reports.append(of_gaussians.report(f"{self.protocol.name}_3d-selection", levels))
+        by_things = [each.by_things for each in found if each.by_things is not None]
+        if by_things:
+            reports.append(sentence_report(self.stems[1], self._title, by_things, scores, shared))
         return reports
+
+    @property
+    def _title(self) -> str:
+        return f"{self.protocol.name} by things"
 
 
 def predict(

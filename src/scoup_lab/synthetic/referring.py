@@ -1,8 +1,9 @@
 """Sentences that refer to the things of a synthetic scene, with their masks, in the layout of Ref-LERF.
 
-Every object of a frame has two sentences: "the NAME", and "the NAME next to the OTHER", where OTHER is the object
-nearest to it. Nothing understands them: the vector of a sentence is the mean of those of the names in it, the thing
-itself counting twice.
+Every object of a frame has the sentences "the NAME" and "the NAME next to the OTHER", where OTHER is the object nearest
+to it; and, if it is clearly on one side of that in the frame, "the NAME left of the OTHER" or "right of". The vector of
+a sentence is the mean of those of the names in it, the thing itself counting twice: only who reads it as a phrase
+understands it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from scoup.io import save_png, write_text
 from scoup_lab.synthetic.scene import DemoScene, with_texts
@@ -30,15 +32,34 @@ def write_referring_truth(scene: DemoScene, tested: Collection[str], folder: Pat
         frame = scene.labelled_frame(camera.name, ("m",))
         objects = []
         for name, mask in frame.masks.items():
-            sentences = [f"the {name}", f"the {name} next to the {beside[name]}"]
-            own, other = scene.words.vector(name), scene.words.vector(beside[name])
-            vectors |= {sentences[0]: own, sentences[1]: unit(2 * own + other)}
+            other = beside[name]
+            related = [f"the {name} next to the {other}"]
+            if (side := side_of(mask, frame.masks.get(other))) is not None:
+                related.append(f"the {name} {side} of the {other}")
+            sentences = [f"the {name}", *related]
+            own = scene.words.vector(name)
+            vectors |= {
+                sentences[0]: own,
+                **dict.fromkeys(related, unit(2 * own + scene.words.vector(other))),
+            }
             picture = f"{frame.name}/{name}.png"
             save_png(mask, folder / "gt_mask" / picture)
             objects.append({"category": name, "segmentation": picture, "sentence": sentences})
         split = "test_json" if camera.name in tested else "train_json"
         write_text(folder / "json" / split / f"{frame.name}.json", json.dumps({"object": objects}) + "\n")
     return with_texts(scene, vectors)
+
+
+def side_of(mask: Tensor, other: Tensor | None) -> str | None:
+    """Return on which side of another mask [H, W] all of a mask is: "left", "right", or None."""
+    if other is None:
+        return None
+    (low, high), (least, most) = ((columns[0], columns[-1]) for columns in (_columns(mask), _columns(other)))
+    return "left" if high < least else "right" if low > most else None
+
+
+def _columns(mask: Tensor) -> list[int]:
+    return mask.any(0).nonzero()[:, 0].tolist()
 
 
 def nearest_objects(scene: DemoScene) -> dict[str, str]:

@@ -150,7 +150,10 @@ class MipNerf360(OfPixels):
 @dataclass(frozen=True, kw_only=True)
 class RefLerf(OfPixels):
     """Score Ref-LERF (figurines, ramen, teatime, waldo_kitchen): masks of what sentences refer to, with the rules of
-    LERF-OVS."""
+    LERF-OVS, and by things in a table of its own.
+
+    "The mug left of the laptop" is read as `scoup select` reads it; left and right are meant from the labelled view.
+    """
 
     protocol: ClassVar[str] = "ref-lerf"
 

@@ -76,6 +76,7 @@ PROTOCOL = PixelProtocol(
     systems=("scoup", "langsplatv2", "langsplat"),
     labels=lambda root, scene: sentence_folder(root / scene),
     read=lambda root, scene: read_frames(root / scene),
+    refers=True,
 )
 
 
