@@ -8,13 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.things import FACTS, VIEWER
 
 import scoup
 from cli_support import run, run_json
 from scoup.query.catalog_files import thing_mask
+from scoup.query.phrases import Phrase, parse_phrase
+from scoup.query.relation_rules import CONDITIONS, Shapes
 from scoup_lab.data.labels import match_frames, read_labels
 
 NAMES = ("kettle", "laptop computer", "penguin")
+CONVERSES = {
+    "left of": "right of",
+    "right of": "left of",
+    "in front of": "behind",
+    "above": "under",
+    "on": "under",
+}
 pytestmark = pytest.mark.data
 
 
@@ -63,6 +73,45 @@ def test_the_best_thing_is_the_labelled_object(desk: Path, built: Path, name: st
         found = thing_mask(field, field.project(camera), best)
         overlaps.append(float((found & truth).sum() / (found | truth).sum()))
     assert np.mean(overlaps) > 0.5, overlaps
+
+
+def test_relations_agree_with_their_converses(desk: Path, built: Path) -> None:
+    """Over all pairs of things of the middle level, whatever they are called."""
+    field = scoup.LanguageField.load(built)
+    frame = field.frame(VIEWER)
+    things = [thing for thing in field.things() if thing.level == "m"]
+    shapes, count = Shapes.of(field, things, frame), len(things)
+    holds = {
+        name: np.array(
+            [[a != b and CONDITIONS[name](shapes, a, (b,)) for b in range(count)] for a in range(count)]
+        )
+        for name in (*CONVERSES, "behind", "under", "near")
+    }
+    assert all(relation.sum() > 20 for relation in holds.values())
+    for name in ("left of", "right of", "in front of", "behind", "above", "under"):
+        assert not (holds[name] & holds[name].T).any(), name
+    for one, other in (("left of", "right of"), ("in front of", "behind")):
+        assert not (holds[one] & holds[other]).any()
+        # Each is measured by the size of what it refers to, so that one may hold where the other is not clear.
+        either = holds[one] | holds[other].T
+        assert (holds[one] & holds[other].T)[either].mean() > 0.75
+    assert np.array_equal(holds["above"], holds["under"].T)
+    assert not (holds["on"] & ~holds["under"].T).any()
+    assert np.array_equal(holds["near"], holds["near"].T)
+
+
+def test_facts_and_their_converses_are_answered_alike(desk: Path, built: Path) -> None:
+    field = scoup.LanguageField.load(built)
+    field.text_encoder(desk / "desk_words.npz")
+    frame, told = field.frame(VIEWER), 0
+    for fact in FACTS:
+        phrase = parse_phrase(fact)
+        assert isinstance(phrase, Phrase)
+        if phrase.relation in CONVERSES and field.things(fact, frame):
+            converse = f"{phrase.anchors[0]} {CONVERSES[phrase.relation]} {phrase.text}"
+            assert field.things(converse, frame), converse
+            told += 1
+    assert told > 8
 
 
 def test_every_verb_answers(desk: Path, built: Path, tmp_path: Path) -> None:

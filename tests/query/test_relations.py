@@ -147,3 +147,12 @@ def test_a_thing_hangs_until_it_touches(height) -> None:
 def test_above_needs_a_quarter_of_a_footprint(shift, is_above) -> None:
     field = planted_room([Box("desk", (0, 0, 1), (1, 1, 0.1)), Box("lamp", (shift, 0, 2), (1, 1, 0.3))])
     assert bool(numbers(field, "lamp above desk")) == bool(numbers(field, "desk under lamp")) == is_above
+
+
+def test_what_stands_on_the_lower_end_of_something_tall_is_not_under_it() -> None:
+    """Its bottom is near to both ends of the other, in units of the taller one's height."""
+    tall, low = Box("shelf", (0, 0, 0.75), (0.4, 0.4, 1.5)), Box("book", (0, 0, 0.3), (0.3, 0.3, 0.3))
+    field = planted_room([tall, low])
+    assert numbers(field, "book above shelf") == numbers(field, "book on shelf") == [1]
+    assert numbers(field, "shelf under book") == [0]
+    assert numbers(field, "shelf above book") == numbers(field, "book under shelf") == []
