@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 import torch
 from browser_support import (
@@ -18,6 +19,8 @@ from browser_support import (
     table,
     visiting,
 )
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 import scoup
 from scoup import raster
@@ -33,6 +36,21 @@ if TYPE_CHECKING:
 pytest.importorskip("uvicorn")
 pytestmark = pytest.mark.usefixtures("built_page")
 
+COUNT_DRAWS = """() => {
+  const gl = document.getElementById("canvas").getContext("webgl2");
+  window.draws = 0;
+  for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+    const own = gl[name].bind(gl);
+    gl[name] = (...arguments_) => { window.draws += 1; return own(...arguments_); };
+  }
+}"""
+OUTLINE = """() => {
+  const canvas = document.getElementById("outline");
+  if (canvas.hidden) return null;
+  const { width, height } = canvas;
+  const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+  return { width, height, data: Array.from(data) };
+}"""
 LEVELS = {None: "automatic", 0: "s (fine)", 1: "m (medium)", 2: "l (coarse)"}
 
 
@@ -161,6 +179,63 @@ def test_clicks_select_things_their_groups_and_parts(visit: Visit, viewed: Viewe
     assert difference(visit.picture(), plain) > 3 * ALIKE
     visit.page.keyboard.press("Escape")
     assert visit.state()["things"]["selected"] == []
+
+
+def outline(visit: Visit) -> NDArray[np.bool_] | None:
+    """The white line over the picture, [H, W]; None where there is none."""
+    found = visit.page.evaluate(OUTLINE)
+    if found is None:
+        return None
+    return np.array(found["data"], np.uint8).reshape(found["height"], found["width"], 4)[..., 0] == 255
+
+
+def point_at(visit: Visit, viewed: ViewedField, name: str, number: int | None) -> None:
+    """Move the pointer to a thing, and wait until it is known."""
+    assert viewed.field.cameras is not None
+    x, y = places_in(viewed.field.cameras[0])[name]
+    box = visit.page.locator("#canvas").bounding_box()
+    assert box is not None
+    visit.page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    visit.until(f"window.scoupViewer.state().things.hovered === {'null' if number is None else number}")
+
+
+def ring(viewed: ViewedField, number: int, width: int, height: int) -> NDArray[np.bool_]:
+    """The pixels around those that a thing covers where the page opens, [H, W]."""
+    table = viewed.field.thing_table
+    assert table is not None
+    assert viewed.field.cameras is not None
+    alone = viewed.gaussians.select((table.owners == number).any(1))
+    projection = raster.project(alone, viewed.field.cameras[0].resized(width, height))
+    covered = (raster.render_channels(projection, torch.zeros(len(alone), 1))[1] > 0.5).numpy()
+    assert 0.01 < covered.mean() < 0.5
+    return binary_dilation(covered) & ~covered
+
+
+def test_what_is_under_the_pointer_gets_an_outline(visit: Visit, viewed: ViewedField) -> None:
+    visit.until("Boolean(window.scoupViewer.state().things)")
+    assert outline(visit) is None
+    plain = visit.picture()
+    visit.page.evaluate(COUNT_DRAWS)
+    for name, number in (("kettle", 3), ("mug", 4)):
+        point_at(visit, viewed, name, number)
+        assert visit.page.locator("#hovering").inner_text() == name
+        drawn = outline(visit)
+        assert drawn is not None
+        wanted = ring(viewed, number, drawn.shape[1], drawn.shape[0])
+        assert (binary_dilation(wanted)[drawn]).mean() > 0.95
+        assert (binary_dilation(drawn)[wanted]).mean() > 0.95
+    point_at(visit, viewed, "lamp", None)  # of no thing
+    assert outline(visit) is None
+    assert visit.page.evaluate("window.draws") == 0  # the scene is not drawn again for it
+    assert np.array_equal(visit.picture(), plain)
+    visit.tab("Things")
+    visit.page.locator("#thing-list button[data-thing='4']").hover()
+    visit.until("window.scoupViewer.state().things.hovered === 4")
+    assert outline(visit) is not None
+    point_at(visit, viewed, "mug", 4)
+    visit.page.evaluate("window.scoupViewer.flyTo('left.png')")
+    assert outline(visit) is None  # that was for another view
+    assert visit.page.locator("#hovering").is_hidden()
 
 
 def test_things_are_named_measured_hidden_and_saved(

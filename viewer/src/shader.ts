@@ -21,7 +21,7 @@ export const HEAT: readonly (readonly [number, number, number])[] = [
 /** Colour of what is selected by a click. */
 export const SELECTED: readonly [number, number, number] = [0.25, 0.66, 1];
 /** Bits of a thing in its texture, above those of the queries that select it. */
-export const MARKS = { selected: 1 << 8, hovered: 1 << 9, hidden: 1 << 10 } as const;
+export const MARKS = { selected: 1 << 8, hidden: 1 << 9 } as const;
 
 export interface Sizes {
   levels: number;
@@ -173,6 +173,5 @@ if (${inputs.mode} == 0) {
   ${out}.rgba.rgb = vec3(relevancy);
 }
 if (clicked && ${inputs.mode} != 2) ${out}.rgba.rgb = mix(${out}.rgba.rgb, vec3(${SELECTED.join(",")}), 0.6);
-if (!clicked && (marks & ${MARKS.hovered}u) != 0u) ${out}.rgba.rgb = mix(${out}.rgba.rgb, vec3(1.0), 0.35);
 if ((marks & ${MARKS.hidden}u) != 0u) ${out}.rgba.a = 0.0;`;
 }

@@ -31,7 +31,6 @@ export interface Look {
   opacity: number;
   /** Numbers of things. */
   selected: number[];
-  hovered: number | null;
   hidden: Iterable<number>;
 }
 
@@ -58,7 +57,7 @@ export class Splat {
     this.things = integers(new Uint16Array(WIDTH * rows), rows, THREE.UnsignedShortType, "R16UI");
     this.mesh = new SplatMesh({ extSplats: splats });
     this.mesh.objectModifier = this.modifier();
-    this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hovered: null, hidden: [] });
+    this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hidden: [] });
   }
 
   /** Build it, with progress. */
@@ -118,7 +117,6 @@ export class Splat {
     }
     for (const thing of look.selected) things[thing] |= MARKS.selected;
     for (const thing of look.hidden) things[thing] |= MARKS.hidden;
-    if (look.hovered !== null) things[look.hovered] |= MARKS.hovered;
     this.anySelected.value = look.selected.length;
     this.scores.needsUpdate = this.queries.needsUpdate = this.things.needsUpdate = true;
     this.mode.value = MODES.indexOf(look.mode);

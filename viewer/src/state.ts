@@ -104,8 +104,8 @@ export class State {
   look(): Look {
     const first = this.visible()[0];
     const level = this.level ?? first?.answer.level ?? this.clickLevel;
-    const { selected = [], hovered = null, hidden = [] } = this.things ?? {};
-    return { mode: this.mode, level, opacity: this.opacity, selected, hovered, hidden };
+    const { selected = [], hidden = [] } = this.things ?? {};
+    return { mode: this.mode, level, opacity: this.opacity, selected, hidden };
   }
 
   /** What is saved: the things that are selected, or else what the texts select. */

@@ -13,7 +13,6 @@ export interface ThingActions {
 
 export class ThingPanel {
   private readonly filter = byId<HTMLInputElement>("thing-filter");
-  private readonly hovering = byId("hovering");
   private carded = "";
   private listed = "";
 
@@ -30,9 +29,6 @@ export class ThingPanel {
 
   update(): void {
     const { things } = this;
-    const name = things.hovered === null ? "" : things.nameOf(things.hovered);
-    this.hovering.textContent = name;
-    this.hovering.hidden = !name;
     // A card that is as it was keeps its elements, so that its name can be typed.
     const card = things.selected.join();
     if (card !== this.carded) this.showCard();

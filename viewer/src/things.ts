@@ -33,6 +33,7 @@ export class Things {
   /** Counts the changes of names. */
   revision = 0;
   onChange: () => void = () => {};
+  onHover: () => void = () => {};
   private readonly names: Map<number, string>;
   private readonly byNumber: Map<number, Thing>;
 
@@ -86,13 +87,13 @@ export class Things {
   hover(number: number | null): void {
     if (number === this.hovered) return;
     this.hovered = number;
-    this.onChange();
+    this.onHover();
   }
 
   /** Hide what is selected. */
   hide(): void {
     for (const number of this.selected) this.hidden.add(number);
-    this.hovered = null;
+    this.hover(null);
     this.select([]);
   }
 

@@ -9,6 +9,7 @@ import { completeFrom } from "./completion";
 import { byId, copy, counted, save } from "./dom";
 import { ExactPicture } from "./exact";
 import type { ExportedPage } from "./exported";
+import { Hovering } from "./hovering";
 import { listenToKeys } from "./keys";
 import { Panel } from "./panel";
 import { hits, placeAlong, type Painted } from "./picking";
@@ -39,7 +40,7 @@ export class Viewer {
   private thingPanel: ThingPanel | null = null;
   /** The point that was clicked last, until the camera moves. */
   private clicked: [number, number] | null = null;
-  private hoverIsDue = false;
+  private hovering: Hovering | null = null;
   /** Resolves when the page holds the whole scene. */
   whole = Promise.resolve();
 
@@ -136,6 +137,8 @@ export class Viewer {
       };
       this.state.things = things;
       this.thingPanel = new ThingPanel(things, this.metadata.levels, actions);
+      const under = (x: number, y: number) => things.under(this.scene!, this.along(x, y), this.state.clickLevel);
+      this.hovering = new Hovering(() => this.scene!, this.eye, things, under);
       things.onChange = () => this.changed();
     } catch (error) {
       this.say((error as Error).message);
@@ -151,19 +154,6 @@ export class Viewer {
     things.click(this.scene!, this.along(x, y), this.state.clickLevel, { adds: event.shiftKey, part: event.altKey });
     const last = things.selected.at(-1);
     if (last !== undefined) this.eye.lookAround(new THREE.Vector3(...(things.of(last).position as [number, number, number])));
-  }
-
-  /** Mark the thing under the pointer, once per frame at most. */
-  private hover(x: number, y: number): void {
-    const { things } = this.state;
-    if (!things || this.hoverIsDue) return;
-    this.hoverIsDue = true;
-    requestAnimationFrame(() => {
-      this.hoverIsDue = false;
-      const label = byId("hovering");
-      [label.style.left, label.style.top] = [`${x + 14}px`, `${y + 14}px`];
-      things.hover(things.under(this.scene!, this.along(x, y), this.state.clickLevel));
-    });
   }
 
   /** The Gaussians that are seen at a point, without those that are hidden. */
@@ -221,6 +211,7 @@ export class Viewer {
   private moved(): void {
     byId("marker").hidden = true;
     this.clicked = null;
+    this.hovering?.leave();
     this.cameras.mark(this.eye.at?.name ?? null);
     this.exact?.moved();
     this.stage.redraw();
@@ -242,10 +233,11 @@ export class Viewer {
       this.click(event.offsetX, event.offsetY, event);
     });
     this.canvas.addEventListener("pointermove", (event) => {
-      if (event.pointerType === "mouse" && !event.buttons) this.hover(event.offsetX, event.offsetY);
+      if (event.pointerType === "mouse" && !event.buttons) this.hovering?.at(event.offsetX, event.offsetY);
     });
-    this.canvas.addEventListener("pointerleave", () => this.state.things?.hover(null));
+    this.canvas.addEventListener("pointerleave", () => this.hovering?.leave());
     new ResizeObserver(() => {
+      this.hovering?.leave();
       this.exact?.moved();
       this.stage.redraw();
     }).observe(byId("stage"));

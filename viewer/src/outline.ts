@@ -1,0 +1,106 @@
+// The outline of a thing: the edge of what its Gaussians cover when they are drawn alone.
+import type { CameraRecord, Scene } from "./scene_data";
+
+/** Pixels squared that Inria's rasteriser adds to each projected covariance. */
+const BLUR = 0.3;
+const REACH = 3;
+const LEAST_ALPHA = 1 / 255;
+const MOST_ALPHA = 0.99;
+/** A thing covers a pixel if less than this share of the light passes. */
+const COVERED = 0.5;
+/** Pixels that are darker than this are covered, whatever else is drawn. */
+const DARK = 0.01;
+
+/** Gaussians that belong to a thing. */
+export function membersOf(scene: Scene, { number, level }: { number: number; level: number }): number[] {
+  const members = [];
+  for (let i = 0; i < scene.count; i++) if (scene.owner(i, level) === number) members.push(i);
+  return members;
+}
+
+/**
+ * Pixels that some Gaussians cover, 1 or 0 each: products of what passes need no order.
+ *
+ * @param shrunk pixels of the picture along a side of one of the camera's
+ */
+export function silhouette(scene: Scene, members: number[], camera: CameraRecord, shrunk: number): Uint8Array {
+  const { viewmat: V, K, width, height } = camera;
+  const light = new Float32Array(width * height).fill(1);
+  const mean = { x: 0, y: 0, z: 0 };
+  for (const i of members) {
+    scene.mean(i, mean);
+    const [x, y, z] = [0, 4, 8].map((row) => V[row] * mean.x + V[row + 1] * mean.y + V[row + 2] * mean.z + V[row + 3]);
+    if (z <= 0) continue;
+    const [u, v] = [(K[0] * x) / z + K[2], (K[4] * y) / z + K[5]];
+    const { xx, xy, yy } = covariance(scene, i, camera, [x, y, z], BLUR / shrunk ** 2);
+    const [rx, ry] = [REACH * Math.sqrt(xx), REACH * Math.sqrt(yy)];
+    const [left, right] = [Math.max(0, Math.floor(u - rx)), Math.min(width - 1, Math.floor(u + rx))];
+    const [top, bottom] = [Math.max(0, Math.floor(v - ry)), Math.min(height - 1, Math.floor(v + ry))];
+    const determinant = xx * yy - xy * xy;
+    const opacity = scene.opacity(i);
+    for (let row = top; row <= bottom; row++) {
+      const b = row + 0.5 - v;
+      for (let column = left; column <= right; column++) {
+        const place = row * width + column;
+        if (light[place] < DARK) continue;
+        const a = column + 0.5 - u;
+        const squared = (yy * a * a - 2 * xy * a * b + xx * b * b) / determinant;
+        const alpha = Math.min(MOST_ALPHA, opacity * Math.exp(-squared / 2));
+        if (alpha >= LEAST_ALPHA) light[place] *= 1 - alpha;
+      }
+    }
+  }
+  return Uint8Array.from(light, (passes) => Number(passes < COVERED));
+}
+
+/** Draw a white line around what is covered, and a dark one around that, which is seen on white. */
+export function drawOutline(canvas: HTMLCanvasElement, covered: Uint8Array, width: number, height: number): void {
+  [canvas.width, canvas.height] = [width, height];
+  const context = canvas.getContext("2d", { willReadFrequently: true })!;
+  const picture = context.createImageData(width, height);
+  const white = grown(covered, width, height);
+  const dark = grown(white, width, height);
+  for (let place = 0; place < covered.length; place++) {
+    if (covered[place] || !dark[place]) continue;
+    picture.data.set(white[place] ? [255, 255, 255, 255] : [0, 0, 0, 160], 4 * place);
+  }
+  context.putImageData(picture, 0, 0);
+}
+
+/** What is covered, and its neighbours. */
+function grown(covered: Uint8Array, width: number, height: number): Uint8Array {
+  const found = covered.slice();
+  for (let row = 0; row < height; row++) {
+    for (let column = 0; column < width; column++) {
+      const place = row * width + column;
+      if (!covered[place]) continue;
+      if (column > 0) found[place - 1] = 1;
+      if (column < width - 1) found[place + 1] = 1;
+      if (row > 0) found[place - width] = 1;
+      if (row < height - 1) found[place + width] = 1;
+    }
+  }
+  return found;
+}
+
+/** Of a Gaussian at a place before the camera, in the picture. */
+function covariance(scene: Scene, i: number, { viewmat: V, K }: CameraRecord, [x, y, z]: number[], blur: number): { xx: number; xy: number; yy: number } {
+  const [w, a, b, c] = scene.quat(i);
+  const turn = [
+    1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b),
+    2 * (a * b + w * c), 1 - 2 * (a * a + c * c), 2 * (b * c - w * a),
+    2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b),
+  ];
+  let [xx, xy, yy] = [blur, 0, blur];
+  for (let axis = 0; axis < 3; axis++) {
+    const size = scene.scale(i, axis);
+    const [dx, dy, dz] = [turn[axis] * size, turn[3 + axis] * size, turn[6 + axis] * size];
+    const along = V[8] * dx + V[9] * dy + V[10] * dz;
+    const across = (K[0] / z) * (V[0] * dx + V[1] * dy + V[2] * dz - (x / z) * along);
+    const down = (K[4] / z) * (V[4] * dx + V[5] * dy + V[6] * dz - (y / z) * along);
+    xx += across * across;
+    xy += across * down;
+    yy += down * down;
+  }
+  return { xx, xy, yy };
+}
