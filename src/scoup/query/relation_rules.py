@@ -106,11 +106,20 @@ def _beyond(axis: int, sign: int) -> Condition:
     return holds
 
 
-def _on(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
-    if shapes.overlap(one, others[0]) < OVER:
+def _touches(shapes: Shapes, one: int, other: int) -> bool:
+    """Whether the bottom of one is where another ends around its footprint."""
+    if shapes.overlap(one, other) < OVER:
         return False
-    gap = shapes.spans[one, UP, 0] - shapes.top_below(one, others[0])
+    gap = shapes.spans[one, UP, 0] - shapes.top_below(one, other)
     return bool(abs(gap) <= CONTACT * shapes.extent(one)[UP])
+
+
+def _on(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
+    if not _touches(shapes, one, others[0]):
+        return False
+    # Of two that seem to be on each other the one whose bottom is higher is.
+    lower = shapes.spans[one, UP, 0] < shapes.spans[others[0], UP, 0]
+    return not (lower and _touches(shapes, others[0], one))
 
 
 def _above(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:

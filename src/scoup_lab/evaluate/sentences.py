@@ -15,14 +15,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from scoup import Camera, LanguageField, TextEncoder, parse_expression, raster
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
-from scoup.models.text import TextEncoder
-from scoup.query.catalog_files import thing_mask
-from scoup.query.expression import Expression
-from scoup.query.frame import Frame
-from scoup.query.phrases import Phrase, parse_phrase
-from scoup.query.scene_things import Thing
 from scoup_lab.evaluate.metrics import iou
 from scoup_lab.evaluate.pixel_report import PixelScores
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
@@ -32,6 +26,7 @@ from scoup_lab.evaluate.tables import Table, percent
 
 RULES = "things"
 PLAIN = "no relation"
+COVERED = 0.5  # share of a pixel's light from which it shows the things
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,7 @@ class SentenceScore:
     """A scene scored by things."""
 
     score: SceneScore
-    kinds: dict[str, str]  # sentence -> its relation or order, or ``PLAIN``
+    kinds: dict[str, str]  # sentence -> its relations or order, or ``PLAIN``
 
 
 def score_sentences(scene: LabelledScene, field: LanguageField, source: str, title: str) -> SentenceScore:
@@ -55,28 +50,34 @@ def score_sentences(scene: LabelledScene, field: LanguageField, source: str, tit
     with TextEncoder.open(source, device=field.codebook.device) as encoder:
         for frame, camera in scene.frames:
             truth, projection = frame.resized(camera.width, camera.height), field.project(camera)
-            seen_from = field.frame(camera)
             for sentence in frame.labels:
-                kinds[sentence], things = ask_sentence(field, sentence, encoder, seen_from)
-                nothing = torch.zeros(camera.height, camera.width, dtype=torch.bool)
-                masks: list[Tensor] = [nothing, *(thing_mask(field, projection, thing) for thing in things)]
-                found = iou(torch.stack(masks).any(0), truth.masks[sentence])
+                kinds[sentence], members = ask_sentence(field, sentence, encoder, camera)
+                image, alpha = raster.render_channels(projection, members.float()[:, None])
+                mask = (image[..., 0] > COVERED * alpha.clamp(min=0.1)).cpu()
+                found = iou(mask, truth.masks[sentence])
                 pairs.append(PairScore(frame.name, sentence, found, None, -1, float("nan"), None))
     return SentenceScore(scene_score(scene.name, RULES, pairs, title), kinds)
 
 
 def ask_sentence(
-    field: LanguageField, sentence: str, encoder: TextEncoder, frame: Frame
-) -> tuple[str, list[Thing]]:
-    """Return what kind of phrase a sentence is, and the things that answer it."""
+    field: LanguageField, sentence: str, encoder: TextEncoder, camera: Camera
+) -> tuple[str, Tensor]:
+    """Return what kind of phrase a sentence is, and the Gaussians [N] boolean of the things that answer it."""
+    kinds: list[str] = []
+    question = field.question([sentence], encoder=encoder, always=True)
+    things = field.things(question)
     try:
-        target = parse_phrase(sentence.strip().rstrip("."))
-        if isinstance(target, Phrase):
-            question = field.question(Expression(target), encoder=encoder, always=True)
-            return target.relation or target.order, field.things(question, frame)
+        expression = parse_expression([sentence.strip().rstrip(".")])
+        if expression.phrases:
+            question = field.question(expression, encoder=encoder, always=True)
+            things = field.things(question, field.frame(camera))
+            kinds = [phrase.relation or phrase.order for phrase in expression.phrases]
     except InputError:
         pass  # an unknown relation, or a name that the word table lacks
-    return PLAIN, field.things(field.question([sentence], encoder=encoder, always=True), frame)
+    members = torch.zeros(len(field), dtype=torch.bool, device=field.codebook.device)
+    for thing in things:
+        members[thing.gaussians.to(members.device)] = True
+    return " or ".join(kinds) or PLAIN, members
 
 
 def sentence_report(
