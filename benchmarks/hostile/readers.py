@@ -16,6 +16,7 @@ from benchmarks.hostile.containers import Container
 from benchmarks.hostile.samples import PICTURES, SIZE
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
+from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.field.part_sizes import part_sizes
 from scoup.io import (
@@ -137,6 +138,7 @@ def _origin(folder: Path) -> None:
 
 def _field(file: str, *more: str) -> Reader:
     def read(folder: Path) -> None:
+        read_facts(folder / file)
         field = LanguageField.load(folder / file)
         part_sizes(folder / file)
         len(field.gaussians)
