@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import torch
 from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json, snapshot
+from scoup.cli.views import MakeViews
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, write_transforms
 from scoup.scene.cameras import Cameras
@@ -124,6 +126,17 @@ def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: 
         assert f"interrupted; {expected}, run the same command again to continue" in error
         assert "scoup extract" not in said  # which the build does itself
     assert run(*build)[0] == 0
+
+
+def test_views_that_are_not_whole_are_replaced_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
+    Path("alone_views/transforms.json").unlink()
+    monkeypatch.setattr(
+        "scoup.cli.views.MakeViews", partial(MakeViews, width=40, height=30, views=2, up=(0, -1, 0))
+    )
+    build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
+    assert "alone_views/views.png: already exists; pass --overwrite" in refused(*build)
+    assert run_json(*build, "--overwrite")["views"] == 2
 
 
 def interrupt(*_: object, **__: object) -> None:

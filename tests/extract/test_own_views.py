@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,6 +121,19 @@ def test_where_nothing_is_opaque_all_that_is_seen_is_covered(tmp_path: Path) -> 
     cameras = choose_cameras(gaussians, width=64, height=48, count=3)
     shown = save_views(gaussians, cameras, tmp_path)
     assert 0 < shown.often <= shown.once <= 1
+
+
+def test_views_that_are_not_whole_have_no_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse_sheets(source: Path, target: Path) -> None:
+        if target == tmp_path / "views.png":
+            raise OSError(errno.EIO, "broken", str(target))
+        source.rename(target)
+
+    monkeypatch.setattr("scoup.base.staging.os.replace", refuse_sheets)
+    cameras = Cameras([make_camera(64, 48)])
+    with pytest.raises(OSError, match="broken"):
+        save_views(random_gaussians(50, seed=1), cameras, tmp_path)
+    assert [path.name for path in tmp_path.rglob("*.*")] == ["view.png"]
 
 
 def test_only_small_pictures_are_kept_for_the_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

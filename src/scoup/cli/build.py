@@ -137,7 +137,7 @@ class Build(BuildOptions, ViewOptions):
         check_field_output(out, self.overwrite, self.keep_sums)
         folder = out.with_name(f"{out.stem}_views")
         models = Extract(device=self.device, segmenter=self.segmenter, embedder=self.embedder or CLIP_MODEL)
-        make_scene(console, self.scene, folder, models)
+        make_scene(console, self.scene, folder, models, self.overwrite)
         return replace(self, scene=folder, gaussians=self.scene, out=out, segmenter=None, embedder=None)
 
     def _write_shard(self, console: Console, out: Path, loaded: _Loaded) -> None:

@@ -92,18 +92,19 @@ def is_splat(path: Path) -> bool:
     return is_splat_name(path) and not path.is_dir()
 
 
-def make_scene(console: Console, splat: Path, folder: Path, extract: Extract) -> None:
+def make_scene(console: Console, splat: Path, folder: Path, extract: Extract, overwrite: bool) -> None:
     """Make a scene of a splat alone: its views, unless they are there already, and their regions.
 
     Args:
         folder: the scene to write.
         extract: with the models.
+        overwrite: replace views that are not whole.
     """
     from scoup.extract.own_views import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():
         console.say(f"{folder}: the views that are there are used; for others: scoup views --overwrite")
     else:
-        MakeViews(splat=splat, out=folder).make(console)
+        MakeViews(splat=splat, out=folder, overwrite=overwrite).make(console)
     console.kept = lambda: kept(0, 0, "", "views")
     replace(extract, scene=folder).make(console)

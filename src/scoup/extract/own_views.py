@@ -165,7 +165,8 @@ def save_views(
         )
     seen = torch.zeros(len(gaussians), dtype=torch.int32)
     tiles = []
-    with staged(folder, [TRANSFORMS, *places.values(), SHEET], overwrite) as hidden:
+    # transforms.json comes last: where it is, the views are whole.
+    with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
         for camera in reported(together, "views", len(together), progress):
             projection = project(gaussians, camera)
             blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
