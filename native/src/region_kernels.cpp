@@ -19,11 +19,12 @@ class TileRegions {
     int words = 0;  // words of a set of them that are in use
 
     // Each block holds a few combinations, each in some of its lanes.
-    uint16_t first_part[kBlocks + 1];
-    uint16_t combination[kPixels];
-    Ints lanes[kPixels];
     CombinationSet in_block[kBlocks];
+    Blocks blocks_of[kPixels];            // of each combination
+    uint16_t part[kPixels][kBlocks];      // of each combination in each of its blocks, a place in `lanes`
+    Ints lanes[kPixels];
     Blocks pure = 0;  // blocks all of whose lanes, or all that lie inside the image, have the same combination
+    bool whole = true;  // all pixels of the tile that lie inside the image have the same combination
 
     int32_t numbers[kPixels];  // in the whole view, of each combination of the tile
 
@@ -31,7 +32,6 @@ class TileRegions {
         __builtin_memset(table_, 0xff, sizeof table_);
         int parts = 0;
         for (int block = 0; block < kBlocks; ++block) {
-            first_part[block] = uint16_t(parts);
             in_block[block] = {};
             int16_t of_lane[kLanes];
             int empty = 0;
@@ -49,14 +49,16 @@ class TileRegions {
                     same[other] = -1;
                     of_lane[other] = kTaken;
                 }
-                combination[parts] = uint16_t(here);
+                blocks_of[here] |= Blocks{1} << block;
+                part[here][block] = uint16_t(parts);
                 lanes[parts++] = same;
                 in_block[block].words[here / 64] |= uint64_t{1} << (here % 64);
             }
             if (empty == 0 && parts == parts_before + 1) pure |= Blocks{1} << block;
+            if (empty != 0) whole = false;
         }
-        first_part[kBlocks] = uint16_t(parts);
         words = (count + 63) / 64;
+        whole &= count == 1;
     }
 
   private:
@@ -74,6 +76,7 @@ class TileRegions {
                 found = count++;
                 table_[slot] = int16_t(found);
                 numbers[found] = number;
+                blocks_of[found] = 0;
             } else if (numbers[found] != number) {
                 continue;
             }
@@ -87,13 +90,40 @@ class TileRegions {
     int last_ = -1;
 };
 
+// Written always, kept only if there is something: cheaper than a branch.
+SCOUP_INLINE void write(Records& out, uint32_t id, int32_t number, float total) {
+    out.records[out.count] = {id, number, total};
+    out.count += total > 0;
+}
+
+// Adds up each Gaussian's weights over a tile of one combination, and writes a record of each sum.
+class WholeTileSink {
+  public:
+    SCOUP_INLINE WholeTileSink(int32_t number, const Projected* projected, Records& out)
+        : number_(number), projected_(projected), out_(out) {}
+
+    SCOUP_INLINE void begin(const Stage&, int) {
+        for (int i = 0; i < kStage; ++i) totals_[i] = Floats{};
+    }
+    SCOUP_INLINE void paint(int, int i, Floats weight) { totals_[i] += weight; }
+    SCOUP_INLINE void end(const Stage& stage, int count) {
+        if (__builtin_expect(out_.count + count > out_.capacity, 0)) out_.reserve(out_, count);
+        for (int i = 0; i < count; ++i) write(out_, projected_[stage.slot[i]].id, number_, sum(totals_[i]));
+    }
+    SCOUP_INLINE void soon(const Projected&) {}
+
+  private:
+    const int32_t number_;
+    const Projected* projected_;
+    Records& out_;
+    Floats totals_[kStage];
+};
+
 // Adds up each Gaussian's weights over the lanes of each combination, and writes a record of each sum.
 class RecordSink {
   public:
     SCOUP_INLINE RecordSink(const TileRegions& regions, const Projected* projected, Records& out)
-        : regions_(regions), projected_(projected), out_(out) {
-        for (int c = 0; c < regions.count; ++c) sums_[c] = Floats{};
-    }
+        : regions_(regions), projected_(projected), out_(out) {}
 
     SCOUP_INLINE void begin(const Stage&, int) {
         for (int i = 0; i < kStage; ++i) painted_[i] = 0;
@@ -130,26 +160,18 @@ class RecordSink {
         if (Words == 1 && (touched[0] & (touched[0] - 1)) == 0 && (painted & ~regions_.pure) == 0) {
             Floats total{};
             while (painted != 0) total += weights[next(painted)];
-            return write(id, __builtin_ctzll(touched[0]), sum(total));
-        }
-        while (painted != 0) {
-            const int block = next(painted);
-            const Floats weight = weights[block];
-            for (int part = regions_.first_part[block]; part < regions_.first_part[block + 1]; ++part)
-                sums_[regions_.combination[part]] += only(regions_.lanes[part], weight);
+            return write(out_, id, regions_.numbers[__builtin_ctzll(touched[0])], sum(total));
         }
         for (int w = 0; w < Words; ++w)
             while (touched[w] != 0) {
                 const int c = 64 * w + next(touched[w]);
-                write(id, c, sum(sums_[c]));
-                sums_[c] = Floats{};
+                Floats total{};
+                for (Blocks blocks = painted & regions_.blocks_of[c]; blocks != 0;) {
+                    const int block = next(blocks);
+                    total += only(regions_.lanes[regions_.part[c][block]], weights[block]);
+                }
+                write(out_, id, regions_.numbers[c], sum(total));
             }
-    }
-
-    // Written always, kept only if there is something: cheaper than a branch.
-    SCOUP_INLINE void write(uint32_t id, int c, float total) {
-        out_.records[out_.count] = {id, regions_.numbers[c], total};
-        out_.count += total > 0;
     }
 
     const TileRegions& regions_;
@@ -157,13 +179,17 @@ class RecordSink {
     Records& out_;
     Blocks painted_[kStage];
     Floats weights_[kStage][kBlocks];
-    Floats sums_[kPixels];
 };
 
 void collect(const Tile& tile, const CombinationMap& map, Records& out) {
     if (tile.count == 0) return;
     const TileRegions regions(tile, map);
     if (regions.count == 0) return;
+    if (regions.whole) {
+        WholeTileSink sink(regions.numbers[0], tile.projected, out);
+        walk_tile(tile, sink);
+        return;
+    }
     RecordSink sink(regions, tile.projected, out);
     walk_tile(tile, sink);
 }
