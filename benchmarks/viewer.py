@@ -15,9 +15,8 @@ from pathlib import Path
 from statistics import median
 from typing import IO, Any
 
-from tools.chromium import chromium, program
-
 import scoup
+from benchmarks.chromium import chromium, program
 from benchmarks.data import data_folder
 from benchmarks.merged import OTHERS, TUNED, of_scene
 from benchmarks.study import Record, Study

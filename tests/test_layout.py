@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 from collections import Counter
 from pathlib import Path
@@ -210,6 +211,11 @@ def test_a_climbing_import_is_found(source: str) -> None:
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:\w+/)+\w+\.py|(?:\w+/)+)`", DOCUMENTS))))
 def test_files_of_the_document_exist(path: str) -> None:
     assert any((folder / path).exists() for folder in (PRODUCT, LABORATORY, ROOT))
+
+
+@pytest.mark.parametrize("path", [".ci/run", "tools/oss_fuzz/build.sh"])
+def test_scripts_that_services_start_may_be_run(path: str) -> None:
+    assert os.access(ROOT / path, os.X_OK)
 
 
 def test_no_two_test_files_have_one_name() -> None:

@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import torch
+from benchmarks.chromium import program
 from numpy.typing import NDArray
-from tools.chromium import program
 from torch import Tensor
 
 from scoup.field.language_field import LanguageField

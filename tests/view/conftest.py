@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from benchmarks.chromium import chromium
 from browser_support import need_browser, saved_field
-from tools.chromium import chromium
 
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
