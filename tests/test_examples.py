@@ -138,3 +138,30 @@ def test_things_for_robots(scene, tmp_path):
     # The first column of the rotation of a unit quaternion is the first axis of the box.
     first = (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
     assert first == pytest.approx(thing.box.axes[0].tolist(), abs=1e-6)
+
+
+def test_things_in_rerun(scene, field, tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed (pip install 'scoup[rerun]')")
+    chunks = pytest.importorskip("rerun.chunk", reason="this rerun-sdk cannot read recordings")
+    out = tmp_path / "things.rrd"
+    loaded = scoup.LanguageField.load(field)
+    cameras = list(loaded.cameras or ())
+    printed = example("13_things_in_rerun.py", field, scene / "words.npz", out, "kettle")
+    thing = loaded.things(loaded.question("kettle", encoder=scene / "words.npz", always=True))[0]
+    assert printed == f"{out}: 1 things, {len(cameras)} cameras\n"
+    read = {str(chunk.entity_path): chunk.to_record_batch() for chunk in chunks.RrdReader(out).stream()}
+    boxes = read["/scene/things"].to_pydict()
+    assert boxes["Boxes3D:centers"][0][0] == pytest.approx(thing.box.centre.tolist(), abs=1e-5)
+    assert boxes["Boxes3D:half_sizes"][0][0] == pytest.approx((thing.box.extent / 2).tolist(), abs=1e-5)
+    assert boxes["Boxes3D:labels"][0][0].startswith("kettle 0.")
+    of_cameras = {path: batch for path, batch in read.items() if path.startswith("/scene/cameras/")}
+    assert len(of_cameras) == len(cameras)
+    first = next(
+        batch for path, batch in of_cameras.items() if cameras[0].name.split(".")[0] in path
+    ).to_pydict()
+    # Column by column, as Rerun keeps matrices: the first column is the direction to the right.
+    assert first["Transform3D:mat3x3"][0][0][:3] == pytest.approx(
+        cameras[0].viewmat[0, :3].tolist(), abs=1e-6
+    )
+    assert first["Transform3D:translation"][0][0] == pytest.approx(cameras[0].position.tolist(), abs=1e-5)
+    assert len(read["/scene/splat"].to_pydict()["Points3D:positions"][0]) == len(loaded)
