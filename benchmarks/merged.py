@@ -17,7 +17,7 @@ from benchmarks.study import Record
 from scoup import raster
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.view.shown import Shown, shown_gaussians
+from scoup.view.shown import Shown, cover, shown_gaussians
 from scoup_lab.synthetic.scene import LABELLED_LEVELS
 
 TUNED = ("kitchen-21", "desk")
@@ -55,9 +55,7 @@ def of_scene(name: str, data: Path) -> Record:
 
 def largest(gaussians: Gaussians, most: int) -> Shown:
     """Return the Gaussians of the largest opacity times area instead."""
-    area = gaussians.scales.double().sort(1).values[:, 1:].prod(1)
-    cover = gaussians.opacities.double().clamp(max=1) * area
-    rows = cover.argsort(descending=True, stable=True)[:most].sort().values
+    rows = cover(gaussians).argsort(descending=True, stable=True)[:most].sort().values
     return Shown(gaussians.select(rows), rows)
 
 

@@ -22,9 +22,8 @@ def make_shard(number: int) -> str:
     if not Path(path).exists():  # a folder of this name is whole
         command = ["scoup", "build", scene, "--out", field, "--model", words, "--shard", f"{number}/{count}"]
         done = subprocess.run(command)
-        if (
-            done.returncode < 0
-        ):  # killed, as when memory runs out: Ray tries again, on another machine if it likes
+        # Killed, as when memory runs out: Ray tries again, on another machine if it likes.
+        if done.returncode < 0:
             raise ChildProcessError(f"shard {number} was ended by signal {-done.returncode}")
         done.check_returncode()
     return path

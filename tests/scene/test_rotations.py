@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.scene.rotations import rotation_matrices, unit_quats
+from scoup.scene.rotations import quats_of_rotations, rotation_matrices
 from support import examples
 
 
@@ -17,6 +17,6 @@ from support import examples
 def test_quaternions_of_matrices(quats: list[tuple[float, ...]]) -> None:
     given = torch.nn.functional.normalize(torch.tensor(quats, dtype=torch.float64), dim=1)
     matrices = rotation_matrices(given)
-    found = unit_quats(matrices)
+    found = quats_of_rotations(matrices)
     torch.testing.assert_close(rotation_matrices(found), matrices, atol=1e-12, rtol=0)
     torch.testing.assert_close((found * given).sum(1).abs(), torch.ones(len(given), dtype=torch.float64))

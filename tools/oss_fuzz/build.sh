@@ -4,7 +4,6 @@ cmake -S native -B "$WORK/native" -DSCOUP_TESTS=ON -DSCOUP_FUZZING_ENGINE="$LIB_
 cmake --build "$WORK/native" --parallel
 cp "$WORK/native/fuzz" "$OUT/fuzz_core"
 
-pip3 install torch --index-url https://download.pytorch.org/whl/cpu
 # Without the compiled core and the page: the target above has the one, and no reader needs the other.
 SCOUP_WITHOUT_CORE=1 SCOUP_WITHOUT_PAGE=1 pip3 install .
 python3 tools/oss_fuzz/fuzz_readers.py --seeds "$WORK/seeds"

@@ -1,11 +1,8 @@
 // The outline of a thing: the edge of what its Gaussians cover when they are drawn alone.
+import { BLUR, LEAST_ALPHA, MOST_ALPHA } from "./picking";
 import type { CameraRecord, Scene } from "./scene_data";
 
-/** Pixels squared that Inria's rasteriser adds to each projected covariance. */
-const BLUR = 0.3;
 const REACH = 3;
-const LEAST_ALPHA = 1 / 255;
-const MOST_ALPHA = 0.99;
 /** A thing covers a pixel if less than this share of the light passes. */
 const COVERED = 0.5;
 /** Pixels that are darker than this are covered, whatever else is drawn. */

@@ -4,11 +4,11 @@ import type { Place } from "./answers";
 import type { Scene } from "./scene_data";
 
 /** Pixels squared that Inria's rasteriser adds to each projected covariance. */
-const BLUR = 0.3;
+export const BLUR = 0.3;
 /** Standard deviations beyond which even an opaque Gaussian paints less than the least alpha. */
 const REACH = 3.4;
-const LEAST_ALPHA = 1 / 255;
-const MOST_ALPHA = 0.99;
+export const LEAST_ALPHA = 1 / 255;
+export const MOST_ALPHA = 0.99;
 const LEAST_LIGHT = 1e-4;
 const WORDS_SHOWN = 5;
 

@@ -19,7 +19,7 @@ def rotation_matrices(quats: Tensor) -> Tensor:
     )
 
 
-def unit_quats(rotations: Tensor) -> Tensor:
+def quats_of_rotations(rotations: Tensor) -> Tensor:
     """Return [M, 4] unit quaternions of rotation matrices [M, 3, 3]."""
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(1) for row in rotations.unbind(1))
     # Of the outer product of the quaternion with itself, the column with the largest diagonal is the most exact.

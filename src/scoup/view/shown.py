@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.raster import morton_codes, restored
 from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.rotations import rotation_matrices, unit_quats
+from scoup.scene.rotations import quats_of_rotations, rotation_matrices
 
 MOST_GAUSSIANS = 1_000_000
 """A page shows so many, unless another number is asked for."""
@@ -48,7 +48,7 @@ def shown_gaussians(gaussians: Gaussians, most: int = MOST_GAUSSIANS, owners: Te
     drawable = gaussians.finite() & (gaussians.opacities > 0) & gaussians.quats.any(1)
     rows = drawable.nonzero()[:, 0]
     drawn = gaussians.select(rows)
-    drawn = Gaussians(drawn.means, drawn.quats, drawn.scales, drawn.opacities, drawn.sh[:, :1])
+    drawn = replace(drawn, sh=drawn.sh[:, :1])
     if len(rows) > most:
         drawn, members = _merged(drawn, _groups(drawn, None if owners is None else owners[rows], most), most)
         rows = rows[members]
@@ -84,7 +84,7 @@ def _groups(drawn: Gaussians, owners: Tensor | None, most: int) -> Tensor:
     group, count = cells(level)
     if level > 0 and count <= most:
         finer, n_finer = cells(level - 1)
-        heaviest = group.bincount(_cover(drawn)[order], count).argsort(descending=True, stable=True)
+        heaviest = group.bincount(cover(drawn)[order], count).argsort(descending=True, stable=True)
         group = _halved(group, finer, n_finer, heaviest, most)
     return restored(group, order)
 
@@ -105,8 +105,8 @@ def _halved(group: Tensor, finer: Tensor, n_finer: int, heaviest: Tensor, most: 
 
 def _merged(drawn: Gaussians, group: Tensor, most: int) -> tuple[Gaussians, Tensor]:
     """Return the merged Gaussians of the heaviest groups, and [M] the heaviest member of each."""
-    count, weight = int(group.max()) + 1, _cover(drawn)
-    total = group.bincount(weight, count)
+    sizes, weight = group.bincount(), cover(drawn)
+    count, total = len(sizes), group.bincount(weight)
     heaviest = torch.zeros(count, dtype=torch.float64).scatter_reduce(0, group, weight, "amax")
     first = (weight == heaviest[group]).nonzero()[:, 0]
     members = torch.full((count,), len(group)).scatter_reduce(0, group[first], first, "amin")
@@ -119,7 +119,7 @@ def _merged(drawn: Gaussians, group: Tensor, most: int) -> tuple[Gaussians, Tens
 
     means = mean(drawn.means)
     covariances = torch.zeros(count, 3, 3, dtype=torch.float64)
-    for part in (group.bincount(minlength=count)[group] > 1).nonzero()[:, 0].split(_AT_A_TIME):
+    for part in (sizes[group] > 1).nonzero()[:, 0].split(_AT_A_TIME):
         axes = rotation_matrices(drawn.quats[part].double()) * drawn.scales[part].double()[:, None]
         aside = drawn.means[part].double() - means[group[part]]
         spread = axes @ axes.mT + aside[:, :, None] * aside[:, None]
@@ -127,13 +127,13 @@ def _merged(drawn: Gaussians, group: Tensor, most: int) -> tuple[Gaussians, Tens
 
     chosen = total.argsort(descending=True, stable=True)[:most].sort().values
     found = drawn.select(members[chosen])
-    many = (group.bincount(minlength=count)[chosen] > 1).nonzero()[:, 0]
+    many = (sizes[chosen] > 1).nonzero()[:, 0]
     own = chosen[many]
     variances, axes = torch.linalg.eigh(covariances[own] / total[own, None, None])
     axes[:, :, 0] *= torch.linalg.det(axes).sign()[:, None]
     scales = variances.clamp(min=0).sqrt()
     found.means[many] = means[own].float()
-    found.quats[many] = unit_quats(axes).float()
+    found.quats[many] = quats_of_rotations(axes).float()
     found.scales[many] = scales.float()
     area = scales[:, 1] * scales[:, 2]
     found.opacities[many] = (total[own] / area).clamp(max=_MOST_ALPHA).float()
@@ -141,7 +141,7 @@ def _merged(drawn: Gaussians, group: Tensor, most: int) -> tuple[Gaussians, Tens
     return found, members[chosen]
 
 
-def _cover(gaussians: Gaussians) -> Tensor:
+def cover(gaussians: Gaussians) -> Tensor:
     """Return [N] float64: opacity times area, how much a Gaussian can cover."""
     area = gaussians.scales.double().sort(1).values[:, 1:].prod(1)
     return (gaussians.opacities.double().clamp(max=1) * area).clamp(min=torch.finfo(torch.float64).tiny)

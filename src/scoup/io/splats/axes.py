@@ -17,12 +17,9 @@ from scoup.scene.gaussians import Gaussians
 Axis = Literal["x", "y", "z"]
 Columns = dict[str, np.ndarray]
 """means, quats (w, x, y, z), scales, opacities, sh, as ``keep_finite`` takes them."""
-AXES: dict[str, Axis] = {
-    ".spz": "x",
-    ".glb": "z",
-    ".gltf": "z",
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "x"),
-}
+USD = (".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of OpenUSD."""
+AXES: dict[str, Axis] = {".spz": "x", ".glb": "z", ".gltf": "z", **dict.fromkeys(USD, "x")}
 """Suffix -> axis of the half-turn. .spz and OpenUSD: right, up, back; glTF: left, up, forward."""
 
 

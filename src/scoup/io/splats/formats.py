@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from scoup.base.errors import InputError
+from scoup.io.splats.axes import USD
 from scoup.io.splats.gaussforge_formats import read_through_gaussforge, write_through_gaussforge
 from scoup.io.splats.gltf import read_gltf, write_gltf
 from scoup.io.splats.ply import read_ply, write_ply
@@ -37,7 +38,7 @@ WRITERS: dict[str, Callable[[Gaussians, str | Path, bool], None]] = {
     ".gltf": write_gltf,
     ".ksplat": write_through_gaussforge,
     ".sog": write_through_gaussforge,
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), write_usd),
+    **dict.fromkeys(USD, write_usd),
 }
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+
+from scoup.scene.rotations import quats_of_rotations
 
 
 def rotation_from_quat(quat: np.ndarray) -> np.ndarray | None:
@@ -23,18 +26,7 @@ def rotation_from_quat(quat: np.ndarray) -> np.ndarray | None:
 
 def quat_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """Return [4] float64 unit quaternion (w, x, y, z) of a rotation [3, 3]."""
-    r = rotation
-    # The column of the outer product of the quaternion with itself that has the largest diagonal is the most exact.
-    outer = np.array(
-        [
-            [1 + r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]],
-        ]
-    )
-    column = outer[:, int(np.argmax(np.diag(outer)))]
-    return column / np.linalg.norm(column)
+    return quats_of_rotations(torch.from_numpy(rotation)[None])[0].numpy()
 
 
 def rotated_quats(quats: np.ndarray, rotation: np.ndarray) -> np.ndarray:

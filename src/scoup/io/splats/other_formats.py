@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scoup.io.splats.axes import USD
 from scoup.io.splats.formats import READERS
 
 READ = f"{', '.join(READERS)}, or a gsplat checkpoint (.pt)"
 """Splats that are read, for messages."""
 
 _SPLATS = (".lcc",)  # those that splat-transform reads
-_OTHER_SPLATS = (".usd", ".usda", ".usdc", ".usdz")
 _NOT_SPLATS = (".obj", ".fbx", ".stl", ".off", ".las", ".laz", ".e57", ".pcd", ".pts")
 _ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2")
 
@@ -24,7 +24,7 @@ def other_format(path: Path) -> tuple[str, str] | None:
             f"convert it with splat-transform (splat-transform {path.name} {path.stem}.ply), or open it in the "
             "SuperSplat editor and export a PLY",
         )
-    if suffix in _OTHER_SPLATS:
+    if suffix in USD:
         return (
             f"{suffix} files are not read, whether they hold a splat or a mesh",
             f"export the trained splat as PLY; read are {READ}",
