@@ -68,7 +68,7 @@ nb::object py_code_relevancy(const Array& indices, const Array& weights, const A
     without_lock([&] {
         code_relevancy(all.n, all.codes, all.scores, known, out.data(), sane(threads), python_signals());
     });
-    return to_numpy(std::move(out), {size_t(all.codes.levels), size_t(all.scores.columns), size_t(all.n)});
+    return to_numpy(std::move(out), {size_t(all.scores.columns), size_t(all.codes.levels), size_t(all.n)});
 }
 
 }  // namespace

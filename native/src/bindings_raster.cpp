@@ -74,20 +74,20 @@ Projection py_project(const PyScene& made, const Array& viewmat, std::tuple<doub
     return without_lock([&] { return project(made.scene, camera, preset, sane(threads), python_signals()); });
 }
 
-nb::tuple py_render_channels(const Projection& projection, const Array& values, int threads) {
+nb::tuple py_render_channels(const Projection& projection, const Array& values, int threads, bool with_alpha) {
     if (values.ndim() != 2) throw std::invalid_argument("values must be [N, channels]");
     const auto channels = int64_t(values.shape(1));
     if (channels > 65536) throw std::invalid_argument("too many channels for one render");
     const float* data = data_of<float>(values, "values", {projection.n_gaussians, channels});
     const int64_t pixels = int64_t(projection.width) * projection.height;
-    Buffer<float> image(pixels * channels), alpha(pixels);
-    const ChannelImage out{data, int32_t(channels), image.data(), alpha.data()};
+    Buffer<float> image(pixels * channels), alpha(with_alpha ? pixels : 0);
+    const ChannelImage out{data, int32_t(channels), image.data(), with_alpha ? alpha.data() : nullptr};
     without_lock([&] {
         render_channels(projection, out, sane(threads), python_signals());
     });
     const auto height = size_t(projection.height), width = size_t(projection.width);
     return nb::make_tuple(to_numpy(std::move(image), {height, width, size_t(channels)}),
-                          to_numpy(std::move(alpha), {height, width}));
+                          with_alpha ? to_numpy(std::move(alpha), {height, width}) : nb::none());
 }
 
 nb::object py_render_codes(const Projection& projection, const Array& indices, const Array& weights, int64_t n_atoms, int threads) {
@@ -151,7 +151,8 @@ void bind_raster(nb::module_& m) {
             nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>());
     m.def("project", &py_project, nb::arg("scene"), nb::arg("viewmat"), nb::arg("intrinsics"), nb::arg("width"), nb::arg("height"),
           nb::arg("near_alpha_max_stop"), nb::arg("stop_inclusive"), nb::arg("centred_clamp"), nb::arg("threads"));
-    m.def("render_channels", &py_render_channels, nb::arg("projection"), nb::arg("values"), nb::arg("threads"));
+    m.def("render_channels", &py_render_channels, nb::arg("projection"), nb::arg("values"), nb::arg("threads"),
+          nb::arg("with_alpha") = true);
     m.def("render_codes", &py_render_codes, nb::arg("projection"), nb::arg("indices"), nb::arg("weights"), nb::arg("n_atoms"),
           nb::arg("threads"));
     m.def("render_cosines", &py_render_cosines, nb::arg("projection"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),

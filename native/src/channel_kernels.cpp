@@ -15,7 +15,7 @@ SCOUP_INLINE void render_with(Sink& sink, const Tile& tile, const ChannelImage& 
             if (x >= tile.width || y >= tile.height) continue;
             const int64_t pixel = int64_t(y) * tile.width + x;
             for (int c = 0; c < channels; ++c) out.image[pixel * channels + c] = sink.sum(c, block)[lane];
-            out.alpha[pixel] = 1.0f - transmittance.last[block][lane];
+            if (out.alpha != nullptr) out.alpha[pixel] = 1.0f - transmittance.last[block][lane];
         }
 }
 

@@ -12,7 +12,7 @@ struct ChannelImage {
     const float* values;  // [N, channels]
     int32_t channels;
     float* image;         // [height, width, channels]
-    float* alpha;         // [height, width]
+    float* alpha;         // [height, width]; null: not wanted
 };
 
 struct ChannelKernels {

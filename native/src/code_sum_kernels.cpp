@@ -179,16 +179,46 @@ int32_t relevancy(const GaussianCodes& codes, const ScoreTable& table, const Kno
                 const Floats cosine = weighted(codes, scratch, column, i) * load(scratch.norms + i);
                 store(scratch.sums + i, logistic(known.temperature * (cosine - load(scratch.best + i))));
             }
-            float* to = out + c * n + block.row;
-            if (codes.levels == 1) by_level<1>(scratch.sums, block.rows, 1, to, table.columns * n);
-            else if (codes.levels == 3) by_level<3>(scratch.sums, block.rows, 3, to, table.columns * n);
-            else by_level<0>(scratch.sums, block.rows, codes.levels, to, table.columns * n);
+            float* to = out + c * codes.levels * n + block.row;
+            if (codes.levels == 1) by_level<1>(scratch.sums, block.rows, 1, to, n);
+            else if (codes.levels == 3) by_level<3>(scratch.sums, block.rows, 3, to, n);
+            else by_level<0>(scratch.sums, block.rows, codes.levels, to, n);
+        }
+    });
+}
+
+// A lane for each column: no gather, and codes are read once for all of them.
+int32_t relevancy_of_many(const GaussianCodes& codes, const ScoreTable& table, const KnownCosines& known, int64_t n,
+                          int64_t first, int64_t last, const SumScratch& scratch, float* out) {
+    constexpr int kParts = int(kMostLanes) / kLanes;
+    begin_levels(int32_t(codes.index_values()), scratch);
+    return for_codes(codes, first, last, scratch, [&](const SumBlock& block) __attribute__((always_inline)) {
+        const float* norms = known.inverse_norms + block.row * codes.levels;
+        const float* best = known.best + block.row * codes.levels;
+        float found[kSumRows][kMostLanes];
+        for (int32_t level = 0; level < codes.levels; ++level) {
+            for (int64_t row = 0; row < block.rows; ++row) {
+                const int64_t i = row * codes.levels + level;
+                Floats sums[kParts] = {};
+                for (int64_t at = i; at < codes.k * scratch.stride; at += scratch.stride) {
+                    const float* scores = table.values + (int64_t(scratch.starts[i]) + scratch.atoms[at]) * kMostLanes;
+                    for (int part = 0; part < kParts; ++part)
+                        sums[part] += all(scratch.weights[at]) * load(scores + part * kLanes);
+                }
+                for (int part = 0; part < kParts; ++part)
+                    store(found[row] + part * kLanes,
+                          logistic(known.temperature * (sums[part] * all(norms[i]) - all(best[i]))));
+            }
+            for (int32_t c = 0; c < table.columns; ++c) {
+                float* to = out + (c * codes.levels + level) * n + block.row;
+                for (int64_t row = 0; row < block.rows; ++row) to[row] = found[row][c];
+            }
         }
     });
 }
 
 }  // namespace
 
-const CodeSumKernels code_sum_kernels = {scores, inverse_norms, best, relevancy};
+const CodeSumKernels code_sum_kernels = {scores, inverse_norms, best, relevancy, relevancy_of_many};
 
 }  // namespace scoup::SCOUP_ISA

@@ -8,7 +8,7 @@
 
 namespace scoup {
 
-// The score of each atom in each column, [columns, levels, index_values()]: zeros beyond the atoms.
+// The score of each atom in each column, [columns, levels, index_values()] unless said otherwise: zeros beyond the atoms.
 struct ScoreTable {
     const float* values;
     int32_t columns;
@@ -46,9 +46,12 @@ struct CodeSumKernels {
     // out [N, levels], the largest cosine of any column
     int32_t (*best)(const GaussianCodes& codes, const ScoreTable& table, const float* inverse_norms, int64_t first,
                     int64_t last, const SumScratch& scratch, float* out);
-    // out [levels, columns, n]
+    // out [columns, levels, n]
     int32_t (*relevancy)(const GaussianCodes& codes, const ScoreTable& table, const KnownCosines& known, int64_t n,
                          int64_t first, int64_t last, const SumScratch& scratch, float* out);
+    // The same to the last bit, from a table [levels, index_values(), kMostLanes].
+    int32_t (*relevancy_of_many)(const GaussianCodes& codes, const ScoreTable& table, const KnownCosines& known, int64_t n,
+                                 int64_t first, int64_t last, const SumScratch& scratch, float* out);
 };
 
 SCOUP_KERNEL_TABLE(CodeSumKernels, code_sum_kernels)

@@ -13,6 +13,7 @@ namespace scoup {
 namespace {
 
 constexpr int64_t kRows = 16384;  // of a chunk
+constexpr int64_t kMany = 3;      // columns from which a lane for each is quicker
 
 // One worker's scratch, with the memory that it points to.
 class SumMemory {
@@ -58,17 +59,24 @@ void for_rows(int64_t n, const GaussianCodes& codes, int n_threads, const Interr
     for (const int32_t of_chunk : largest) check_atoms(of_chunk, codes.n_atoms);
 }
 
-// Columns one after the other, as long as an index can be large; atoms that none can name are left out.
-Buffer<float> padded(const GaussianCodes& codes, const AtomScores& scores) {
-    const int64_t padded_level = codes.index_values(), column = codes.levels * padded_level;
-    Buffer<float> table(scores.columns * column);
+// The scores of columns `from` .. `from` + `count` - 1, a column every `column` numbers and an atom every `step`. Levels are as
+// long as an index can be large; atoms that none can name are left out.
+Buffer<float> padded(const GaussianCodes& codes, const AtomScores& scores, int64_t from, int64_t count, int64_t column,
+                     int64_t step) {
+    const int64_t values = codes.index_values();
+    Buffer<float> table(codes.levels * values * std::max(count, step));
     table.fill(0.0f);
     for (int64_t level = 0; level < codes.levels; ++level)
-        for (int64_t atom = 0; atom < std::min<int64_t>(codes.n_atoms, padded_level); ++atom)
-            for (int64_t c = 0; c < scores.columns; ++c)
-                table[c * column + level * padded_level + atom] =
-                    scores.values[(level * codes.n_atoms + atom) * scores.columns + c];
+        for (int64_t atom = 0; atom < std::min<int64_t>(codes.n_atoms, values); ++atom)
+            for (int64_t c = 0; c < count; ++c)
+                table[c * column + (level * values + atom) * step] =
+                    scores.values[(level * codes.n_atoms + atom) * scores.columns + from + c];
     return table;
+}
+
+// Columns one after the other.
+Buffer<float> padded(const GaussianCodes& codes, const AtomScores& scores) {
+    return padded(codes, scores, 0, scores.columns, codes.levels * codes.index_values(), 1);
 }
 
 const CodeSumKernels& kernels() {
@@ -109,10 +117,17 @@ void best_code_cosines(int64_t n, const GaussianCodes& codes, const AtomScores& 
 
 void code_relevancy(int64_t n, const GaussianCodes& codes, const AtomScores& scores, const KnownCosines& known, float* out,
                     int n_threads, const Interrupted& interrupted) {
-    const Buffer<float> table = padded(codes, scores);
-    for_rows(n, codes, n_threads, interrupted, [&](int64_t first, int64_t last, const SumScratch& scratch) {
-        return kernels().relevancy(codes, {table.data(), scores.columns}, known, n, first, last, scratch, out);
-    });
+    for (int64_t from = 0; from < scores.columns; from += kMostLanes) {
+        const int64_t count = std::min<int64_t>(kMostLanes, scores.columns - from);
+        const bool many = count >= kMany;
+        const Buffer<float> table = many ? padded(codes, scores, from, count, 1, kMostLanes)
+                                         : padded(codes, scores, from, count, codes.levels * codes.index_values(), 1);
+        const auto kernel = many ? kernels().relevancy_of_many : kernels().relevancy;
+        for_rows(n, codes, n_threads, interrupted, [&](int64_t first, int64_t last, const SumScratch& scratch) {
+            return kernel(codes, {table.data(), int32_t(count)}, known, n, first, last, scratch,
+                          out + from * codes.levels * n);
+        });
+    }
 }
 
 }  // namespace scoup

@@ -27,7 +27,7 @@ void inverse_code_norms(int64_t n, const GaussianCodes& codes, const float* gram
 void best_code_cosines(int64_t n, const GaussianCodes& codes, const AtomScores& scores, const float* inverse_norms,
                        float* out, int n_threads, const Interrupted& interrupted);
 
-// out [levels, columns, n]
+// out [columns, levels, n]
 void code_relevancy(int64_t n, const GaussianCodes& codes, const AtomScores& scores, const KnownCosines& known, float* out,
                     int n_threads, const Interrupted& interrupted);
 

@@ -66,13 +66,32 @@ std::vector<CodeMemory> code_memory(const GaussianCodes& codes, int32_t n_querie
     return memory;
 }
 
+// [N], whether a Gaussian has a value that is not zero.
+Buffer<uint8_t> valued(const Projection& projection, const ChannelImage& out) {
+    Buffer<uint8_t> found(projection.n_gaussians);
+    for (int64_t i = 0; i < projection.n_gaussians; ++i) {
+        const float* const values = out.values + i * out.channels;
+        found[i] = std::any_of(values, values + out.channels, [](float value) { return value != 0; });
+    }
+    return found;
+}
+
+void fill(const Tile& tile, const ChannelImage& out) {
+    const int32_t columns = std::min(kTile, tile.width - tile.x), rows = std::min(kTile, tile.height - tile.y);
+    for (int32_t row = 0; row < rows; ++row)
+        std::fill_n(out.image + (int64_t(tile.y + row) * tile.width + tile.x) * out.channels, columns * out.channels, 0.0f);
+}
+
 }  // namespace
 
 void render_channels(const Projection& projection, const ChannelImage& out, int n_threads, const Interrupted& interrupted) {
     const auto& kernels = pick(baseline::channel_kernels, v3::channel_kernels, v4::channel_kernels);
     std::vector<Buffer<float>> scratch;
     for (int worker = 0; worker < std::max(n_threads, 1); ++worker) scratch.emplace_back(out.channels * kPixels);
+    const Buffer<uint8_t> drawn = out.alpha == nullptr ? valued(projection, out) : Buffer<uint8_t>(0);
+    const auto is_drawn = [&](uint32_t slot) { return drawn[projection.projected[slot].id] != 0; };
     for_tiles(projection, out.channels, n_threads, interrupted, [&](const Tile& tile, int64_t, int worker) {
+        if (out.alpha == nullptr && std::none_of(tile.slots, tile.slots + tile.count, is_drawn)) return fill(tile, out);
         kernels.render(tile, out, scratch[size_t(worker)].data());
     });
 }

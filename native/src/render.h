@@ -9,6 +9,7 @@
 
 namespace scoup {
 
+// Without alpha, tiles whose Gaussians have no value but zero are filled, not drawn.
 void render_channels(const Projection& projection, const ChannelImage& out, int n_threads, const Interrupted& interrupted);
 
 // Those that read codes throw std::invalid_argument if one that matters refers to an atom there is not.

@@ -23,7 +23,7 @@ struct CodeSums {
 inline void fuzz_code_sums(Random& random, int threads) {
     const int64_t n = random.one_of<int64_t>({0, 1, 63, 64, 65, 200, 17000});
     const auto levels = int32_t(random.between(1, 4)), k = int32_t(random.between(0, 5));
-    const int32_t n_atoms = random.one_of({1, 7, 64, 256, 257}), columns = int32_t(random.between(0, 3));
+    const int32_t n_atoms = random.one_of({1, 7, 64, 256, 257}), columns = int32_t(random.one_of({0, 1, 2, 3, 5, 16, 20}));
     const CodeArrays codes = random_codes(random, n * levels * k, n_atoms);
     GaussianCodes table = codes.table(levels, k, n_atoms);
     Exact<float> grams(random, int64_t(levels) * n_atoms * n_atoms), scores(random, int64_t(levels) * n_atoms * columns);
@@ -56,7 +56,7 @@ inline void fuzz_code_sums(Random& random, int threads) {
             check_near(found.scores[row * columns + c], expected, 1e-5, "code scores");
             best = std::max(best, expected * found.norms[row]);
             const double cosine = expected * found.norms[row] - found.best[row];
-            check_near(found.relevancy[(level * columns + c) * n + row / levels], 1 / (1 + std::exp(-10 * cosine)), 1e-4,
+            check_near(found.relevancy[(c * levels + level) * n + row / levels], 1 / (1 + std::exp(-10 * cosine)), 1e-4,
                        "relevancy");
         }
         if (columns > 0) check_near(found.best[row], best, 1e-4 * (1 + std::abs(best)), "best cosine");

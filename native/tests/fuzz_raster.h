@@ -114,6 +114,13 @@ inline void fuzz_channels(Random& random, const Seen& seen) {
     for (int64_t i = 0; i < values.size(); ++i)
         if (random.chance(0.1)) values[i] = hostile_float(random);
     channels_of(random, seen.projection, values, channels, seen.threads);
+
+    const double kept = random.one_of({0.0, 0.01, 0.3});  // few tiles are left to draw
+    for (int64_t i = 0; i < values.size(); ++i) values[i] = random.chance(kept) ? float(random.uniform(0.1, 1)) : 0.0f;
+    const Channels whole = channels_of(random, seen.projection, values, channels, seen.threads);
+    Exact<float> image(random, whole.image.size());
+    render_channels(seen.projection, {values.data(), int32_t(channels), image.data(), nullptr}, seen.threads, never);
+    check_same(image, whole.image, "channels: without alpha");
 }
 
 inline Exact<int32_t> random_labels(Random& random, const Seen& seen, int64_t levels, int32_t most) {

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from scoup.query.answer import SceneAnswer
-from scoup.query.locate import Location, connected_parts, location
+from scoup.query.locate import MOST_LINKED, Location, connected_parts, location, rough_parts
 from scoup.query.thing_shapes import ThingPoints
 from scoup.scene.gaussians import Gaussians
 from support import examples
@@ -152,3 +154,46 @@ def test_parts_are_numbered_by_place() -> None:
     parts = connected_parts(points)
     assert parts.tolist() == [0] * 50 + [1] * 50
     assert connected_parts(points[:1]).tolist() == [0]
+
+
+@settings(max_examples=examples(60))
+@given(
+    st.lists(st.integers(0, 700), min_size=1, max_size=4),
+    st.integers(0, 2**31),
+    st.sampled_from([0.0, 1e-300, 1.0, 1e300]),
+    st.booleans(),
+)
+def test_quantiles_of_many_things_are_those_of_sorted_values(
+    sizes: list[int], seed: int, scale: float, strays: bool
+) -> None:
+    random = np.random.default_rng(seed)
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    values = random.standard_normal((starts[-1], 3)) * scale
+    if strays and len(values):
+        values[0] *= 1e6  # all others are in one bin
+    weights = random.integers(0, 4, starts[-1]).astype(np.float64)  # sums are exact
+    weights[starts[:-1][np.array(sizes) > 0]] += 1
+    shares = [0.0, 0.02, 0.5, 1.0]
+    found = ThingPoints(values, weights, starts).quantiles(shares)
+    for thing, (first, last) in enumerate(pairwise(starts)):
+        for axis in range(3):
+            order = np.argsort(values[first:last, axis])
+            sums = weights[first:last][order].cumsum()
+            for place, share in enumerate(shares):
+                if first == last:
+                    assert np.isnan(found[thing, axis, place])
+                else:
+                    at = int(np.searchsorted(sums, share * sums[-1]))
+                    assert found[thing, axis, place] == values[first + order[at], axis]
+
+
+def test_many_points_are_linked_cell_by_cell() -> None:
+    few = block(MOST_LINKED, [1.0] * 3).numpy()
+    assert (rough_parts(few) == connected_parts(few)).all()
+    near, far = block(3 * MOST_LINKED, [2.0, 1.0, 0.01]), block(2 * MOST_LINKED, [1.0] * 3, seed=1) + 5
+    parts = rough_parts(torch.cat([near, far, torch.full((1, 3), 3.0)]).numpy())
+    own = np.split(parts, [len(near), len(near) + len(far)])
+    assert [np.unique(each).size for each in own] == [1, 1, 1]
+    assert np.unique(parts).size == 3
+    same_place = rough_parts(np.ones((MOST_LINKED + 1, 3)))
+    assert (same_place == 0).all()

@@ -42,6 +42,19 @@ def test_channels_and_alpha_equal_brute_force(backend, scene, preset):
 
 
 @settings(max_examples=examples(40), deadline=None)
+@given(scene=scenes(), kept=st.sampled_from([0.0, 0.1, 0.5]), channels=st.integers(0, 9))
+def test_values_alone_are_those_beside_alpha(backend, scene, kept, channels):
+    gaussians, camera = scene
+    generator = torch.Generator().manual_seed(1)
+    values = torch.randn(len(gaussians), channels, generator=generator)
+    values[torch.rand(len(gaussians), generator=generator) >= kept] = 0  # tiles without any are not drawn
+    projection = raster.project(gaussians, camera, backend=backend)
+    assert torch.equal(
+        raster.render_values(projection, values), raster.render_channels(projection, values)[0]
+    )
+
+
+@settings(max_examples=examples(40), deadline=None)
 @given(scene=scenes(25), levels=st.integers(1, 4), regions=st.integers(1, 9), seed=st.integers(0, 999))
 def test_region_sums_equal_brute_force(backend, scene, levels, regions, seed):
     gaussians, camera = scene

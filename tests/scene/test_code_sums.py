@@ -50,7 +50,7 @@ def coded(draw: st.DrawFn, least_columns: int = 0) -> Coded:
         indices.to(torch.uint8 if n_atoms <= 256 else torch.uint16),
         weights.half() if draw(st.booleans()) else weights,
         unit(torch.randn(levels, n_atoms, 6, generator=generator)),
-        unit(torch.randn(draw(st.integers(least_columns, 5)), 6, generator=generator)),
+        unit(torch.randn(draw(st.integers(least_columns, 20)), 6, generator=generator)),
     )
 
 
@@ -82,6 +82,9 @@ def test_relevancy_is_that_of_torch(codes: Coded, temperature: float) -> None:
     expected = code_sums.plain_code_relevancy(*arrays, norms, best, others, temperature)
     assert found.shape == (len(codes.scores), others.shape[-1], len(codes.indices))
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5 * temperature)
+    for number, own in enumerate(others.unbind(-1)):  # alone, the same to the last bit
+        alone = code_relevancy(*arrays, norms, best, own[..., None].contiguous(), temperature)
+        assert torch.equal(alone[:, 0], found[:, number])
 
 
 @settings(max_examples=examples(30))

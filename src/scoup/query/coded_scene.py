@@ -215,8 +215,7 @@ class CodedScene:
 
     def is_visible(self, projection: raster.Projection) -> bool:
         """Return whether a Gaussian with a code contributes to any pixel."""
-        image, _ = raster.render_channels(projection, self.coded()[:, None].float())
-        return bool(image.any())
+        return bool(raster.render_values(projection, self.coded()[:, None].float()).any())
 
     def render_codes(self, camera: Camera | str | int, projection: raster.Projection | None = None) -> Tensor:
         """Render the coefficients of every level, [S, H, W, L] float32."""

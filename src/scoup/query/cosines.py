@@ -104,9 +104,10 @@ class FieldCosines:
             best = best_code_cosines(codes.indices, codes.weights, kept.inverse_norms, scores)
             kept = replace(kept, canonical=canonical.clone(), best=best)
             self._gaussians = kept, coded
-        scores = _atom_scores(codes, queries)
+        # Query by query, so that its company does not change the last bit.
+        scores = [_atom_scores(codes, query[None]) for query in queries] or [_atom_scores(codes, queries)]
         return code_relevancy(
-            codes.indices, codes.weights, kept.inverse_norms, kept.best, scores, TEMPERATURE
+            codes.indices, codes.weights, kept.inverse_norms, kept.best, torch.cat(scores, 2), TEMPERATURE
         )
 
     def coded(self, codes: FieldCodes) -> Tensor:
@@ -154,7 +155,7 @@ def _channel_cosines(
     order.
     """
     values = _code_products(codes, vectors)
-    image, _ = raster.render_channels(projection, values.flatten(1))
+    image = raster.render_values(projection, values.flatten(1))
     return image.view(projection.height, projection.width, *values.shape[1:]).mul_(inverse_norms[..., None])
 
 

@@ -49,4 +49,4 @@ def best_camera(field: CodedScene, mask: Tensor, cameras: Sequence[Camera]) -> C
 def _share_of(field: CodedScene, projection: raster.Projection, mask: Tensor) -> Tensor:
     """The share of each pixel that the Gaussians in a mask [N] contribute, [H, W] on the CPU."""
     values = mask[:, None].float().to(field.codebook.device)
-    return raster.render_channels(projection, values)[0][..., 0].cpu()
+    return raster.render_values(projection, values)[..., 0].cpu()

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.scene.things import ThingTable
+from scoup.scene.things import NO_THING, ThingTable
 
 HUB_QUANTILE = 0.99
 """The words that fit a thing best are those above this quantile."""
@@ -32,6 +32,7 @@ class ComparedThings:
     spread: float
     counts: Tensor  # [T] float64, Gaussians, at least 1
     masses: WeakKeyDictionary[raster.Projection, Tensor] = field(default_factory=WeakKeyDictionary)
+    images: WeakKeyDictionary[raster.Projection, Tensor] = field(default_factory=WeakKeyDictionary)
 
     @classmethod
     def of(cls, things: ThingTable, words: Tensor) -> ComparedThings:
@@ -43,6 +44,13 @@ class ComparedThings:
         rank = max(1, math.ceil(HUB_QUANTILE * len(words)))
         hubs = to_words.kthvalue(rank, dim=1).values
         return cls(things, words.clone(), embeddings, to_words, hubs, doubt, things.spread, counts)
+
+    def owned(self, projection: raster.Projection) -> Tensor:
+        """[S, H, W] what the Gaussians of any thing of a level contribute to the pixels of a view."""
+        if projection not in self.images:
+            image = raster.render_values(projection, (self.things.owners != NO_THING).float())
+            self.images[projection] = image.permute(2, 0, 1).cpu().contiguous()
+        return self.images[projection]
 
     def mass(self, projection: raster.Projection) -> Tensor:
         """[T + 1] float64: what the Gaussians of each thing contribute to a view, and last what all do."""

@@ -18,11 +18,15 @@ from scoup.query.neighbours import linked_parts, nearest_points
 from scoup.query.select import true_rows
 from scoup.query.thing_shapes import OrientedBox, ThingPoints
 from scoup.query.things import things_in_mask
+from scoup.raster import morton_codes
 
 NEIGHBOURS = 8
 """Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
 LONGEST_LINK = 3.0
 """Links longer than this times the median are cut, so that strays fall off."""
+
+MOST_LINKED = 16384
+"""Of more Gaussians than these, the cells of a grid are linked instead."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,7 +102,7 @@ class Location:
 def location(field: CodedScene, answer: SceneAnswer) -> Location:
     """Return the place of an answer of ``answer_scene``.
 
-    The thing is the connected part (``connected_parts``) of its Gaussians that weighs most. A Gaussian weighs its
+    The thing is the connected part (``rough_parts``) of its Gaussians that weighs most. A Gaussian weighs its
     opacity times its relevancy.
     """
     members = true_rows(answer.mask)
@@ -113,7 +117,7 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
     weights = opacities[usable].double().clamp(0, 1) * relevancy
     if not len(members) or not weights.any():
         return Location(None, None, 0.0, members[:0], answer)
-    parts = torch.from_numpy(connected_parts(means.numpy()))
+    parts = torch.from_numpy(rough_parts(means.numpy()))
     part = int(torch.bincount(parts, weights).argmax())
     own = parts == part
     points = ThingPoints.of_one_thing(means[own], weights[own])
@@ -156,6 +160,20 @@ def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.zeros(len(points), np.int64)
     nearest, lengths = nearest_points(points, count)
     return linked_parts(nearest, lengths, LONGEST_LINK * float(np.median(lengths[:, -1])))
+
+
+def rough_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return ``connected_parts`` of points [M, 3], or where they are many, of the cells of a grid that they fill."""
+    if len(points) <= MOST_LINKED:
+        return connected_parts(points)
+    places, order = morton_codes(torch.from_numpy(points))[0].sort()
+    differing = places[1:] ^ places[:-1]
+    coarser = next(step for step in range(64) if int((differing >> 3 * step > 0).sum()) < MOST_LINKED)
+    cells = torch.empty_like(order)
+    cells[order] = torch.nn.functional.pad(differing >> 3 * coarser > 0, (1, 0)).cumsum(0)
+    own, counts = cells.numpy(), np.bincount(cells.numpy())
+    middles = np.stack([np.bincount(own, axis) for axis in points.T], 1) / counts[:, None]
+    return connected_parts(middles)[own]
 
 
 def _rounded(vector: Tensor) -> list[float]:

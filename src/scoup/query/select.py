@@ -22,6 +22,9 @@ ABSOLUTE_THRESHOLD = 0.6
 """Default threshold on relevancy that is not rescaled. The most stable one nearly always selects something, but here
 nothing is to be selected where nothing is relevant enough."""
 
+MOST_TEXTS, MOST_BYTES = 16, 256 << 20
+"""So many texts are compared with all Gaussians at a time, if their relevancy fits into so many bytes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Selection:
@@ -76,10 +79,13 @@ def select_each(
     rows = slice(None) if level is None else slice(first, first + 1)
     coded = field.coded_levels()[rows]  # [S or 1, N]
     around = Neighbourhood.of(field.gaussians.means, coded.any(0), neighbours) if neighbours else None
-    for query in torch.as_tensor(queries):
-        relevancy = field.gaussian_relevancy(query[None], canonical)[rows, 0]
-        found = select_by_relevancy(relevancy, coded, around, threshold, rescaled)
-        yield replace(found, level=found.level + first, of_levels=relevancy)
+    at_a_time = min(MOST_TEXTS, max(1, MOST_BYTES // max(4 * coded.numel(), 1)))
+    queries = torch.as_tensor(queries)
+    for start in range(0, len(queries), at_a_time):
+        some = queries[start : start + at_a_time]
+        for relevancy in field.gaussian_relevancy(some, canonical)[rows].unbind(1):
+            found = select_by_relevancy(relevancy, coded, around, threshold, rescaled)
+            yield replace(found, level=found.level + first, of_levels=relevancy)
 
 
 def select_by_relevancy(

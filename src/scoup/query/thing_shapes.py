@@ -23,6 +23,9 @@ FARTHEST = 4.0
 SPAN = 0.96
 """Share of a thing's weight within its span along a direction."""
 
+BINS = 256
+"""Per thing and axis, in which quantiles are looked for."""
+
 Array = NDArray[np.float64]
 
 
@@ -107,16 +110,12 @@ class ThingPoints:
             values = np.einsum("mad,md->ma", axes[self.owners], values)
         found = np.full((len(self), values.shape[1], len(shares)), np.nan)
         filled = np.flatnonzero(np.diff(self.starts))
-        owners = self.owners
-        for axis in range(values.shape[1]):
-            along = np.ascontiguousarray(values[:, axis])
-            order = np.argsort(along) if len(self) == 1 else np.lexsort((along, owners))
-            sums = np.concatenate([[0.0], np.cumsum(self.weights[order])])
-            first, last = sums[self.starts[filled]], sums[self.starts[filled + 1]]
-            for place, share in enumerate(shares):
-                rows = np.searchsorted(sums[1:], first + share * (last - first))
-                rows = rows.clip(self.starts[filled], self.starts[filled + 1] - 1)
-                found[filled, axis, place] = values[order[rows], axis]
+        if len(filled):
+            firsts, rows = self.starts[filled], np.searchsorted(filled, self.owners)
+            for axis in range(values.shape[1]):
+                found[filled, axis] = _quantiles(
+                    np.ascontiguousarray(values[:, axis]), self.weights, firsts, rows, shares
+                )
         return found
 
     def spans(self) -> Array:
@@ -149,3 +148,36 @@ class ThingPoints:
 
     def _sums(self, values: Array) -> Array:
         return np.bincount(self.owners, values, len(self)).astype(np.float64)
+
+
+def _quantiles(
+    values: Array, weights: Array, firsts: NDArray[np.int64], rows: NDArray[np.int64], shares: Sequence[float]
+) -> Array:
+    """[T, Q] values below which shares of the weight of each row lie, of values [M], row by row.
+
+    Only values of the bin in which a quantile lies are sorted.
+
+    Args:
+        values, weights: [M].
+        firsts: [T] where each row starts; none is empty.
+        rows: [M] of each value.
+        shares: Q of them.
+    """
+    low, high = np.minimum.reduceat(values, firsts), np.maximum.reduceat(values, firsts)
+    span = np.where(high > low, high - low, 1.0)
+    bins = np.minimum((values - low[rows]) / span[rows] * BINS, BINS - 1).astype(np.int64) + rows * BINS
+    sums = np.bincount(bins, weights, len(firsts) * BINS).reshape(-1, BINS).cumsum(1)
+    found = np.empty((len(firsts), len(shares)))
+    for place, share in enumerate(shares):
+        wanted = share * sums[:, -1]
+        chosen = (sums[:, :-1] < wanted[:, None]).sum(1)
+        below = np.where(
+            chosen > 0, np.take_along_axis(sums, np.maximum(chosen - 1, 0)[:, None], 1)[:, 0], 0.0
+        )
+        members = np.flatnonzero(bins == (np.arange(len(firsts)) * BINS + chosen)[rows])
+        members = members[np.lexsort((values[members], rows[members]))]
+        starts = np.searchsorted(rows[members], np.arange(len(firsts) + 1))
+        within = np.concatenate([[0.0], np.cumsum(weights[members])])
+        at = np.searchsorted(within[1:], within[starts[:-1]] + wanted - below)
+        found[:, place] = values[members[np.clip(at, starts[:-1], starts[1:] - 1)]]
+    return found

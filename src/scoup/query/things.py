@@ -27,7 +27,7 @@ from scoup.query.coded_scene import CodedScene
 from scoup.query.known_things import ComparedThings, KnownThings
 from scoup.query.presence import other_words, word_leads
 from scoup.query.text_vectors import TextVectors
-from scoup.scene.things import NO_THING, ThingTable
+from scoup.scene.things import ThingTable
 
 HUB_SHARE = 0.5
 """This share of the cosine with the words that fit a thing best is subtracted."""
@@ -165,30 +165,29 @@ def things_of_view(
             all_voted = weight.double().sum().cpu().expand(things.owners.shape[1])
             chosen.append(choose_things(things, fits.fits[:, query], mass, inside, all_voted, level))
             presence.append(fits.presence(query, seen))
-        masks += _rendered(things, projection, chosen)
+        masks += _rendered(fits.known, projection, chosen)
     return ThingsSeen(masks, presence)
 
 
 def _rendered(
-    things: ThingTable, projection: raster.Projection, chosen: Sequence[Tensor | None]
+    known: ComparedThings, projection: raster.Projection, chosen: Sequence[Tensor | None]
 ) -> list[tuple[Tensor, int] | None]:
     """The masks [H, W] of things, with their levels."""
+    things = known.things
     there = [each for each in chosen if each is not None]
     if not there:
         return [None] * len(chosen)
-    levels = [None if each is None else int(things.levels[each[0]]) for each in chosen]
-    used = sorted({level for level in levels if level is not None})
-    owned = [things.owners[:, level] != NO_THING for level in used]
-    channels = torch.stack([*owned, *(things.members(each) for each in there)], 1).float()
-    image, _ = raster.render_channels(projection, channels)
-    found, place = [], len(used)
-    for level in levels:
-        if level is None:
-            found.append(None)
-            continue
-        mask = (image[..., place] > 0.5 * image[..., used.index(level)]).cpu()
-        found.append((mask, level) if bool(mask.any()) else None)
-        place += 1
+    owned = known.owned(projection)
+    shares = iter(
+        raster.render_values(projection, torch.stack([things.members(each) for each in there], 1).float())
+        .cpu()
+        .unbind(-1)
+    )
+    found: list[tuple[Tensor, int] | None] = []
+    for each in chosen:
+        level = None if each is None else int(things.levels[each[0]])
+        mask = None if level is None else next(shares) > 0.5 * owned[level]
+        found.append(None if mask is None or level is None or not bool(mask.any()) else (mask, level))
     return found
 
 

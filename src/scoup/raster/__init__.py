@@ -177,6 +177,16 @@ def render_channels(projection: Projection, values: Tensor) -> tuple[Tensor, Ten
     return _backend_of(projection).render_channels(projection, values.float())
 
 
+def render_values(projection: Projection, values: Tensor) -> Tensor:
+    """Return the image [H, W, C] of ``render_channels``, without alpha.
+
+    On a CPU this takes little time where all values but those of a few Gaussians are zero: only the tiles that these
+    reach are drawn.
+    """
+    _check_rows(projection, values, 2, "values")
+    return _backend_of(projection).render_values(projection, values.float())
+
+
 def render_codes(projection: Projection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """Render sparse codes of all levels: the coefficient maps W^(p) of method.md, stage 3.
 
@@ -222,7 +232,7 @@ def render_cosines_and_norms(
     """Return ``render_cosines``, and the norm of each pixel's rendered feature, which no query changes.
 
     A cosine is a sum over Gaussians, W A, by this norm: where it is known, another query is a render of few channels
-    (``code_sums.code_scores``, then ``render_channels``).
+    (``code_sums.code_scores``, then ``render_values``).
 
     Args:
         projection: from ``project``.

@@ -93,11 +93,20 @@ def region_sums(projection: NativeProjection, combinations: Tensor) -> tuple[Ten
 
 def render_channels(projection: NativeProjection, values: Tensor) -> tuple[Tensor, Tensor]:
     """See ``raster.render_channels``."""
-    with _refusals():
-        image, alpha = require_core().render_channels(
-            projection.handle, _array(values), torch.get_num_threads()
-        )
+    image, alpha = _channels(projection, values, with_alpha=True)
     return torch.from_numpy(image), torch.from_numpy(alpha)
+
+
+def render_values(projection: NativeProjection, values: Tensor) -> Tensor:
+    """See ``raster.render_values``."""
+    return torch.from_numpy(_channels(projection, values, with_alpha=False)[0])
+
+
+def _channels(projection: NativeProjection, values: Tensor, with_alpha: bool) -> tuple[Any, Any]:
+    with _refusals():
+        return require_core().render_channels(
+            projection.handle, _array(values), torch.get_num_threads(), with_alpha
+        )
 
 
 def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:

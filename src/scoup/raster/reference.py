@@ -97,6 +97,11 @@ def render_channels(projection: ReferenceProjection, values: Tensor) -> tuple[Te
     return image[..., :channels], image[..., channels]
 
 
+def render_values(projection: ReferenceProjection, values: Tensor) -> Tensor:
+    """See ``raster.render_values``."""
+    return render_channels(projection, values)[0]
+
+
 def render_codes(projection: ReferenceProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     check_atoms(indices, n_atoms)

@@ -93,7 +93,7 @@ def code_relevancy(
     """
     found = _native("code_relevancy", indices, weights, scores, inverse_norms, best, temperature)
     if found is not None:
-        return found
+        return found.transpose(0, 1)  # what belongs to one column is contiguous
     return plain_code_relevancy(indices, weights, inverse_norms, best, scores, temperature)
 
 
@@ -101,11 +101,11 @@ def plain_code_relevancy(
     indices: Tensor, weights: Tensor, inverse_norms: Tensor, best: Tensor, scores: Tensor, temperature: float
 ) -> Tensor:
     """``code_relevancy`` in torch."""
-    out = torch.empty(len(scores), scores.shape[2], len(weights), device=weights.device)
+    out = torch.empty(scores.shape[2], len(scores), len(weights), device=weights.device)
     for number, column in enumerate(scores.unbind(-1)):
         cosines = plain_code_scores(indices, weights, column[..., None])[..., 0] * inverse_norms
-        out[:, number] = (temperature * (cosines - best)).sigmoid().T
-    return out
+        out[number] = (temperature * (cosines - best)).sigmoid().T
+    return out.transpose(0, 1)
 
 
 def atom_products(atoms: Tensor, vectors: Tensor) -> Tensor:
