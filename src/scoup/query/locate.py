@@ -25,7 +25,7 @@ NEIGHBOURS = 8
 LONGEST_LINK = 3.0
 """Links longer than this times the median are cut, so that strays fall off."""
 
-MOST_LINKED = 16384
+MOST_LINKED = 8192
 """Of more Gaussians than these, the cells of a grid are linked instead."""
 
 
