@@ -10,14 +10,17 @@ from pathlib import Path
 
 import torch
 
+from scoup.base.atomic import remove
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress, reported
 from scoup.base.staging import staged
 from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
-from scoup.io import save_png, write_transforms
+from scoup.extract.view_work import ViewWork
+from scoup.io import load_cameras, save_png, write_transforms
 from scoup.pictures import as_picture, contact_sheet
+from scoup.pictures.colors import Picture
 from scoup.pictures.sheet import sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene.cameras import Camera, Cameras
@@ -129,6 +132,7 @@ def save_views(
     beside: Cameras | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
+    work: ViewWork | None = None,
 ) -> Coverage:
     """Render a splat from cameras and write a scene folder that every tool reads.
 
@@ -139,7 +143,8 @@ def save_views(
         cameras: of the renders, without photographs.
         folder: the scene.
         beside: cameras with photographs: their photographs are copied, and transforms.json names them too.
-        overwrite: replace these files.
+        overwrite: replace these files, and remove images that the replaced transforms.json names.
+        work: of an interrupted run, whose renders are kept (``view_work``).
 
     Returns:
         What all cameras together show.
@@ -163,26 +168,46 @@ def save_views(
         raise InputError(
             "cameras: there are none to render" + (", the photographs show all" * bool(photographs))
         )
-    seen = torch.zeros(len(gaussians), dtype=torch.int32)
+    work = work or ViewWork(torch.zeros(len(gaussians), dtype=torch.int32))
     tiles = []
+    before = _images_of_views(folder) if overwrite else []
     # transforms.json comes last: where it is, the views are whole.
     with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
-        for camera in reported(together, "views", len(together), progress):
-            projection = project(gaussians, camera)
-            blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
-            seen[region_sums(projection, blank).gaussian.unique()] += 1
-            if camera.image_path is not None:
-                (hidden / places[camera.name]).parent.mkdir(parents=True, exist_ok=True)
+        for number, camera in enumerate(reported(together, "views", len(together), progress)):
+            (hidden / places[camera.name]).parent.mkdir(parents=True, exist_ok=True)
+            picture = _view(gaussians, camera, work, number)
+            if picture is None:
                 shutil.copyfile(camera.image_path, hidden / places[camera.name])
-                continue
-            picture = as_picture(render_colors(gaussians, camera, projection))
-            save_png(picture, hidden / places[camera.name])
-            tiles.append(sheet_tile(picture, len(cameras)))
+            else:
+                save_png(picture, hidden / places[camera.name])
+                tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
         write_transforms(
             Cameras(replace(camera, image_path=None) for camera in together), hidden / TRANSFORMS
         )
+    for name in set(before) - set(places.values()):
+        remove(folder / name)
     opaque = gaussians.opacities >= OPAQUE
-    counted = seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
+    counted = work.seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
     once, often = (float((counted >= least).double().mean()) for least in (1, 3))
     return Coverage(once, often)
+
+
+def _view(gaussians: Gaussians, camera: Camera, work: ViewWork, number: int) -> Picture | None:
+    """Return the render of a view, kept or new; None for a photograph. Its Gaussians are counted."""
+    if number < work.done:
+        return work.picture(camera.name) if camera.image_path is None else None
+    projection = project(gaussians, camera)
+    blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
+    visible = region_sums(projection, blank).gaussian.unique()
+    picture = None if camera.image_path else as_picture(render_colors(gaussians, camera, projection))
+    work.keep(visible, camera.name, picture)
+    return picture
+
+
+def _images_of_views(folder: Path) -> list[str]:
+    """Return the images that transforms.json of views made before names, relative to their folder."""
+    if not all((folder / name).is_file() for name in (SHEET, TRANSFORMS)):
+        return []
+    named = (camera.image_path for camera in load_cameras(folder / TRANSFORMS, distorted="undistort"))
+    return [f"{IMAGES}/{path.name}" for path in named if path is not None and path.parent == folder / IMAGES]

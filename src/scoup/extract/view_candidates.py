@@ -17,7 +17,7 @@ from scoup.scene.gaussians import Gaussians
 OPAQUE = 0.3  # opacity from which a Gaussian counts as matter
 LEAST_SHARE = 0.25  # of the Gaussians are matter, however transparent the splat is
 ANGLE_OF_VIEW = math.radians(65)  # across the image
-ELEVATIONS = (8.0, 25.0, 50.0)  # degrees, of the circles around the scene
+ELEVATIONS = (8.0, 25.0, 50.0, 75.0)  # degrees, of the circles around the scene
 AZIMUTHS = 12
 DISTANCES = (0.4, 0.65, 1.0)  # of that from which the whole scene fills the image
 PLACES = 20  # in free space

@@ -22,10 +22,12 @@ NEAR = 0.12  # of the radius of the scene: what is nearer is too near
 BLURRED = 0.06  # of the width of the image: standard deviation of a Gaussian that is too large to be sharp
 CLOSE = 2.0  # times the size at which all matter fills an image: Gaussians as large are near enough
 SMALLEST = 0.25  # quantile of sizes: smaller Gaussians need not be nearer than these
-FULL = 2  # power of the share of an image that is not empty
-STRICT = 8  # power of the quality of a view by that of the best
+FULL = 16  # power of the share of an image that is not empty, by that of the fullest view of a Gaussian
+LEAST_FULL = 0.2  # such a share: views that are emptier are never good
+STRICT = 8  # power of the share that is opaque, by that of the best view
 TURNED, SPAN = 0.2, 0.2  # logarithms of elongation: what counts as facing, and how fast the rest loses
 MOST_ELONGATED = 4.0
+FARTHEST = 1e15  # depth, whose square is in range
 NO_QUALITY = 1e-6  # of a view that shows nothing well: it is chosen where there is no other
 DIRECTIONS = 10.0  # from which each Gaussian is to be seen, at most
 
@@ -80,19 +82,29 @@ class Scores:
         """[V, 3] float32 of the cameras."""
         return torch.stack([camera.position for camera in self.cameras]).float()
 
-    def quality(self) -> Tensor:
-        """Return [V] float32, how good each view is as a picture by the best of them, 0..1.
+    def worth(self, n_there: int = 0) -> Tensor:
+        """Return [V, M] float32, how well each view shows each Gaussian, 0..1, by ``shown`` and by the picture.
 
         Training makes Gaussians flat towards the cameras that saw them, and leaves them long along the rays of others:
-        where a view finds them long, no camera looked. Views into emptiness lose too, where others are full.
+        where a view finds them long, no camera looked. Views into emptiness lose too, by the fullest view of the same
+        Gaussian: around the neck of a guitar all views are empty.
+
+        Args:
+            n_there: the first views are photographs, which are good wherever they were taken.
         """
         opaque, filled, elongation = self.pictures.T
-        found = opaque * (filled / filled.quantile(0.95).clamp(min=1e-6)).clamp(max=1) ** FULL
-        found = (found / found.quantile(0.98).clamp(min=1e-6)).clamp(max=1) ** STRICT
-        good = elongation[found > 0.3]
+        solid = (opaque / opaque.quantile(0.98).clamp(min=1e-6)).clamp(max=1) ** STRICT
+        full = (filled / filled.quantile(0.95).clamp(min=1e-6)).clamp(max=1)
+        good = elongation[solid * full**FULL > 0.3]
         facing = good.quantile(0.05) if len(good) else elongation.min()
         turned = (elongation - facing - TURNED).clamp(min=0) / SPAN
-        return found * torch.exp(-(turned**2)) + NO_QUALITY
+        clear = (solid * torch.exp(-(turned**2)))[:, None]
+        shown = self.shown.float()
+        fullest = (shown / shown.amax(0).clamp(min=1e-6) * clear * full[:, None]).amax(0)
+        relative = (full[:, None] / fullest.clamp(min=LEAST_FULL)).clamp(max=1)
+        quality = relative**FULL * clear + NO_QUALITY
+        quality[:n_there] = 1.0
+        return shown * quality
 
 
 def prepared_order(prepared: PreparedGaussians, rows: Tensor) -> Tensor:
@@ -117,8 +129,8 @@ class ViewScorer:
     """Standard deviation at which all matter side by side would fill an image, as a share of its width."""
     sectors: Tensor
     """[B, 3] float32 unit vectors, middles of the sectors of directions."""
-    halves: Tensor
-    """[N, 3, 3] float32, columns: the axes of each times its standard deviations."""
+    covariances: Tensor
+    """[6, N] float32: xx, yy, zz, xy, xz, yz."""
     radius: float
     """Of the scene."""
 
@@ -130,8 +142,10 @@ class ViewScorer:
         sizes = gaussians.scales.sort(1).values[:, 1].contiguous()
         full_size = (0.75 / (4 * math.pi * len(matter.rows))) ** 0.5
         turned = rotation_matrices(gaussians.quats)
-        halves = turned * gaussians.scales[:, None, :]
-        return cls(prepared, counted, sizes, full_size, _sectors(), halves, matter.radius)
+        axes = turned * gaussians.scales[:, None, :]
+        pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        covariances = torch.stack([(axes[:, one] * axes[:, other]).sum(1) for one, other in pairs])
+        return cls(prepared, counted, sizes, full_size, _sectors(), covariances, matter.radius)
 
     @property
     def means(self) -> Tensor:
@@ -144,10 +158,14 @@ class ViewScorer:
         small = camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
         gaussians = self.prepared.gaussians
         depth = gaussians.means @ small.viewmat[2, :3].float() + float(small.viewmat[2, 3])
-        blur = self.sizes * (small.fx / small.width) / depth.clamp(min=1e-6)
-        flags = [(depth < NEAR * self.radius).float(), (blur > BLURRED).float()]
-        values = torch.stack([depth, depth * depth, *flags, self._elongation(small)], 1)
-        image, alpha = render_channels(project(self.prepared, small), torch.nan_to_num(values, 0, 0, 0))
+        depth = depth.nan_to_num_(0, 0, 0).clamp_(max=FARTHEST)
+        values = torch.empty(len(depth), 5)
+        values[:, 0] = depth
+        torch.mul(depth, depth, out=values[:, 1])
+        values[:, 2] = depth < NEAR * self.radius
+        values[:, 3] = self.sizes * (small.fx / small.width / BLURRED) > depth
+        values[:, 4] = self._elongation(small)
+        image, alpha = render_channels(project(self.prepared, small), values)
         mean, square, _, _, elongation = (image / alpha.clamp(min=1e-6)[..., None]).unbind(-1)
         near, blurred = image[..., 2], image[..., 3]
         spread = (square - mean * mean).clamp(min=0).sqrt()
@@ -160,11 +178,14 @@ class ViewScorer:
 
     def _elongation(self, camera: Camera) -> Tensor:
         """Return [N], the logarithm of the standard deviation along the ray by that across it."""
-        means = self.prepared.gaussians.means
-        rays = normalize(means - camera.position.float(), dim=1)
-        along = (rays[:, None, :] @ self.halves)[:, 0].square().sum(1)
-        across = (self.halves.square().sum((1, 2)) - along).clamp(min=1e-20) / 2
-        return (0.5 * (along.clamp(min=1e-20) / across).log()).clamp(-MOST_ELONGATED, MOST_ELONGATED)
+        x, y, z = (self.prepared.gaussians.means.T - camera.position.float()[:, None]).contiguous()
+        xx, yy, zz, xy, xz, yz = self.covariances
+        square = (x * x).addcmul_(y, y).addcmul_(z, z).clamp_(min=1e-20)
+        along = (x * (xx * x + 2 * (xy * y + xz * z))).addcmul_(y, yy * y + 2 * yz * z).addcmul_(z, zz * z)
+        along = along.div_(square).clamp_(min=1e-20)
+        across = ((xx + yy + zz).sub_(along)).div_(2).clamp_(min=1e-20)
+        logarithm = along.div_(across).log_().mul_(0.5)
+        return logarithm.clamp_(-MOST_ELONGATED, MOST_ELONGATED).nan_to_num_(0)
 
     def _shown(
         self, camera: Camera, depth: Tensor, mean: Tensor, spread: Tensor, clear: Tensor
@@ -203,9 +224,7 @@ def choose_views(
         least_gain: share of what the best view gains alone that each must gain.
         n_there: the first views are there already; others are chosen beside them.
     """
-    quality = scores.quality()
-    quality[:n_there] = 1.0  # photographs are good wherever they were taken
-    worth = scores.shown.float() * quality[:, None] * fronts
+    worth = scores.worth(n_there) * fronts * not_from_behind(scores.shown.float(), fronts, n_there)[:, None]
     n_sectors = int(scores.direction.max()) + 1
     state = torch.zeros(worth.shape[1], n_sectors)
     sectors = scores.direction.long()
@@ -239,16 +258,25 @@ def _alone(worth: Tensor) -> Tensor:
     return worth.clamp(max=DIRECTIONS).sqrt().sum(1)
 
 
+def not_from_behind(shown: Tensor, fronts: Tensor, n_there: int) -> Tensor:
+    """Return [V], how good views are by the share of what they show whose front they see: few behind walls do."""
+    share = (shown * fronts).sum(1) / shown.sum(1).clamp(min=1e-6)
+    found = (share / share.quantile(0.95).clamp(min=1e-6)).clamp(max=1) ** STRICT
+    found[:n_there] = 1.0
+    return found
+
+
 def front_sides(scores: Scores, means: Tensor) -> Tensor:
     """Return [V, M] bool: whether each view sees the side of a Gaussian from which the views that show the most see it.
 
     Args:
         means: [M, 3] of the Gaussians.
     """
-    richness = scores.quality() * scores.shown.float().mean(1)
+    worth = scores.worth()
+    weights = worth * worth.mean(1, keepdim=True)
     mean, total = torch.zeros_like(means), torch.zeros(len(means))
     for view, place in enumerate(scores.positions):
-        weight = richness[view] * scores.shown[view].float()
+        weight = weights[view]
         mean += weight[:, None] * normalize(place - means, dim=1)
         total += weight
     mean /= total.clamp(min=1e-9)[:, None]
