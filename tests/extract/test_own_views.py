@@ -14,6 +14,7 @@ from PIL import Image
 from scoup.base.errors import InputError
 from scoup.extract.own_views import choose_cameras, save_views
 from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
+from scoup.extract.view_choice import Score, Scores, not_from_behind
 from scoup.pictures import contact_sheet
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Cameras
@@ -151,3 +152,25 @@ def test_only_small_pictures_are_kept_for_the_sheet(tmp_path: Path, monkeypatch:
     pictures = [np.asarray(Image.open(tmp_path / "images" / camera.name)) for camera in cameras]
     whole = contact_sheet(pictures, [camera.stem for camera in cameras])
     assert np.array_equal(np.asarray(Image.open(tmp_path / "views.png")), whole)
+
+
+def test_beside_thin_things_pictures_may_be_empty() -> None:
+    cameras = [replace(make_camera(64, 48), name=f"{number}.png") for number in range(3)]
+    wide, thin = torch.tensor([1.0, 0.0]), torch.tensor([0.0, 1.0])
+    sector = torch.zeros(2, dtype=torch.uint8)
+    found = [
+        Score(wide, sector, 0.9, 0.9, 0.0),
+        Score(wide, sector, 0.9, 0.4, 0.0),  # the same from afar
+        Score(thin, sector, 0.9, 0.4, 0.0),
+    ]
+    worth = Scores.of(cameras, found).worth()
+    assert worth[0, 0] > 0.9
+    assert worth[1, 0] < 0.01
+    assert worth[2, 1] > 0.9
+
+
+def test_views_of_backs_are_poor() -> None:
+    shown = torch.ones(3, 4)
+    fronts = torch.tensor([[True] * 4, [True, False, False, False], [False] * 4])
+    assert not_from_behind(shown, fronts, n_there=0).tolist() == pytest.approx([1, 0, 0], abs=1e-3)
+    assert float(not_from_behind(shown, fronts, n_there=3).min()) == 1  # photographs

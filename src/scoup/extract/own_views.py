@@ -176,9 +176,9 @@ def save_views(
         for number, camera in enumerate(reported(together, "views", len(together), progress)):
             (hidden / places[camera.name]).parent.mkdir(parents=True, exist_ok=True)
             picture = _view(gaussians, camera, work, number)
-            if picture is None:
+            if camera.image_path is not None:
                 shutil.copyfile(camera.image_path, hidden / places[camera.name])
-            else:
+            if picture is not None:
                 save_png(picture, hidden / places[camera.name])
                 tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
