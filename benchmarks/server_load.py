@@ -110,8 +110,12 @@ class Visitor:
         if action == "selection":
             return "api/select", {"texts": [text], "level": 0, "threshold": 0.6, "always": True}
         if action == "picture" or (action == "walk away" and self.dice.random() < 0.5):
-            mode = self.dice.choice(["color", "heat", "mask"])
-            return "api/render", {"camera": camera, "mode": mode, "text": text, "always": True}
+            asked = {"texts": [text], "colors": [[255, 92, 40]], "always": True}
+            return "api/render", {
+                "camera": camera,
+                "mode": self.dice.choice(["color", "heat", "mask"]),
+                **asked,
+            }
         return "api/query", {"texts": self.dice.sample(WORDS, self.dice.randint(1, 3)), "always": True}
 
     def ask(

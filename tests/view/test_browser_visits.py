@@ -36,6 +36,7 @@ import scoup
 from cli_support import run_json
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera, Cameras
+from scoup.view.exact import PictureMode
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from support import HANGS
@@ -63,6 +64,14 @@ def exact_picture(visit: Visit) -> Picture:
       return Array.from(bytes);
     }"""
     return np.asarray(Image.open(io.BytesIO(bytes(visit.page.evaluate(script)))).convert("RGB"))
+
+
+def exact(viewed: ViewedField, camera: Camera, visit: Visit, mode: PictureMode) -> Picture:
+    """The library's picture of the texts on the page, in their colours."""
+    queries = visit.state()["queries"]
+    colors = [tuple(255 * part for part in query["color"]) for query in queries]
+    texts, opacity = [query["text"] for query in queries], visit.state()["opacity"]
+    return viewed.picture(camera, mode, texts, colors, opacity)
 
 
 def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +160,14 @@ def test_the_exact_picture_is_the_methods_own(
         visit.ask("kettle")
         page.locator("#badge", has_text="“kettle” (rendered codes").wait_for()
         shown = exact_picture(visit)
-        assert difference(shown, viewed.picture(camera, "heat", "kettle")) < ALIKE
+        assert difference(shown, exact(viewed, camera, visit, "heat")) < ALIKE
+        visit.ask("lamp")
+        page.locator("#badge", has_text="“kettle”, “lamp” (rendered codes").wait_for()
+        both = exact_picture(visit)
+        assert difference(both, exact(viewed, camera, visit, "heat")) < ALIKE
+        for name, pixels in patches(visit.picture(), camera).items():  # the colours of the page
+            np.testing.assert_allclose(patches(both, camera)[name].mean(0), pixels.mean(0), atol=40)
+        page.get_by_role("button", name="Remove lamp").click()
         visit.tab("View")
         page.get_by_label("when the camera rests").check()
         page.locator("#canvas").focus()
@@ -168,7 +184,7 @@ def test_remote_pages_show_pictures_of_the_server_only(browser: Browser, viewed:
     with opened(viewed, remote=True) as viewer, visiting(browser, viewer.address) as visit:
         assert difference(visit.picture(), viewed.picture(camera)) < ALIKE
         visit.ask("kettle")
-        assert difference(visit.picture(), viewed.picture(camera, "heat", "kettle")) < ALIKE
+        assert difference(visit.picture(), exact(viewed, camera, visit, "heat")) < ALIKE
         assert "kettle" in visit.click(places_in(camera)["kettle"])
         assert visit.page.get_by_role("radio", name="Confidence").is_disabled()
         before = visit.picture()

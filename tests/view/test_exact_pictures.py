@@ -10,12 +10,14 @@ from view_samples import random_field, table, viewed_field
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.pictures import as_picture
-from scoup.pictures.overlays import heat_overlay, mask_overlay
+from scoup.pictures.overlays import heat_overlay, texts_overlay
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.view.exact import LARGEST_SIDE, PictureMode, PictureRequest, what_is_at
 from scoup.view.viewed_field import ViewedField
 from support import make_camera, unit
+
+BLUE, ORANGE = (64.0, 184.0, 245.0), (245.0, 158.0, 18.0)
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +35,22 @@ def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> Non
     rgb = raster.render_colors(viewed.gaussians, camera)
     assert np.array_equal(viewed.picture(camera), as_picture(rgb))
     answer = viewed.field.answer(viewed.field.question("thing 3", encoder=table()), camera)
-    heat, mask = (viewed.picture(camera, mode, "thing 3") for mode in ("heat", "mask"))
-    assert np.array_equal(heat, heat_overlay(answer.heat, rgb))
-    assert np.array_equal(mask, mask_overlay(answer.mask, rgb, answer.box, answer.point))
+    heat, mask = (viewed.picture(camera, mode, ["thing 3"], [BLUE], 0.6) for mode in ("heat", "mask"))
+    assert np.array_equal(heat, heat_overlay(answer.heat, rgb, opacity=0.6))
+    assert np.array_equal(mask, texts_overlay([answer.heat], [answer.mask], rgb, [BLUE], 0.6))
     assert viewed.picture(camera, "codes").shape == (camera.height, camera.width, 3)
+
+
+def test_several_texts_have_a_colour_each(viewed: ViewedField, camera: Camera) -> None:
+    texts, colors = ["thing 3", "thing 5", "thing 1"], [BLUE, ORANGE, (90.0, 220.0, 115.0)]
+    rgb = raster.render_colors(viewed.gaussians, camera)
+    answers = viewed.field.answer(viewed.field.question(texts, encoder=table()), camera)
+    heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
+    for mode in ("heat", "mask"):
+        shown = viewed.picture(camera, mode, texts, colors, 0.8)
+        assert np.array_equal(shown, texts_overlay(heats, masks, rgb, colors, 0.8, mode == "heat"))
+        fewer = viewed.picture(camera, mode, texts[:2], colors[:2], 0.8)
+        assert not np.array_equal(shown, fewer)
 
 
 @pytest.mark.parametrize("level", [0, 1])
@@ -44,10 +58,13 @@ def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField, camera: Camera
     answer = viewed.field.answer(viewed.field.question("thing 3", encoder=table(), level=level), camera)
     assert answer.level == viewed.field.levels[level]
     rgb = raster.render_colors(viewed.gaussians, camera)
-    assert np.array_equal(viewed.picture(camera, "heat", "thing 3", level), heat_overlay(answer.heat, rgb))
-    whole = viewed.picture(camera, "mask", "thing 3", level, 0.0, always=True)
-    assert not np.array_equal(whole, viewed.picture(camera, "mask", "thing 3", level, 0.9, always=True))
-    fine, coarse = (viewed.picture(camera, "codes", None, number) for number in (0, 1))
+    asked = {"texts": ["thing 3"], "colors": [BLUE], "level": level}
+    assert np.array_equal(viewed.picture(camera, "heat", **asked), heat_overlay(answer.heat, rgb))
+    whole, part = (
+        viewed.picture(camera, "mask", **asked, threshold=threshold, always=True) for threshold in (0.0, 0.9)
+    )
+    assert not np.array_equal(whole, part)
+    fine, coarse = (viewed.picture(camera, "codes", level=number) for number in (0, 1))
     assert not np.array_equal(fine, coarse)
 
 
@@ -57,11 +74,13 @@ def test_the_next_camera_gets_its_own_picture(viewed: ViewedField, camera: Camer
     assert np.array_equal(viewed.picture(camera), first)
 
 
-def test_requests_out_of_range_are_refused(camera: Camera) -> None:
+def test_requests_out_of_range_are_refused(viewed: ViewedField, camera: Camera) -> None:
     with pytest.raises(InputError, match="color, heat, mask, codes"):
         PictureRequest(camera, "depth")  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="needs a text"):
         PictureRequest(camera, "mask")
+    with pytest.raises(InputError, match="expected 2 colors, got 1"):
+        PictureRequest(camera, "mask", viewed.question(["thing 1", "thing 2"]), [BLUE])
     with pytest.raises(InputError, match=f"{LARGEST_SIDE} pixels"):
         PictureRequest(make_camera(LARGEST_SIDE + 1, 1))
 
@@ -143,7 +162,9 @@ def test_a_thumbnail_keeps_the_shape_of_its_view(viewed: ViewedField, camera: Ca
 def test_a_picture_does_not_depend_on_what_was_asked_before(mode: PictureMode) -> None:
     viewed = viewed_field(count=400)
     camera = make_camera(60, 80)
-    alone = [viewed_field(count=400).picture(camera, mode, f"thing {number}") for number in range(6)]
+    alone = [
+        viewed_field(count=400).picture(camera, mode, [f"thing {number}"], [BLUE]) for number in range(6)
+    ]
     for _ in range(2):
         for number, wanted in enumerate(alone):
-            assert np.array_equal(viewed.picture(camera, mode, f"thing {number}"), wanted)
+            assert np.array_equal(viewed.picture(camera, mode, [f"thing {number}"], [BLUE]), wanted)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import graphlib
 import importlib
 import json
 import re
@@ -300,3 +301,13 @@ def test_the_page_loads_nothing_from_elsewhere(built: Path):
     assert not re.findall(
         r"""(?:import|from|fetch|Request|importScripts|Worker)\s*\(?\s*["'`]https?:""", program
     )
+
+
+def test_the_files_of_the_page_do_not_import_each_other_in_a_circle() -> None:
+    imports = {
+        path.stem: set(re.findall(r'from "\./(\w+)"', path.read_text()))
+        for path in (VIEWER / "src").glob("*.ts")
+    }
+    assert imports["main"] > {"viewer", "server"}
+    order = graphlib.TopologicalSorter(imports).static_order()
+    assert len(list(order)) == len(imports)  # CycleError names a circle

@@ -73,10 +73,11 @@ def test_pictures_points_and_selections(client: TestClient, viewed: ViewedField)
     camera = viewed.field.cameras[0]
     record = camera_record(camera)
     for mode in ("color", "heat", "mask", "codes"):
-        message = {"camera": record, "mode": mode, "text": "thing 3", "quality": 95}
+        asked = {"texts": ["thing 3", "thing 5"], "colors": [[64, 184, 245], [245, 158, 18]], "opacity": 0.7}
+        message = {"camera": record, "mode": mode, **asked, "quality": 95}
         answer = client.post("/api/render", json=message)
         shown = np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB")).astype(int)
-        wanted = viewed.picture(camera, mode, "thing 3").astype(int)  # pyright: ignore[reportArgumentType]
+        wanted = viewed.picture(camera, mode, **asked).astype(int)  # pyright: ignore[reportArgumentType]
         assert shown.shape == wanted.shape
         assert np.abs(shown - wanted).mean() < 8
     found = client.post("/api/point", json={"camera": record, "pixel": [20.7, 15.2]}).json()
@@ -87,6 +88,16 @@ def test_pictures_points_and_selections(client: TestClient, viewed: ViewedField)
     assert f"element vertex {viewed.answers(['thing 3'])[0].gaussians}\n".encode() in ply.content
     thumbnail = client.get("/api/thumbnail/2")
     assert Image.open(io.BytesIO(thumbnail.content)).size == (160, 120)
+
+
+ANY_CAMERA = {
+    "camera": {
+        "viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+        "K": [9, 0, 4, 0, 9, 4, 0, 0, 1],
+        "width": 8,
+        "height": 8,
+    }
+}
 
 
 @pytest.mark.parametrize(
@@ -100,6 +111,11 @@ def test_pictures_points_and_selections(client: TestClient, viewed: ViewedField)
         ("query", {"texts": ["thing 99"]}, "no text embedding named 'thing 99'"),
         ("query", {"texts": ["thing 1"], "always": 1}, "must be true or false"),
         ("render", {}, "the camera is missing"),
+        ("render", {**ANY_CAMERA, "texts": ["thing 1"]}, "expected 1 colors, got 0"),
+        ("render", {**ANY_CAMERA, "colors": [[1, 2]]}, "a color has 3 numbers"),
+        ("render", {**ANY_CAMERA, "colors": [[1, 2, 256]]}, "'color' must be 0 to 255"),
+        ("render", {**ANY_CAMERA, "colors": 7}, "at most 8 colors"),
+        ("render", {**ANY_CAMERA, "opacity": None}, "'opacity' must be 0 to 1"),
         ("render", {"camera": {"viewmat": [0] * 15}}, "must be 16 numbers"),
         ("render", {"camera": {"viewmat": [0] * 16, "K": ["1"] * 9}}, "must be 9 numbers"),
         ("point", {"camera": None}, "the camera is missing"),

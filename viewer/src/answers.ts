@@ -1,7 +1,6 @@
 // Where answers come from: the server, or the vocabulary within an exported page. Both give the same.
 import type { Packed, Progress } from "./safetensors";
-import type { CameraRecord, Metadata } from "./scene_data";
-import type { Thing } from "./things";
+import type { CameraRecord, Metadata, Thing } from "./scene_data";
 
 export interface Settings {
   mode: "live" | "remote" | "exported";
@@ -57,7 +56,10 @@ export interface Selection {
 export interface PictureRequest {
   camera: CameraRecord;
   mode: "color" | "heat" | "mask" | "codes";
-  text: string | null;
+  texts: string[];
+  /** Of the texts, 0..255. */
+  colors: [number, number, number][];
+  opacity: number;
   level: number | null;
   threshold: number | null;
   always: boolean;

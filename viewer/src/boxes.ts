@@ -2,7 +2,7 @@
 import * as THREE from "three";
 import type { World } from "./camera";
 import { SELECTED } from "./shader";
-import type { Thing } from "./things";
+import type { Thing } from "./scene_data";
 
 /** Corners of a box are numbered by the signs of their coordinates; an edge joins two that differ in one. */
 const EDGES = [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];

@@ -100,8 +100,8 @@ export class ExactPicture {
       this.received = what;
       if (number !== this.number) return;
     }
-    const text = request.text === null ? "" : ` of “${request.text}”`;
-    this.badge.textContent = `exact picture${text} (rendered codes, all Gaussians)`;
+    const texts = request.texts.map((text) => `“${text}”`).join(", ");
+    this.badge.textContent = `exact picture${texts && ` of ${texts}`} (rendered codes, all Gaussians)`;
     this.image.hidden = this.badge.hidden = false;
   }
 }

@@ -2,8 +2,7 @@
 import type { Answer, Source } from "./answers";
 import type { Words } from "./picking";
 import { fromBase64, unpack, type Packed, type Progress, type Tensor } from "./safetensors";
-import type { Metadata } from "./scene_data";
-import type { Thing } from "./things";
+import type { Metadata, Thing } from "./scene_data";
 
 interface PageData {
   scene: string;

@@ -28,6 +28,21 @@ export interface Metadata {
   cameras: CameraRecord[];
 }
 
+/** The facts of a thing, as Python has them (`CodedScene.things`); lengths in the units of the scene. */
+export interface Thing {
+  number: number;
+  /** Position of its level, fine to coarse. */
+  level: number;
+  /** Number of the thing it is a part of. */
+  parent: number | null;
+  /** The word of the vocabulary that fits best. */
+  name: string | null;
+  position: number[];
+  box: { centre: number[]; axes: number[][]; extent: number[] };
+  gaussians: number;
+  views: number;
+}
+
 /** The owner of a Gaussian that belongs to no thing. */
 export const NO_OWNER = 65535;
 

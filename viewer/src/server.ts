@@ -1,8 +1,7 @@
 // The server of a live page.
 import type { Answer, PictureRequest, Place, Selection, Server } from "./answers";
 import { download, fromBase64, unpack, type Packed, type Progress } from "./safetensors";
-import type { CameraRecord, Metadata } from "./scene_data";
-import type { Thing } from "./things";
+import type { CameraRecord, Metadata, Thing } from "./scene_data";
 
 const POLL_SECONDS = 3;
 

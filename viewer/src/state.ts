@@ -5,15 +5,17 @@ import { MOST_QUERIES, type Mode } from "./shader";
 import type { Look, ShownQuery } from "./splat";
 import type { Things } from "./things";
 
+type Color = [number, number, number];
+
 /** Of texts, in their order: easy to tell apart on grey, for the colour-blind too. */
-const COLORS: readonly [number, number, number][] = [
+const COLORS: readonly Color[] = [
   [0.96, 0.62, 0.07], [0.25, 0.72, 0.96], [0.35, 0.86, 0.45], [0.93, 0.4, 0.72], [0.98, 0.91, 0.35], [0.62, 0.52, 0.98],
   [0.95, 0.36, 0.27], [0.55, 0.95, 0.9],
 ];
 
 export interface Query {
   answer: Answer;
-  color: [number, number, number];
+  color: Color;
   hidden: boolean;
 }
 
@@ -119,12 +121,14 @@ export class State {
 
   /** What the server is to render in place of the page's own picture. */
   picture(camera: CameraRecord, quality: number): PictureRequest {
-    const first = this.visible()[0];
+    const visible = this.visible();
     const modes = { colour: "mask", heat: "heat", only: "mask", except: "mask", codes: "codes" } as const;
     let mode: PictureRequest["mode"] = this.mode in modes ? modes[this.mode as keyof typeof modes] : "color";
-    if (!first && mode !== "codes") mode = "color";
+    if (!visible.length && mode !== "codes") mode = "color";
     const level = mode === "codes" ? this.look().level : this.level;
-    const text = first && mode !== "codes" ? first.answer.text : null;
-    return { camera, mode, text, level, threshold: this.threshold, always: this.absent, quality };
+    const answering = mode === "heat" || mode === "mask" ? visible : [];
+    const texts = answering.map(({ answer }) => answer.text);
+    const colors = answering.map(({ color }): Color => [255 * color[0], 255 * color[1], 255 * color[2]]);
+    return { camera, mode, texts, colors, opacity: this.opacity, level, threshold: this.threshold, always: this.absent, quality };
   }
 }

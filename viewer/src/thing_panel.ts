@@ -1,6 +1,7 @@
 // The things in the panel: a card of what is selected, and the list that typing filters.
 import { byId, counted, element } from "./dom";
-import type { Thing, Things } from "./things";
+import type { Thing } from "./scene_data";
+import type { Things } from "./things";
 
 /** Rows of the list at most; typing finds the others. */
 const MOST_ROWS = 200;

@@ -1,21 +1,6 @@
 // The things of a scene: which are selected, hidden and named, and what a click selects.
-import { NO_OWNER, type Scene } from "./scene_data";
+import { NO_OWNER, type Scene, type Thing } from "./scene_data";
 import type { Painted } from "./picking";
-
-/** The facts of a thing, as Python has them (`CodedScene.things`); lengths in the units of the scene. */
-export interface Thing {
-  number: number;
-  /** Position of its level, fine to coarse. */
-  level: number;
-  /** Number of the thing it is a part of. */
-  parent: number | null;
-  /** The word of the vocabulary that fits best. */
-  name: string | null;
-  position: number[];
-  box: { centre: number[]; axes: number[][]; extent: number[] };
-  gaussians: number;
-  views: number;
-}
 
 /** What a click does beside selecting what is under the pointer. */
 export interface Click {

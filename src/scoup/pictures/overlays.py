@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -67,7 +69,10 @@ def heat_span(relevancy: np.ndarray) -> tuple[float, float]:
 
 
 def heat_overlay(
-    relevancy: ArrayOrTensor, rgb: ArrayOrTensor, span: tuple[float, float] | None = None
+    relevancy: ArrayOrTensor,
+    rgb: ArrayOrTensor,
+    span: tuple[float, float] | None = None,
+    opacity: float = 1.0,
 ) -> Picture:
     """Draw a relevancy map over the greyed colour render, [H, W, 3] uint8, without any lettering; low relevancy is
     see-through.
@@ -75,13 +80,14 @@ def heat_overlay(
     Args:
         relevancy, rgb: as for ``heat_map``.
         span: relevancy at the two ends of the colours; ``heat_span`` of the map if None.
+        opacity: 0..1, multiplies that of the colours.
     """
     values, picture = as_array(relevancy).astype(np.float64), as_picture(rgb)
     _check_size(values, picture, "relevancy")
     low, high = span or heat_span(values)
     amounts = heat_amounts(np.nan_to_num(values, nan=low), (low, high))
-    opacity = STRONGEST * heat_opacity(amounts)[..., None]
-    return (BACKDROP * grey(picture) * (1 - opacity) + heat_colors(amounts) * opacity).astype(np.uint8)
+    share = opacity * STRONGEST * heat_opacity(amounts)[..., None]
+    return (BACKDROP * grey(picture) * (1 - share) + heat_colors(amounts) * share).astype(np.uint8)
 
 
 def mask_overlay(
@@ -113,6 +119,48 @@ def mask_overlay(
         shown.astype(np.uint8), inside, np.minimum(np.array(color) * 0.75 + 64, 255), box, point
     )
     return captioned(drawn, label, remark) if label or remark else drawn
+
+
+def texts_overlay(
+    heats: Sequence[ArrayOrTensor],
+    masks: Sequence[ArrayOrTensor],
+    rgb: ArrayOrTensor,
+    colors: Sequence[Sequence[float]],
+    opacity: float = 1.0,
+    on_grey: bool = False,
+) -> Picture:
+    """Draw the answers to several texts as the viewer's page does: each in its colour, its mask outlined.
+
+    A pixel has the colour of the text with the largest relevancy, among those whose masks contain it if any does.
+
+    Args:
+        heats: [H, W] relevancy of each text.
+        masks: [H, W] bool of each text.
+        rgb: [H, W, 3] float 0..1 or uint8.
+        colors: of each text, 0..255.
+        opacity: of the colours, 0..1.
+        on_grey: draw over the greyed render; what is relevant outside of the masks is tinted faintly.
+
+    Returns:
+        [H, W, 3] uint8, without any lettering.
+    """
+    picture = as_picture(rgb)
+    values = [as_array(heat).astype(np.float64) for heat in heats]
+    amounts = np.stack([heat_amounts(np.nan_to_num(heat, nan=-np.inf), heat_span(heat)) for heat in values])
+    inside = np.stack([as_array(mask).astype(bool) for mask in masks])
+    _check_size(amounts[0], picture, "relevancy")
+    any_inside, most = np.any(inside, axis=0), amounts.max(0)
+    tint = np.asarray(colors, np.float64)[np.where(inside, 1 + amounts, amounts).argmax(0)]
+    if on_grey:
+        ground = BACKDROP * grey(picture) * np.ones(3)
+        share = opacity * np.where(any_inside, 0.85 + 0.15 * most, 0.5 * most**2)[..., None]
+    else:
+        ground = np.where(any_inside[..., None], picture, (1 - 0.35 * opacity) * picture)
+        share = opacity * np.where(any_inside, 0.9, 0)[..., None]
+    shown = (ground * (1 - share) + tint * share).astype(np.uint8)
+    for mask, color in zip(inside, colors, strict=True):
+        shown = _draw_marks(shown, mask, np.minimum(np.array(color) * 0.75 + 64, 255), None, None)
+    return shown
 
 
 def answer_overlay(

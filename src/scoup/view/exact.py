@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
-from scoup.pictures.overlays import heat_overlay, mask_overlay
+from scoup.pictures.overlays import heat_overlay, texts_overlay
 from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import Draw, code_drawing
 from scoup.query.methods import FieldQueries
@@ -24,6 +25,7 @@ from scoup.query.text_vectors import TextVectors
 from scoup.query.thing_shapes import ThingPoints
 from scoup.scene.cameras import Camera
 
+Colors: TypeAlias = Sequence[tuple[float, float, float]]
 PictureMode = Literal["color", "heat", "mask", "codes"]
 LARGEST_SIDE = 4096
 _WORDS_SHOWN = 5
@@ -35,8 +37,11 @@ class PictureRequest:
 
     camera: Camera  # sides of at most LARGEST_SIDE pixels
     mode: PictureMode = "color"
-    """heat: relevancy over the splat; mask: with its box and point; codes: like meaning, like colour."""
-    question: Question | None = None  # of one text, for heat and mask
+    """heat: relevancy over the splat, of several texts a colour each; mask: a colour each; codes: like meaning, like
+    colour."""
+    question: Question | None = None  # for heat and mask
+    colors: Colors = ()  # of the texts, 0..255
+    opacity: float = 1.0  # of heat and masks, 0..1
     level: int | None = None  # position of the level whose codes are shown; None: the middle one
 
     def __post_init__(self) -> None:
@@ -46,6 +51,8 @@ class PictureRequest:
             raise InputError(f"a picture has sides of at most {LARGEST_SIDE} pixels")
         if self.mode in ("heat", "mask") and self.question is None:
             raise InputError(f"the picture {self.mode!r} needs a text")
+        if self.question is not None and len(self.colors) != len(self.question.texts):
+            raise InputError(f"expected {len(self.question.texts)} colors, got {len(self.colors)}")
 
 
 class ExactPictures:
@@ -70,10 +77,11 @@ class ExactPictures:
         # A projection that was queried before answers quicker, and rounds otherwise: as nobody has queried this copy,
         # the picture does not depend on what others have asked.
         unasked = copy.copy(projection)
-        answer = self.field.answer(request.question, camera, projection=unasked)
-        if request.mode == "heat":
-            return heat_overlay(answer.heat, rgb)
-        return mask_overlay(answer.mask, rgb, answer.box, answer.point)
+        answers = self.field.answer(request.question, camera, projection=unasked)
+        if request.mode == "heat" and len(answers) == 1:
+            return heat_overlay(answers[0].heat, rgb, opacity=request.opacity)
+        heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
+        return texts_overlay(heats, masks, rgb, request.colors, request.opacity, request.mode == "heat")
 
     def projected(self, camera: Camera) -> raster.Projection:
         """Return the projection to a camera; the last one is kept."""

@@ -24,12 +24,26 @@ class Message:
 
     fields: dict[str, Any]  # as they came
 
-    def texts(self) -> list[str]:
-        """Return the 1 to ``MOST_TEXTS`` texts in "texts"."""
-        texts = self.fields.get("texts")
-        if not isinstance(texts, list) or not 1 <= len(texts) <= MOST_TEXTS:
-            raise InputError(f"pass 1 to {MOST_TEXTS} texts to look for")
+    def texts(self, least: int = 1) -> list[str]:
+        """Return the texts in "texts", ``MOST_TEXTS`` at most; a missing field has none."""
+        texts = self.fields.get("texts", [])
+        if not isinstance(texts, list) or not least <= len(texts) <= MOST_TEXTS:
+            raise InputError(f"pass {least} to {MOST_TEXTS} texts to look for")
         return [_checked_text(text) for text in texts]
+
+    def colors(self) -> list[tuple[float, float, float]]:
+        """Return the colours of the texts in "colors", 0..255; a missing field has none."""
+        colors = self.fields.get("colors", [])
+        if not isinstance(colors, list) or len(colors) > MOST_TEXTS:
+            raise InputError(f"pass at most {MOST_TEXTS} colors")
+        if not all(isinstance(color, list) and len(color) == 3 for color in colors):
+            raise InputError("a color has 3 numbers")
+        numbers = [[_number(part, "color", 0, 255) for part in color] for color in colors]
+        return [(red, green, blue) for red, green, blue in numbers]
+
+    def opacity(self) -> float:
+        """Return the opacity of the colours, 0 to 1; 1 if the field is missing."""
+        return _number(self.fields.get("opacity", 1.0), "opacity", 0, 1)
 
     def things(self) -> dict[int, str]:
         """Return the names, by number, of the things in "things"; none if the field is missing."""
@@ -44,11 +58,6 @@ class Message:
             found[number] = _checked_text(thing.get("name"))
         return found
 
-    def text(self) -> str | None:
-        """Return the text in "text"; None if there is none."""
-        text = self.fields.get("text")
-        return None if text is None else _checked_text(text)
-
     def level(self, count: int) -> int | None:
         """Return the position of a level among ``count``; None if there is none."""
         level = self.fields.get("level")
@@ -61,7 +70,7 @@ class Message:
     def threshold(self) -> float | None:
         """Return the threshold, 0 to 1; None if there is none."""
         threshold = self.fields.get("threshold")
-        return None if threshold is None else self._number("threshold", 0, 1)
+        return None if threshold is None else _number(threshold, "threshold", 0, 1)
 
     def flag(self, name: str) -> bool:
         """Return whether a field is true; False if it is missing."""
@@ -72,7 +81,7 @@ class Message:
 
     def quality(self, default: int = 85) -> int:
         """Return the quality of a JPEG."""
-        return default if "quality" not in self.fields else round(self._number("quality", *_QUALITIES))
+        return round(_number(self.fields.get("quality", default), "quality", *_QUALITIES))
 
     def camera(self) -> Camera:
         """Return the camera in "camera"; its sides are at most ``LARGEST_SIDE``."""
@@ -89,11 +98,11 @@ class Message:
         x, y = _numbers(self.fields, "pixel", 2)
         return math.floor(x), math.floor(y)
 
-    def _number(self, name: str, least: float, most: float) -> float:
-        value = self.fields.get(name)
-        if not isinstance(value, (int, float)) or not _is_number(value) or not least <= value <= most:
-            raise InputError(f"{name!r} must be {least:g} to {most:g}")
-        return float(value)
+
+def _number(value: Any, name: str, least: float, most: float) -> float:
+    if not _is_number(value) or not least <= value <= most:
+        raise InputError(f"{name!r} must be {least:g} to {most:g}")
+    return float(value)
 
 
 def _checked_text(text: Any) -> str:

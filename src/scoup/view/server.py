@@ -154,7 +154,9 @@ class _Answers:
         what = (
             message.camera(),
             mode,
-            message.text(),
+            message.texts(least=0),
+            message.colors(),
+            message.opacity(),
             message.level(self._n_levels),
             message.threshold(),
             message.flag("always"),

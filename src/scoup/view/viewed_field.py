@@ -23,7 +23,7 @@ from scoup.query.methods import FieldQueries
 from scoup.query.question import Question
 from scoup.query.splat_table import SplatTable
 from scoup.scene.cameras import Camera
-from scoup.view.exact import ExactPictures, PictureMode, PictureRequest, what_is_at
+from scoup.view.exact import Colors, ExactPictures, PictureMode, PictureRequest, what_is_at
 from scoup.view.page_things import page_things
 from scoup.view.scene_answers import PageAnswer, scene_answers
 from scoup.view.scene_data import scene_data, scene_metadata
@@ -157,15 +157,16 @@ class ViewedField:
         self,
         camera: Camera,
         mode: PictureMode = "color",
-        text: str | None = None,
+        texts: Sequence[str] = (),
+        colors: Colors = (),
+        opacity: float = 1.0,
         level: int | None = None,
         threshold: float | None = None,
         always: bool = False,
     ) -> Picture:
         """Return the method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
-        options = {"level": level, "threshold": threshold}
-        question = None if text is None else self.question(text, always, **options)
-        return self._pictures.picture(PictureRequest(camera, mode, question, level))
+        question = self.question(list(texts), always, level=level, threshold=threshold) if texts else None
+        return self._pictures.picture(PictureRequest(camera, mode, question, colors, opacity, level))
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
         """Return what is at a pixel; see ``scoup.view.exact.what_is_at``."""
