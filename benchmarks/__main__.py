@@ -28,6 +28,7 @@ STUDIES = Family(
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "extract": "benchmarks.extract:Extraction",
+        "mask-rules": "benchmarks.mask_rules:MaskRules",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "city": "benchmarks.city:Cities",

@@ -67,7 +67,7 @@ class Extraction(Study):
         unlabelled = spread([path for path in paths if path.stem not in frames], UNLABELLED)
         sam = open_sam(str(self.weights))
         if "decoder" not in known:
-            yield "decoder", _decoders(sam, _pixels(paths[0]))
+            yield "decoder", _decoders(sam, read_pixels(paths[0]))
         ways: dict[str, tuple[Any, Any]] = {name: (sam, settings) for name, settings in WAYS.items()}
         if self.onnx is not None:
             ways[SECOND] = (open_onnx_sam(f"onnx:{self.onnx}"), _FAST)
@@ -75,7 +75,7 @@ class Extraction(Study):
             rows = [name for name in ways if f"{path.stem}: {name}" not in known]
             if not rows:
                 continue
-            image, like = _pixels(path), None
+            image, like = read_pixels(path), None
             if path in unlabelled:
                 like = automatic_masks(image, sam, WAYS[ALL_POINTS])
             for name in rows:
@@ -164,7 +164,7 @@ class _TimedImage:
         return self.encoded.upscale(logits)
 
 
-def _pixels(path: Path) -> NDArray[np.uint8]:
+def read_pixels(path: Path) -> NDArray[np.uint8]:
     return np.asarray(Image.open(path).convert("RGB"))
 
 
@@ -190,20 +190,20 @@ def _decoders(sam: Sam, image: NDArray[np.uint8]) -> Record:
 def _best(found: dict[str, Masks], frame: LabelledFrame) -> dict[str, list[float]]:
     """Return the IoU of each thing's best region by level."""
     truth = np.stack([mask.numpy() for mask in frame.masks.values()])
-    return {level: _overlaps(truth, found[level].dense()).max(1, initial=0).tolist() for level in LEVELS}
+    return {level: overlaps(truth, found[level].dense()).max(1, initial=0).tolist() for level in LEVELS}
 
 
 def _kept(found: dict[str, Masks], like: dict[str, Masks]) -> float:
     """Return the share of other regions that have their like, of the same level."""
     best = [
-        _overlaps(like[level].dense(), found[level].dense()).max(1, initial=0)
+        overlaps(like[level].dense(), found[level].dense()).max(1, initial=0)
         for level in LEVELS
         if len(like[level])
     ]
     return float((np.concatenate(best) >= FOUND).mean())
 
 
-def _overlaps(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> NDArray[np.float32]:
+def overlaps(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return [A, B] IoU of masks [A, H, W] and [B, H, W]."""
     one, other = (masks.reshape(len(masks), -1).astype(np.float32) for masks in (first, second))
     shared = one @ other.T
