@@ -17,6 +17,7 @@ STUDIES = Family(
     """,
     {
         "answers": "benchmarks.answers:Answers",
+        "likeness": "benchmarks.likeness:Likeness",
         "absence": "benchmarks.absence:Absence",
         "selection": "benchmarks.selection:Selections",
         "labels": "benchmarks.labels:Labels",
@@ -28,6 +29,7 @@ STUDIES = Family(
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "extract": "benchmarks.extract:Extraction",
+        "embed": "benchmarks.embed:Embedding",
         "mask-rules": "benchmarks.mask_rules:MaskRules",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",

@@ -222,26 +222,29 @@ def cut(image: NDArray[np.uint8], decoded: Decoded, rule: Rule) -> tuple[dict[st
 def fates(painted: Mapping[str, Labels], frame: LabelledFrame) -> Record:
     """Return name -> level -> IoU of the best region, and what became of a thing without one."""
     return {
-        name: {level: _fate(labels, mask.numpy()) for level, labels in painted.items()}
+        name: {level: fate(labels, mask.numpy())[1:] for level, labels in painted.items()}
         for name, mask in frame.masks.items()
     }
 
 
-def _fate(labels: Labels, truth: NDArray[np.bool_]) -> tuple[float, str]:
+def fate(labels: NDArray[np.signedinteger], truth: NDArray[np.bool_]) -> tuple[int, float, str]:
+    """Return the region of labels [H, W] with the largest IoU with a thing, the IoU, and "found" or its fate."""
     sizes = np.bincount(labels.ravel() + 1, minlength=2)
     inside = np.bincount(labels[truth] + 1, minlength=len(sizes))
     whole, none = int(truth.sum()), int(inside[0])
     sizes, inside = sizes[1:], inside[1:]
-    best = float((inside / np.maximum(sizes + whole - inside, 1)).max(initial=0))
-    if best >= FOUND:
-        return best, "found"
-    if none > whole / 2:
-        return best, "missing"
+    ious = inside / np.maximum(sizes + whole - inside, 1)
+    number, largest = int(ious.argmax()), int(inside.argmax())
     mostly = 2 * inside >= sizes
-    largest = int(inside.argmax())
-    if 2 * inside[largest] >= whole and not mostly[largest]:
-        return best, "swallowed"
-    return best, "split" if 2 * inside[mostly].sum() >= whole else "mixed"
+    if ious[number] >= FOUND:
+        became = "found"
+    elif none > whole / 2:
+        became = "missing"
+    elif 2 * inside[largest] >= whole and not mostly[largest]:
+        became = "swallowed"
+    else:
+        became = "split" if 2 * inside[mostly].sum() >= whole else "mixed"
+    return number, float(ious[number]), became
 
 
 def _summary(rows: dict[str, Any], rule: str, frames: list[str]) -> Record:

@@ -15,7 +15,7 @@ from scoup.models.dense import DenseModel
 # Of the model's size, which fill the shorter side of a photograph. With more, smaller things have places of their own;
 # the work grows with the square.
 WINDOWS = 2
-_MASKS_AT_ONCE = 16
+_MASKS_AT_ONCE = 64
 
 
 class DenseEmbedder:
@@ -42,12 +42,25 @@ class DenseEmbedder:
         return round(height * factor) * patch, round(width * factor) * patch
 
     def _pool(self, tokens: Tensor, found: Masks) -> Tensor:
-        numbers = range(len(found))
-        parts = [numbers[start : start + _MASKS_AT_ONCE] for start in numbers[::_MASKS_AT_ONCE]]
-        rows = [self.model.pool(tokens, self._shares(found.select(part), tokens)).cpu() for part in parts]
-        return torch.cat(rows) if rows else torch.zeros(0, self.dim)
+        shares = area_shares(found, tokens.shape[0], tokens.shape[1]).to(tokens.device)
+        rows = [self.model.pool(tokens, part).cpu() for part in shares.split(_MASKS_AT_ONCE)]
+        return torch.cat(rows) if len(found) else torch.zeros(0, self.dim)
 
-    def _shares(self, found: Masks, tokens: Tensor) -> Tensor:
-        """Return [N, h, w] the share of each token's area that a mask covers."""
-        dense = torch.from_numpy(found.dense()).to(tokens.device)[:, None].float()
-        return functional.adaptive_avg_pool2d(dense, (tokens.shape[0], tokens.shape[1]))[:, 0]
+
+def area_shares(found: Masks, rows: int, columns: int) -> Tensor:
+    """Return [N, rows, columns] float32, the share of each cell of a grid over the image that a mask covers."""
+    down, across = _averages(found.size[0], rows), _averages(found.size[1], columns)
+    shares = torch.zeros(len(found), rows, columns)
+    for number in range(len(found)):
+        y, x = found.place(number)
+        shares[number] = down[:, y] @ torch.from_numpy(found.crop(number)).float() @ across[:, x].T
+    return shares
+
+
+def _averages(length: int, cells: int) -> Tensor:
+    """Return [cells, length] weights of pixels in the mean of each cell; cells include pixels that they cut."""
+    starts = torch.arange(cells) * length // cells
+    stops = -((torch.arange(cells) + 1) * -length // cells)
+    pixels = torch.arange(length)
+    inside = ((pixels >= starts[:, None]) & (pixels < stops[:, None])).float()
+    return inside / inside.sum(1, keepdim=True)
