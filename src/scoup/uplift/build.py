@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -77,33 +78,30 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
     settings = build_settings(settings)
-    if sums is None:
-        with temporary_folder() as folder:
+    with ExitStack() as stack:
+        if sums is None:
+            folder = stack.enter_context(temporary_folder())
             sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
-            return build(
-                gaussians, cameras, regions, settings, embedding_model=embedding_model, geometry_path=geometry_path,
-                backend=backend, sums=sums, check_fit=check_fit, progress=progress,
-            )  # fmt: skip
-    check_sums(sums, gaussians, regions, settings.raster_preset)
-    for oddity in oddities(gaussians):
-        warnings.warn(oddity, ScoupWarning, stacklevel=2)
-    views = cameras_with_regions(cameras, regions)
-    regions = regions.select([camera.name for camera in views])
-    embeddings = RegionEmbeddings.load(regions)
-    device = gaussians.device
-    if check_fit and not len(sums):
-        fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path)
+        check_sums(sums, gaussians, regions, settings.raster_preset)
+        for oddity in oddities(gaussians):
+            warnings.warn(oddity, ScoupWarning, stacklevel=2)
+        views = cameras_with_regions(cameras, regions)
+        regions = regions.select([camera.name for camera in views])
+        embeddings = RegionEmbeddings.load(regions)
+        device = gaussians.device
+        if check_fit and not len(sums):
+            fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path)
 
-    codes = learn_region_codes(sums, embeddings, settings, device, progress)
-    digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
-    del embeddings  # the rest needs codes and rounded embeddings only
-    add_views(sums, gaussians, views, regions, backend, progress)
-    things = thing_table(sums, codes, progress)
-    path = None if geometry_path is None else Path(geometry_path)
-    sources = Sources(tuple(views), embedding_model, path, digest)
-    field = vote_field(sums, codes, things, sources, settings, device, backend, progress)
-    field.attach(gaussians, known=True)
-    return field
+        codes = learn_region_codes(sums, embeddings, settings, device, progress)
+        digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
+        del embeddings  # the rest needs codes and rounded embeddings only
+        add_views(sums, gaussians, views, regions, backend, progress)
+        things = thing_table(sums, codes, progress)
+        path = None if geometry_path is None else Path(geometry_path)
+        sources = Sources(tuple(views), embedding_model, path, digest)
+        field = vote_field(sums, codes, things, sources, settings, device, backend, progress)
+        field.attach(gaussians, known=True)
+        return field
 
 
 @dataclass(frozen=True, eq=False)
