@@ -25,11 +25,13 @@ from benchmarks.answers import difference_cell, table_of
 from benchmarks.city import Cities
 from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
+from benchmarks.embed import Embedding
 from benchmarks.endurance import Endurance
 from benchmarks.extract import Extraction
 from benchmarks.hostile.study import Detection, Hostile
 from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
+from benchmarks.likeness import Likeness
 from benchmarks.locate import Locate
 from benchmarks.power_loss import PowerLoss
 from benchmarks.query import Query
@@ -88,10 +90,16 @@ def extraction() -> str:
 def whole_way() -> str:
     """Return the time of each step from photographs to answers."""
     masks = next(row for row in record("extract")["rows"] if row["way"] == "fast")["seconds"]
+    dense = record("embed")["rows"]["clip/dense"]
     build, query = record("lerf_sized"), record("query")["least"]
     rows = [
         ["masks, `scoup extract`, MobileSAM", "one photograph of 953 x 535", f"{masks:.1f} CPU s"],
         ["masks of a whole scene (computed)", "200 such photographs", f"{200 * masks / 60:.0f} CPU min"],
+        [
+            "embeddings, CLIP ViT-B/16, `dense:MODEL`",
+            f"{dense['regions']} regions of one photograph of 988 x 731",
+            f"{dense['cpu_seconds']:.1f} CPU s",
+        ],
         ["`scoup build`", "1M Gaussians, 200 views of 988 x 731", f"{build['total_s']:.0f} s, 2 threads"],
         [
             "`scoup query`, one text and view",
@@ -190,6 +198,8 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "lerf sized": (LerfSized, "lerf_sized"),
     "coding, compared": (Coding, "coding"),
     "extract": (Extraction, "extract"),
+    "embed": (Embedding, "embed"),
+    "likeness": (Likeness, "likeness"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),

@@ -132,6 +132,17 @@ def tiny_siglip(seed: int = 0, side: int = 32) -> Any:
     return lively(transformers.SiglipModel(config).eval())
 
 
+def tiny_siglip2() -> Any:
+    """The variant for images of any shape."""
+    config = of_transformers("Siglip2Config")(
+        text_config={"hidden_size": 16, "intermediate_size": 8, "num_hidden_layers": 1,
+                     "num_attention_heads": 2, "vocab_size": 50},
+        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
+                       "num_attention_heads": 2, "num_patches": 16, "patch_size": 8},
+    )  # fmt: skip
+    return lively(of_transformers("Siglip2Model")(config).eval())
+
+
 def saved(model: Any, folder: Path, **preprocessor: Any) -> Path:
     """The model as a folder that ``from_pretrained`` reads, with a preprocessor_config.json if given any."""
     model.save_pretrained(folder)

@@ -11,8 +11,9 @@ from torch.nn import functional
 
 from scoup.base.errors import ScoupError
 from scoup.models.dense import DenseModel, _starts, open_dense_model
+from scoup.models.image import open_image_model
 from scoup.models.normalization import CLIP, HALF
-from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip
+from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip, tiny_siglip2
 
 SIDE, PATCH, GRID = 32, 8, 4
 
@@ -102,5 +103,11 @@ def test_as_few_windows_as_cover_a_length(length: int, window: int) -> None:
 def test_other_models_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ScoupError, match="no image features; use CLIP or SigLIP"):
         open_dense_model(f"dense:{saved(tiny_sam(), tmp_path)}")
+    naflex = saved(tiny_siglip2(), tmp_path / "naflex")
+    for load in (open_dense_model, open_image_model):
+        with pytest.raises(
+            ScoupError, match="images of any shape, which is not supported; use one of a fixed"
+        ):
+            load(str(naflex))
     with pytest.raises(ScoupError, match="embedder 'dense:nobody/nothing' cannot be loaded"):
         open_dense_model("dense:nobody/nothing")

@@ -25,7 +25,7 @@ class Choice:
     size: str = "-"  # of the weights in 32 bits
     licence: str = "-"  # of the weights, or of the package where there are none
     seconds: float | None = (
-        None  # of a CPU per photograph, preset fast: docs/benchmarks/extract.json; None: not measured
+        None  # of a CPU per photograph: docs/benchmarks/extract.json (preset fast), embed.json; None: not measured
     )
     extra: str = ""  # of scoup, which brings the packages that it needs
     file: tuple[str, str] | None = (
@@ -80,12 +80,12 @@ SEGMENTERS = (
 )  # fmt: skip
 EMBEDDERS = (
     Choice(
-        _CLIP, "CLIP ViT-B/16, as LangSplat: the default", "598 MB", "MIT", None, "models",
+        _CLIP, "CLIP ViT-B/16, as LangSplat: the default", "598 MB", "MIT", 47.6, "models",
         (_CLIP, "model.safetensors"),
     ),
     Choice("FOLDER or hub id", "any CLIP or SigLIP of transformers", extra="models"),
     Choice(
-        f"{dense.PREFIX}MODEL", "the same models in one pass per photograph instead of one per region",
+        f"{dense.PREFIX}MODEL", "the same models in one pass per photograph instead of one per region", seconds=2.4,
         extra="models",
     ),
     Choice(f"{OPEN_CLIP}ARCHITECTURE/PRETRAINED", "open_clip", extra="open-clip"),

@@ -46,6 +46,11 @@ def load_tower(files: Pretrained, modality: Modality) -> Tower:
     model = files.model(files.transformers.AutoModel, config=config)
     if not hasattr(model, f"get_{modality}_features"):
         raise ScoupError(f"{config.model_type!r} models have no {modality} features; use CLIP or SigLIP")
+    if modality == "image" and not hasattr(of_half, "image_size"):  # SigLIP 2 NaFlex
+        raise ScoupError(
+            f"{config.model_type!r} models take images of any shape, which is not supported; use one of a fixed "
+            "size, such as google/siglip2-base-patch16-224"
+        )
     return Tower(modality, False, model, of_half)
 
 
