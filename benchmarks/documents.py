@@ -33,6 +33,7 @@ from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.likeness import Likeness
 from benchmarks.locate import Locate
+from benchmarks.mask_rules import MaskRules
 from benchmarks.power_loss import PowerLoss
 from benchmarks.query import Query
 from benchmarks.selection import Selections
@@ -199,6 +200,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "coding, compared": (Coding, "coding"),
     "extract": (Extraction, "extract"),
     "embed": (Embedding, "embed"),
+    "mask rules": (MaskRules, "mask_rules"),
     "likeness": (Likeness, "likeness"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
