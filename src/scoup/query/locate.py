@@ -171,8 +171,8 @@ def rough_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
     coarser = next(step for step in range(64) if int((differing >> 3 * step > 0).sum()) < MOST_LINKED)
     cells = torch.empty_like(order)
     cells[order] = torch.nn.functional.pad(differing >> 3 * coarser > 0, (1, 0)).cumsum(0)
-    own, counts = cells.numpy(), np.bincount(cells.numpy())
-    middles = np.stack([np.bincount(own, axis) for axis in points.T], 1) / counts[:, None]
+    own = cells.numpy()
+    middles = np.stack([np.bincount(own, axis) for axis in points.T], 1) / np.bincount(own)[:, None]
     return connected_parts(middles)[own]
 
 

@@ -166,14 +166,13 @@ def _quantiles(
     low, high = np.minimum.reduceat(values, firsts), np.maximum.reduceat(values, firsts)
     span = np.where(high > low, high - low, 1.0)
     bins = np.minimum((values - low[rows]) / span[rows] * BINS, BINS - 1).astype(np.int64) + rows * BINS
-    sums = np.bincount(bins, weights, len(firsts) * BINS).reshape(-1, BINS).cumsum(1)
+    sums = np.zeros((len(firsts), BINS + 1))  # of all bins before
+    sums[:, 1:] = np.bincount(bins, weights, len(firsts) * BINS).reshape(-1, BINS).cumsum(1)
     found = np.empty((len(firsts), len(shares)))
     for place, share in enumerate(shares):
         wanted = share * sums[:, -1]
-        chosen = (sums[:, :-1] < wanted[:, None]).sum(1)
-        below = np.where(
-            chosen > 0, np.take_along_axis(sums, np.maximum(chosen - 1, 0)[:, None], 1)[:, 0], 0.0
-        )
+        chosen = (sums[:, 1:-1] < wanted[:, None]).sum(1)
+        below = sums[np.arange(len(firsts)), chosen]
         members = np.flatnonzero(bins == (np.arange(len(firsts)) * BINS + chosen)[rows])
         members = members[np.lexsort((values[members], rows[members]))]
         starts = np.searchsorted(rows[members], np.arange(len(firsts) + 1))

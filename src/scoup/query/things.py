@@ -185,9 +185,12 @@ def _rendered(
     )
     found: list[tuple[Tensor, int] | None] = []
     for each in chosen:
-        level = None if each is None else int(things.levels[each[0]])
-        mask = None if level is None else next(shares) > 0.5 * owned[level]
-        found.append(None if mask is None or level is None or not bool(mask.any()) else (mask, level))
+        if each is None:
+            found.append(None)
+            continue
+        level = int(things.levels[each[0]])
+        mask = next(shares) > 0.5 * owned[level]
+        found.append((mask, level) if bool(mask.any()) else None)
     return found
 
 
