@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import scoup
+from benchmarks.bounds import least_work, machine_rates
 from benchmarks.study import Record, Study, report
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.bench import (
@@ -21,7 +22,7 @@ from scoup_lab.bench import (
 )
 from scoup_lab.synthetic.random_scene import HEIGHT, REGIONS, WIDTH
 
-STAGES = ("coding", "region sums", "vote")
+STAGES = ("coding", "region sums", "things", "vote")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +85,8 @@ class LerfSized(Study):
                 "coding": field.info.provenance["coding"],
                 "peak_memory_bytes": peak_memory(),
                 "peak_memory_before_build_bytes": before,
+                "machine_rates": machine_rates(self.threads),
+                "least": least_work(gaussians, cameras, regions, settings),
             },
         )
 
@@ -92,16 +95,33 @@ class LerfSized(Study):
 
     @staticmethod
     def table(record: Record) -> str:
-        """Return the stages as shares of the whole build."""
+        """Return the stages as shares of the whole build, beside what they must at least do."""
         stages: dict[str, float] = dict.fromkeys((*STAGES, "all else"), 0.0)
         for name, seconds in record["seconds"].items():
             stages[next((stage for stage in STAGES if stage in name), "all else")] += seconds
         total, threads = record["total_s"], record["settings"]["threads"]
-        rows = [[name, f"{100 * seconds / total:.0f} %"] for name, seconds in stages.items()]
-        rows.append([f"all, {threads} threads, of a minute", f"{total / 60:.2f}"])
+        rows = [
+            [name, f"{100 * seconds / total:.0f} %", *_bounds(record, name, seconds)]
+            for name, seconds in stages.items()
+        ]
+        rows.append([f"all, {threads} threads, of a minute", f"{total / 60:.2f}", "", "", "", ""])
         if record["peak_memory_bytes"] is not None:
-            rows.append(["peak memory, GB", f"{record['peak_memory_bytes'] / 1e9:.2f}"])
-        return markdown(["stage", "share of the time"], rows)
+            rows.append(["peak memory, GB", f"{record['peak_memory_bytes'] / 1e9:.2f}", "", "", "", ""])
+        head = ["stage", "share of the time", "GB moved", "by copying", "GFLOP", "by multiplying"]
+        return markdown(head, rows)
+
+
+def _bounds(record: Record, stage: str, seconds: float) -> list[str]:
+    """The least work of a stage, and its time in times of what this machine takes for as much."""
+    least, rates = record["least"].get(stage), record["machine_rates"]
+    if least is None:
+        return [""] * 4
+    return [
+        f"{least['bytes'] / 1e9:.1f}",
+        f"{seconds * rates['bytes_per_s'] / least['bytes']:.1f} x",
+        f"{least['flops'] / 1e9:.0f}",
+        f"{seconds * rates['flops_per_s'] / least['flops']:.1f} x",
+    ]
 
 
 def peak_memory() -> int | None:
