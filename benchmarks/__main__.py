@@ -39,7 +39,6 @@ STUDIES = Family(
         "server-load": "benchmarks.server_load:ServerLoad",
         "hostile": "benchmarks.hostile.study:Hostile",
         "hostile-detection": "benchmarks.hostile.study:Detection",
-        "hostile-guided": "benchmarks.hostile.study:Guided",
     },
 )
 

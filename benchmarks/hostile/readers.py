@@ -130,12 +130,6 @@ def _regions(folder: Path) -> None:
         view.read()
 
 
-def _origin(folder: Path) -> None:
-    from scoup.io.regions.langsplat import origin
-
-    origin(folder / "features", "view_00")
-
-
 def _field(file: str, *more: str) -> Reader:
     def read(folder: Path) -> None:
         read_facts(folder / file)

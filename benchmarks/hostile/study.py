@@ -1,14 +1,10 @@
-"""Damaged files for every reader, as two studies: chosen by a seed, and chosen by the code that they reach."""
+"""Damaged files for every reader, as two studies: damage of every kind, and what is noticed of plain damage."""
 
 from __future__ import annotations
 
-import re
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,13 +16,6 @@ from benchmarks.hostile.worker import Way
 from benchmarks.study import Record, Study
 from scoup.base.errors import looked_up
 from scoup_lab.bench import markdown
-
-TABLE = "benchmarks.hostile.readers:READERS"
-IN_PYTHON = (
-    "ply", "ascii ply", "compressed ply", "splat", "spz", "glb", "gltf", "cameras.bin", "images.bin", "cameras.txt",
-    "images.txt", "points3D.txt", "transforms.json", "cameras.json", "cfg_args", "config.yml", "cfg.yml",
-    "region labels", "regions", "regions.json", "field", "region sums", "shards", "words.json",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,78 +135,3 @@ class Detection(Study):
             for reader, of in record["readers"].items()
         ]
         return markdown(["reader", "one bit flipped: refused", "cut short: refused"], rows)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Guided(Study):
-    """Give readers damaged files that are chosen by the code that they reach (atheris, that is libFuzzer).
-
-    For readers whose code is Python; needs `pip install atheris`. Valid files are the first corpus, what reaches new
-    code joins it, and is kept in --corpus for the next run. An exception that is no ScoupError, or one whose message is
-    not one line that names the file, a hang of ten seconds, or resident memory beyond 2 GB ends the reader's run, and
-    is a failure. The command ends with 1 where there are failures, and keeps their files (--failures).
-    """
-
-    runs: int = 20_000
-    """Files for each reader."""
-    seed: int = 1
-    """Of the damage; 0 is one of the clock's."""
-    readers: tuple[str, ...] = IN_PYTHON
-    """Which readers, by name."""
-    reader_table: str = TABLE
-    """"module:table" of the readers."""
-    corpus: Path | None = None
-    """Folder for files that reach new code, a folder per reader; by default they are not kept."""
-    failures: Path | None = None
-    """Folder for the files that made a reader fail."""
-
-    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        for reader in self.readers:
-            if reader not in known:
-                yield reader, self._run(reader)
-
-    def line(self, figures: Any) -> str:
-        return str(figures)
-
-    def record(self, rows: dict[str, Any]) -> Record:
-        return {"readers": list(rows.values()), "failures": sum(row["failed"] for row in rows.values())}
-
-    @staticmethod
-    def failed(record: Record) -> bool:
-        return record["failures"] > 0
-
-    @staticmethod
-    def table(record: Record) -> str:
-        """Return one line per reader."""
-        numbers = ("runs", "reached_at_first", "reached")
-        rows = [
-            [of["reader"], *(f"{of[name]:,}" for name in numbers), str(int(of["failed"]))]
-            for of in record["readers"]
-        ]
-        return markdown(["reader", "files", "edges reached by valid files", "by all", "failures"], rows)
-
-    def _run(self, reader: str) -> Record:
-        """Run one reader in a process of its own: what is instrumented must not be imported here."""
-        with ExitStack() as stack:
-            folders = []
-            for kept in (self.corpus, self.failures):
-                home = kept or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="guided-")))
-                folders.append(home / re.sub(r"\W+", "_", reader))
-                folders[-1].mkdir(parents=True, exist_ok=True)
-            arguments = [self.reader_table, reader, *folders, self.runs, self.seed]
-            command = [sys.executable, "-m", "benchmarks.hostile.guided", *map(str, arguments)]
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace")
-        failed = done.returncode != 0
-        said = done.stderr[-2000:] if failed else ""
-        return {"reader": reader, **coverage(done.stderr), "failed": failed, "said": said}
-
-
-def coverage(log: str) -> dict[str, int]:
-    """Return runs, and edges of code that the valid files reach, and all in the end, from libFuzzer's log."""
-    covered = [int(number) for number in re.findall(r"cov: (\d+)", log)]
-    runs = re.findall(r"^#(\d+)", log, re.MULTILINE)
-    return {
-        "runs": int(runs[-1]) if runs else 0,
-        "reached_at_first": covered[0] if covered else 0,
-        "reached": covered[-1] if covered else 0,
-    }
