@@ -33,6 +33,7 @@ STUDIES = Family(
         "mask-rules": "benchmarks.mask_rules:MaskRules",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
+        "editors": "benchmarks.editors:Editors",
         "city": "benchmarks.city:Cities",
         "endurance": "benchmarks.endurance:Endurance",
         "power-loss": "benchmarks.power_loss:PowerLoss",

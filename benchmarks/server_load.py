@@ -22,10 +22,10 @@ import numpy as np
 
 import scoup
 from benchmarks.study import Record, Study
-from benchmarks.viewer import PROGRAM, served, write_field
+from benchmarks.viewer import PROGRAM, VIEWS, served, write_field
 from scoup.models.words import EVERYDAY_WORDS
 from scoup.scene.cameras import Camera, Cameras
-from scoup_lab.bench import markdown
+from scoup_lab.bench import markdown, random_scene_cameras, random_scene_gaussians
 
 PASSED_ON = {503: "busy", 409: "superseded"}
 WORDS = EVERYDAY_WORDS[:60]
@@ -174,7 +174,8 @@ class ServerLoad(Study):
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as folder:
-            path = write_field(Path(folder), self.n_gaussians)
+            gaussians = random_scene_gaussians(self.n_gaussians)
+            path = write_field(Path(folder), gaussians, random_scene_cameras(VIEWS, 320, 240))
             cameras = scoup.LanguageField.load(path).cameras
             assert cameras is not None
             log = Path(folder) / "log"

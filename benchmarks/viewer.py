@@ -16,14 +16,16 @@ from statistics import median
 from typing import IO, Any
 
 import scoup
-from benchmarks.chromium import chromium, program
+from benchmarks.chromium import COUNTER, chromium, frames_per_second, program
 from benchmarks.data import data_folder
 from benchmarks.merged import OTHERS, TUNED, of_scene
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.scene.cameras import Cameras
 from scoup.scene.field_info import FieldInfo
+from scoup.scene.gaussians import Gaussians
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.viewer import Viewer
@@ -36,6 +38,7 @@ RECOLOURING_BYTES = 32
 viewer was made)."""
 PROGRAM = (sys.executable, "-c", "from scoup.cli.app import entry; entry()")
 START_REPEATS = 3
+PLACE = (160, 240)  # of the picture, where the pointer drags
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +58,8 @@ class ViewerCost(Study):
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as folder:
-            path = write_field(Path(folder), self.n_gaussians)
+            cameras = random_scene_cameras(VIEWS, 320, 240)
+            path = write_field(Path(folder), random_scene_gaussians(self.n_gaussians), cameras)
             yield "sent", sent_bytes(path)
             yield "start", start_seconds(path)
             if program() is not None:
@@ -98,27 +102,37 @@ def merged_table(record: Record) -> str:
 
 
 def page_seconds(path: Path) -> dict[str, float]:
-    """Return seconds from opening the address until something can be drawn, and until all Gaussians can be."""
+    """Return seconds from opening the address until something can be drawn, and until all Gaussians can be; and frames
+    per second while the camera moves, also if all Gaussians are drawn.
+    """
     with served(path) as (address, _), chromium() as browser:
         page = browser.new_page(viewport={"width": 640, "height": 480})
+        page.set_default_timeout(0)
+        page.add_init_script(COUNTER)
         started = time.perf_counter()
         page.goto(address)
         page.evaluate("scoupViewer.ready")
         first = time.perf_counter() - started
         page.evaluate("scoupViewer.whole")
-        return {"first Gaussians loaded, s": first, "all Gaussians loaded, s": time.perf_counter() - started}
+        whole = time.perf_counter() - started
+        page.evaluate("window.clock = performance.now.bind(performance); performance.now = () => 0")
+        slow = frames_per_second(page, PLACE)  # by this clock, no frame is slow
+        page.evaluate("performance.now = window.clock")
+        frames_per_second(page, PLACE)  # finds that they are
+        return {
+            "first Gaussians loaded, s": first,
+            "all Gaussians loaded, s": whole,
+            "frames per second while moving, all Gaussians": slow,
+            "frames per second while moving": frames_per_second(page, PLACE),
+        }
 
 
-def write_field(folder: Path, count: int) -> Path:
-    """Write a field of the random scene, its Gaussians embedded, and its word table beside it."""
-    path = folder / f"scene_{count}.scoup"
-    if path.exists():
-        return path
-    gaussians = random_scene_gaussians(count)
+def write_field(folder: Path, gaussians: Gaussians, cameras: Cameras) -> Path:
+    """Write a field with made-up codes, its Gaussians embedded, and its word table beside it."""
+    path = folder / "scene.scoup"
     indices, weights = random_scene_codes(gaussians.means, 3, ATOMS, KEEP)
     codebook = clip_like(3 * ATOMS).view(3, ATOMS, -1)
     info = FieldInfo(("s", "m", "l"), "words.npz", gaussians.fingerprint(), len(gaussians))
-    cameras = random_scene_cameras(VIEWS, 320, 240)
     words = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
     save_table(folder / "words.npz", words, clip_like(len(words), seed=3), model="simulated", overwrite=True)
     LanguageField(indices, weights, codebook, info, gaussians, cameras=cameras).save(path)

@@ -100,6 +100,21 @@ def test_the_scene_is_seen_as_our_rasteriser_draws_it(visit: Visit, viewed: View
     assert difference(visit.picture(), render(viewed, camera)) > 3 * ALIKE
 
 
+def test_a_high_picture_shows_all_that_the_camera_sees(browser: Browser, live: str, viewed: ViewedField):
+    with visiting(browser, live, (390, 844), is_mobile=True) as visit:
+        visit.page.locator("#collapse").click()
+        visit.settle()
+        picture = visit.picture()
+        height, width = picture.shape[:2]
+        assert height > width
+        assert not visit.page.get_by_role("tab", name="View").is_visible()
+        assert viewed.field.cameras is not None
+        seen = viewed.field.cameras[0].resized(width, width * 3 // 4)
+        above = (height - seen.height) // 2
+        middle = picture[above : above + seen.height]
+        assert difference(middle, render(viewed, seen)) < 2 * ALIKE  # up to half a pixel
+
+
 def test_a_text_lights_up_its_thing_and_nothing_else(visit: Visit, camera: Camera):
     before = patches(visit.picture(), camera)
     visit.ask("kettle")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import re
 import shlex
 import signal
@@ -92,6 +93,29 @@ def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch: pyt
         assert "more are loading" not in visit.page.inner_text("#facts")
         visit.ask("kettle")
         assert difference(visit.picture(), wanted) < ALIKE
+
+
+def test_slow_browsers_draw_fewer_gaussians_while_the_camera_moves(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 60)
+    viewed = ViewedField(things_field(), table())
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        visit.page.evaluate("window.scoupViewer.whole")
+        visit.ask("kettle")
+        rest = visit.picture()
+        assert visit.state()["drawing"] == len(viewed.field)
+        # A clock by which every frame takes a second.
+        visit.page.evaluate("performance.now = () => (window.ticks = (window.ticks ?? 0) + 1000)")
+        visit.page.locator("#canvas").focus()
+        key = itertools.cycle(["ArrowLeft", "ArrowRight"])
+        while visit.state()["drawing"] > 60:
+            visit.page.keyboard.press(next(key))
+        if next(key) == "ArrowRight":
+            visit.page.keyboard.press("ArrowRight")
+        visit.settle()
+        assert visit.state()["drawing"] == len(viewed.field)
+        assert difference(visit.picture(), rest) < ALIKE
 
 
 def _whole_when(held: threading.Event, scene: Callable[..., bytes], coarse: bool) -> bytes:

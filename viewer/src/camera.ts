@@ -41,6 +41,9 @@ export class Eye {
   at: CameraRecord | null = null;
   onMove: () => void = () => {};
   readonly world: World;
+  /** Of the camera that was flown to last: half the height of the picture at depth 1, and width by height. */
+  private half = Math.tan(THREE.MathUtils.degToRad(25));
+  private shape = 0;
   private flight = 0;
   private dragged = false;
 
@@ -69,9 +72,15 @@ export class Eye {
     });
   }
 
-  /** The shape of the picture; the field of view stays that of the height. */
+  /** The shape of the picture: all that the camera sees is in it, more beside or above it. */
   resize(width: number, height: number): void {
     this.camera.aspect = width / Math.max(1, height);
+    this.fit();
+  }
+
+  private fit(): void {
+    const half = this.half * Math.max(1, this.shape / this.camera.aspect);
+    this.camera.fov = 2 * THREE.MathUtils.radToDeg(Math.atan(half));
     this.camera.updateProjectionMatrix();
   }
 
@@ -80,18 +89,20 @@ export class Eye {
     this.land();
     const flight = this.flight;
     const { position, quaternion } = this.poseOf(record);
-    const fov = 2 * THREE.MathUtils.radToDeg(Math.atan(record.height / 2 / record.K[4]));
+    const half = record.height / 2 / record.K[4];
+    const shape = (record.width / record.height) * (record.K[4] / record.K[0]);
     const ahead = new THREE.Vector3(0, 0, -1).applyQuaternion(quaternion);
     const depth = Math.max(-position.dot(ahead), 0.1);
     const target = position.clone().addScaledVector(ahead, depth);
-    const from = { position: this.camera.position.clone(), target: this.controls.target.clone(), fov: this.camera.fov };
+    const from = { position: this.camera.position.clone(), target: this.controls.target.clone(), half: this.half, shape: this.shape };
     const start = performance.now();
     for (let share = flies ? 0 : 1; ; ) {
       const eased = share * share * (3 - 2 * share);
       this.camera.position.lerpVectors(from.position, position, eased);
       this.controls.target.lerpVectors(from.target, target, eased);
-      this.camera.fov = from.fov + (fov - from.fov) * eased;
-      this.camera.updateProjectionMatrix();
+      this.half = from.half + (half - from.half) * eased;
+      this.shape = from.shape + (shape - from.shape) * eased;
+      this.fit();
       this.controls.update();
       if (share >= 1) break;
       await new Promise(requestAnimationFrame);

@@ -75,7 +75,7 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
       const { level, threshold, opacity, mode } = state;
       const things = state.things && { selected: state.things.selected, hidden: [...state.things.hidden], hovered: state.things.hovered };
       const camera = eye.at?.name ?? null;
-      return { queries, things, mode, level, threshold, opacity, camera, gaussians: viewer.gaussians };
+      return { queries, things, mode, level, threshold, opacity, camera, gaussians: viewer.gaussians, drawing: viewer.drawing };
     },
     ask: (texts) => viewer.ask(texts),
     set: ({ mode, ...change }) => viewer.state.set(mode === undefined ? change : { ...change, chosenMode: mode }),

@@ -46,8 +46,6 @@ export class Splat {
   private readonly level = dyno.dynoInt(0);
   private readonly opacity = dyno.dynoFloat(1);
   private readonly anySelected = dyno.dynoInt(0);
-  /** Those that the shader reads. */
-  private readonly textures: THREE.Texture[] = [];
 
   private constructor(scene: Scene, splats: ExtSplats) {
     this.scene = scene;
@@ -94,6 +92,10 @@ export class Splat {
     return splat;
   }
 
+  get count(): number {
+    return this.scene.count;
+  }
+
   /** Show other queries, or the same in another way. */
   update(shown: ShownQuery[], look: Look): void {
     const { levels, atoms } = this.scene;
@@ -125,19 +127,12 @@ export class Splat {
     this.mesh.updateVersion();
   }
 
-  /** Free what it has on the GPU. */
-  dispose(): void {
-    this.mesh.dispose();
-    for (const texture of this.textures) texture.dispose();
-  }
-
   private modifier() {
     const { scene } = this;
     const sizes = { levels: scene.levels, k: scene.k, phrases: scene.phrases, things: scene.metadata.n_things ?? 0 };
     const [indices, weights] = codeTextures(scene);
     const [canonical, owners] = [canonicalTexture(scene), ownerTexture(scene)];
     const [confidence, codeColors] = [confidenceTexture(scene), codeColorTexture(scene)];
-    this.textures.push(indices, weights, canonical, owners, confidence, codeColors, this.scores, this.queries, this.things);
     const uniforms = {
       indices: dyno.dynoUsampler2D(indices),
       weights: dyno.dynoUsampler2D(weights),

@@ -20,14 +20,25 @@ export interface Stage {
   snapshot(): HTMLCanvasElement;
 }
 
+const REST_SECONDS = 0.25;
+/** If two frames in a row take longer while the camera moves, the coarse scene is drawn until it rests. */
+const SLOW_SECONDS = 0.2;
+
 /** Pictures a second are bounded by the screen; none is drawn without need. */
 export class SplatStage implements Stage {
   private readonly renderer: THREE.WebGLRenderer;
   private readonly spark;
   private readonly world = new THREE.Scene();
   private splat: Splat | null = null;
+  /** Few Gaussians of the same scene, where it is large. */
+  private coarse: Splat | null = null;
   private readonly boxes: Boxes;
   private wanted = false;
+  /** The timer that ends a movement of the camera; 0 while it rests. */
+  private moving = 0;
+  /** When the last frame of this movement began; 0 before the first. */
+  private begun = 0;
+  private slowFrames = 0;
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
@@ -39,44 +50,67 @@ export class SplatStage implements Stage {
     // Without antialias, as Spark advises.
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
     this.renderer.setClearColor(0x000000, 1);
-    this.spark = sparkOf(this.renderer, () => this.redraw());
+    this.spark = sparkOf(this.renderer, () => this.soon());
     this.boxes = new Boxes(eye.world);
     this.world.add(this.spark, this.boxes.lines);
   }
 
-  /** Show a scene, in place of the one before. */
+  /** Show a scene; the one before is its coarse one from now on. */
   async load(scene: Scene, progress: Progress): Promise<void> {
-    const before = this.splat;
-    this.splat = await Splat.of(scene, progress);
-    this.world.add(this.splat.mesh);
-    if (before) {
-      this.world.remove(before.mesh);
-      before.dispose();
-    }
+    const splat = await Splat.of(scene, progress);
+    this.world.add(splat.mesh);
+    this.coarse = this.splat;
+    this.splat = splat;
     this.update();
+  }
+
+  /** How many Gaussians the next frame has. */
+  get drawing(): number {
+    return (this.isCoarse ? this.coarse : this.splat)?.count ?? 0;
   }
 
   update(): void {
     const { things } = this.state;
-    this.splat?.update(this.state.shown(), this.state.look());
+    for (const splat of [this.splat, this.coarse]) splat?.update(this.state.shown(), this.state.look());
     this.boxes.update(things ? things.selected.map((number) => things.of(number)) : []);
-    this.redraw();
+    this.soon();
   }
 
   redraw(): void {
+    clearTimeout(this.moving);
+    this.moving = window.setTimeout(() => {
+      this.moving = this.begun = 0;
+      this.soon();
+    }, REST_SECONDS * 1000);
+    this.soon();
+  }
+
+  private soon(): void {
     if (this.wanted) return;
     this.wanted = true;
     requestAnimationFrame(() => {
       this.wanted = false;
+      if (this.moving) this.pace();
       this.draw();
     });
   }
 
+  /** Find whether frames are too slow for all Gaussians; that lasts, as the browser stays the same. */
+  private pace(): void {
+    const now = performance.now() / 1000;
+    if (this.begun && this.slowFrames < 2) this.slowFrames = now - this.begun > SLOW_SECONDS ? this.slowFrames + 1 : 0;
+    this.begun = now;
+  }
+
+  private get isCoarse(): boolean {
+    return this.moving !== 0 && this.slowFrames >= 2 && this.coarse !== null;
+  }
+
   async drawn(): Promise<void> {
     // Sorting runs beside drawing, and what it finds is drawn in a later frame.
-    this.redraw();
+    this.soon();
     const { spark } = this;
-    while (this.wanted || spark.sorting || spark.sortDirty || spark.dirty) {
+    while (this.wanted || this.moving || spark.sorting || spark.sortDirty || spark.dirty) {
       await new Promise((resolve) => setTimeout(resolve, 10));
     }
   }
@@ -98,12 +132,13 @@ export class SplatStage implements Stage {
       this.renderer.setSize(width, height, false);
       this.eye.resize(width, height);
     }
+    if (this.splat) this.splat.mesh.visible = !this.isCoarse;
+    if (this.coarse) this.coarse.mesh.visible = this.isCoarse;
     this.renderer.render(this.world, this.eye.camera);
   }
 }
 
 const MOVING_SCALE = 0.5;
-const REST_SECONDS = 0.25;
 
 /** Pictures of the server, one after another: small while the camera moves, whole when it rests. */
 export class RemoteStage implements Stage {

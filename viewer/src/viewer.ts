@@ -94,6 +94,11 @@ export class Viewer {
     return this.scene?.count ?? 0;
   }
 
+  /** How many of them the next frame has. */
+  get drawing(): number {
+    return this.stage instanceof SplatStage ? this.stage.drawing : 0;
+  }
+
   /** Show the whole scene in place of the coarse one. */
   private async refine(): Promise<void> {
     try {
