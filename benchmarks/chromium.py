@@ -79,7 +79,7 @@ def seconds_until_drawn(page: Page, count: float, patience: float) -> float:
 
 
 def frames_per_second(page: Page, place: tuple[int, int]) -> float:
-    """Return frames per second of a page with ``COUNTER`` while the pointer drags to and fro around a place."""
+    """Return frames per second of a page with ``COUNTER`` while the pointer drags back and forth around a place."""
     x, y = place
     page.mouse.move(x, y)
     page.mouse.down()
