@@ -5,16 +5,16 @@ from __future__ import annotations
 import gzip
 import json
 import math
-import os
+import re
+import subprocess
+import sys
 import tempfile
-import threading
+import urllib.request
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlencode
 
 import torch
@@ -27,17 +27,12 @@ from benchmarks.viewer import served, write_field
 from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.rotations import quats_of_rotations
 from scoup_lab.bench import markdown, random_scene_gaussians
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Request
 
 SIZE = (1280, 720)
 FOV = 75.0  # degrees, of the height: that of Spark's editor
-INDEX = "examples/editor/index.html"  # of Spark's editor, in its checkout
 PATIENCE = 120.0
-PACKED = (".js", ".css", ".html", ".json", ".wasm", ".svg")
+NAMES = {"scoup": "scoup view", "supersplat": "SuperSplat", "spark": "Spark's editor"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,154 +63,121 @@ class Editors(Study):
         scenes = {"guitar": lambda: scoup.load_gaussians(self.data / "guitar" / "guitar.ply")}
         scenes["random"] = lambda: random_scene_gaussians(self.n_gaussians)
         for name, load in scenes.items():
-            pages = [page for page in self._pages() if f"{name}/{page}" not in known]
-            if not pages:
-                continue
             gaussians = load()
-            camera = looking_at(gaussians)
+            camera = camera_in_front(gaussians)
             with tempfile.TemporaryDirectory() as folder:
-                for page in pages:
-                    yield f"{name}/{page}", self._opened(page, gaussians, camera, Path(folder))
+                for page in NAMES:
+                    if f"{name}/{page}" not in known and (page == "scoup" or getattr(self, page)):
+                        yield f"{name}/{page}", self._costs(page, gaussians, camera, Path(folder))
 
-    def _pages(self) -> list[str]:
-        editors = {"supersplat": self.supersplat, "spark": self.spark}
-        return ["scoup", *(name for name, folder in editors.items() if folder is not None)]
-
-    def _opened(self, page: str, gaussians: Gaussians, camera: Camera, folder: Path) -> dict[str, float]:
+    def _costs(self, page: str, gaussians: Gaussians, camera: Camera, folder: Path) -> dict[str, float]:
+        count = len(gaussians)
         if page == "scoup":
-            path = write_field(folder, gaussians, Cameras([camera]))
-            with served(path) as (address, server):
-                found = page_costs(address, len(gaussians))
-                return {**found, "server, MB": proportional_bytes(server) / 1e6}
-        scoup.save_gaussians(gaussians, folder / "scene.ply", overwrite=True)
-        if page == "supersplat":
-            assert self.supersplat is not None
-            with hosted(self.supersplat, folder) as host:
-                address = f"{host}index.html?{urlencode({'load': host + 'scene.ply'})}"
-                return page_costs(address, len(gaussians), supersplat_pose(camera))
-        assert self.spark is not None
-        with hosted(self.spark, folder) as host:
-            query = {"url": host + "scene.ply", **spark_pose(camera)}
-            return page_costs(f"{host}{INDEX}?{urlencode(query)}", len(gaussians))
+            with served(write_field(folder, gaussians, Cameras([camera]))) as (address, server):
+                return {**page_costs(address, count), "server, MB": proportional_bytes(server) / 1e6}
+        site = folder / page
+        site.mkdir()
+        for path in getattr(self, page).absolute().iterdir():
+            (site / path.name).symlink_to(path)
+        scoup.save_gaussians(gaussians, site / "scene.ply")
+        x, y, z = camera.position.tolist()
+        with hosted(site) as host:
+            scene = f"{host}/scene.ply"
+            if page == "spark":  # its cameras look the other way, the y axis upwards
+                query = {"url": scene, "x": x, "y": y, "z": z, "qx": 1, "qy": 0, "qz": 0, "qw": 0}
+                return page_costs(f"{host}/examples/editor/index.html?{urlencode(query)}", count)
+            # It turns splats upside down.
+            place, target = (json.dumps({"x": -x, "y": -y, "z": depth}) for depth in (z, z + 1))
+            moved = f"scene.camera.fov = {FOV}; scene.camera.setPose({place}, {target}, 0); scene.forceRender = true"
+            return page_costs(f"{host}/index.html?{urlencode({'load': scene})}", count, moved)
 
     def record(self, rows: dict[str, Any]) -> Record:
         return {"versions": list(self.versions), "rows": rows}
 
     @staticmethod
     def table(record: Record) -> str:
-        names = {"scoup": "scoup view", "supersplat": "SuperSplat", "spark": "Spark's editor"}
         body = []
         for name, row in record["rows"].items():
             scene, page = name.split("/")
-            first, whole = row["first picture, s"], row["whole picture, s"]
-            memory = f"{row['browser, MB']:,.0f}" + (
-                f" + {row['server, MB']:,.0f}" if page == "scoup" else ""
+            server = f" + {row['server, MB']:,.0f}" if "server, MB" in row else ""
+            body.append(
+                [
+                    scene,
+                    NAMES[page],
+                    *(f"{row[what] / 1e6:.2f}" for what in ("program, bytes", "scene, bytes")),
+                    f"{row['first picture, s']:.1f} / {row['whole picture, s']:.1f}",
+                    f"{row['browser, MB']:,.0f}{server}",
+                    f"{row['frames per second while moving']:.2f}",
+                ]
             )
-            sizes = [f"{row[what] / 1e6:.2f}" for what in ("program, bytes", "scene, bytes")]
-            frames = f"{row['frames per second while moving']:.2f}"
-            body.append([scene, names[page], *sizes, f"{first:.1f} / {whole:.1f}", memory, frames])
         heading = ["scene", "page", "program, MB", "scene, MB", "first / whole picture, s"]
         return markdown([*heading, "browser (+ server), MB", "frames per second while moving"], body)
 
 
-def looking_at(gaussians: Gaussians) -> Camera:
-    """Return a camera from which 90 % of the Gaussians are about as high as the picture, the y axis downwards."""
+def camera_in_front(gaussians: Gaussians) -> Camera:
+    """Return a camera along the z axis from which 90 % of the Gaussians are about as high as the picture."""
     centre = gaussians.means.double().median(0).values
-    radius = float((gaussians.means.double() - centre).norm(dim=1).quantile(0.9)) if len(gaussians) else 1.0
-    eye = centre + torch.tensor([0.3, -0.3, -1.0], dtype=torch.float64) * radius / math.tan(
-        math.radians(FOV / 2)
-    )
-    focal = SIZE[1] / 2 / math.tan(math.radians(FOV / 2))
-    return Camera.look_at(eye, centre, "front", *SIZE, focal, (0, -1, 0))
-
-
-def spark_pose(camera: Camera) -> dict[str, float]:
-    """Return the pose as Spark's editor takes it in its address; its cameras have OpenGL axes."""
-    turned = camera.viewmat[:3, :3].T @ torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
-    w, x, y, z = quats_of_rotations(turned[None])[0].tolist()
-    return {**dict(zip("xyz", camera.position.tolist(), strict=True)), "qx": x, "qy": y, "qz": z, "qw": w}
-
-
-def supersplat_pose(camera: Camera) -> str:
-    """Return a script that moves SuperSplat's camera; it turns splats upside down first."""
-    ahead = camera.viewmat[2, :3]
-    places = []
-    for place in (camera.position, camera.position + ahead):
-        x, y, z = place.tolist()
-        places.append(json.dumps({"x": -x, "y": -y, "z": z}))
-    return f"scene.camera.fov = {FOV}; scene.camera.setPose({places[0]}, {places[1]}, 0); scene.forceRender = true"
+    radius = (gaussians.means.double() - centre).norm(dim=1).quantile(0.9)
+    slope = math.tan(math.radians(FOV / 2))
+    focal = SIZE[1] / 2 / slope
+    K = torch.tensor([[focal, 0, SIZE[0] / 2], [0, focal, SIZE[1] / 2], [0, 0, 1]], dtype=torch.float64)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, 3] = -centre
+    viewmat[2, 3] += radius / slope
+    return Camera("front", viewmat, K, *SIZE)
 
 
 @contextmanager
-def hosted(editor: Path, folder: Path) -> Iterator[str]:
-    """Serve an editor's folder, packed as a web server does, and scene.ply of another one; yields the address."""
-    handler = partial(_Packing, directory=str(editor), scene=folder / "scene.ply")
-    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}/"
-    finally:
-        server.shutdown()
-        thread.join()
+def hosted(folder: Path) -> Iterator[str]:
+    """Serve a folder; yields the address."""
+    command = [
+        sys.executable,
+        "-u",
+        "-m",
+        "http.server",
+        "0",
+        "--bind",
+        "127.0.0.1",
+        "--directory",
+        str(folder),
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().split("(")[1].split("/)")[0]
+        finally:
+            process.terminate()
 
 
-class _Packing(SimpleHTTPRequestHandler):
-    """Sends what compresses as gzip."""
-
-    def __init__(self, *values: Any, scene: Path, **options: Any) -> None:
-        self.scene = scene
-        super().__init__(*values, **options)
-
-    def do_GET(self) -> None:
-        path = self.scene if self.path.startswith("/scene.ply") else Path(self.translate_path(self.path))
-        if not path.is_file():
-            return super().do_GET()
-        data, packs = path.read_bytes(), path.suffix in PACKED
-        data = gzip.compress(data) if packs else data
-        self.send_response(200)
-        self.send_header("content-type", self.guess_type(str(path)))
-        self.send_header("content-length", str(len(data)))
-        if packs:
-            self.send_header("content-encoding", "gzip")
-        self.end_headers()
-        with suppress(ConnectionError):
-            self.wfile.write(data)
-        return None
-
-    def log_message(self, format: str, *args: Any) -> None:
-        pass
-
-
-def page_costs(address: str, count: int, pose: str = "") -> dict[str, float]:
-    """Return the costs of a page that shows so many Gaussians.
+def page_costs(address: str, count: int, moved: str = "") -> dict[str, float]:
+    """Return the costs of a page that shows so many Gaussians; its files count as packed with gzip.
 
     Args:
         address: of the page, with what it is to load.
         count: of the Gaussians.
-        pose: a script that moves the camera.
+        moved: a script that moves the camera.
     """
     with chromium() as browser:
         page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
         page.set_default_timeout(PATIENCE * 1000)
-        asked: list[Request] = []
-        page.on("requestfinished", lambda request: asked.append(request))
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
         page.add_init_script(COUNTER)
         page.goto(address)
         # Of a large scene, a coarse picture comes first; SuperSplat leaves out what is not in view.
         first = seconds_until_drawn(page, min(0.3 * count, 40_000), PATIENCE)
         page.evaluate("window.scoupViewer?.whole")
         whole = seconds_until_drawn(page, 0.3 * count, PATIENCE)
-        if pose:
-            page.evaluate(pose)
-            page.wait_for_timeout(1000)
+        page.evaluate(moved)
+        page.wait_for_timeout(1000)
         frames = frames_per_second(page, (SIZE[0] // 3, SIZE[1] // 2))
-        memory = sum(map(proportional_bytes, _descendants(os.getpid(), "chrom")))
-        sizes = [(request.url, _size(request)) for request in asked]
-    scene = sum(size for url, size in sizes if "scene.bin" in url or url.endswith("scene.ply"))
+        processes = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
+        memory = sum(proportional_bytes(process["id"]) for process in processes)
+    files = [url for url in dict.fromkeys(asked) if url.startswith("http") and "/api/" not in url]
+    scenes = [url for url in files if re.search(r"scene\.(bin|ply)(\?|$)", url)]
     return {
-        "program, bytes": sum(size for _, size in sizes) - scene,
-        "scene, bytes": scene,
+        "program, bytes": sum(len(gzip.compress(_read(url))) for url in files if url not in scenes),
+        "scene, bytes": sum(len(_read(url)) for url in scenes),
         "first picture, s": first,
         "whole picture, s": whole,
         "browser, MB": memory / 1e6,
@@ -223,37 +185,13 @@ def page_costs(address: str, count: int, pose: str = "") -> dict[str, float]:
     }
 
 
-def _size(request: Request) -> int:
-    """Return the bytes of an answer as sent; the browser does not know them of every one that a page reads in parts."""
-    response = request.response()
-    announced = 0 if response is None else int(response.headers.get("content-length", "0"))
-    return max(request.sizes()["responseBodySize"], announced)
-
-
-def _descendants(process: int, name: str) -> list[int]:
-    """Return the processes below one whose program has such a name."""
-    parents: dict[int, int] = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-    below, found = {process}, []
-    for own in sorted(parents):  # children usually have larger numbers; a second pass finds the others
-        if parents[own] in below:
-            below.add(own)
-    for own, parent in parents.items():
-        if parent in below:
-            below.add(own)
-    for own in below:
-        with suppress(OSError):
-            if name in os.readlink(f"/proc/{own}/exe"):
-                found.append(own)
-    return found
+def _read(url: str) -> bytes:
+    with urllib.request.urlopen(url) as answer:
+        return answer.read()
 
 
 def proportional_bytes(process: int) -> int:
     """Return the memory of a process; what it shares with others counts by its share (PSS)."""
-    with suppress(OSError):
-        for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
-                return int(line.split()[1]) * 1024
-    return 0
+    found = re.search(r"^Pss: +(\d+)", Path(f"/proc/{process}/smaps_rollup").read_text(), re.MULTILINE)
+    assert found is not None
+    return int(found[1]) * 1024
