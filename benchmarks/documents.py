@@ -21,14 +21,13 @@ from typing import Any
 import tyro
 
 from benchmarks.absence import Absence
-from benchmarks.answers import difference_cell, table_of
 from benchmarks.city import Cities
 from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
+from benchmarks.documents_summaries import ablations, answers, baselines, damaged
 from benchmarks.embed import Embedding
 from benchmarks.endurance import Endurance
 from benchmarks.extract import Extraction
-from benchmarks.hostile.study import Detection, Hostile
 from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.likeness import Likeness
@@ -143,28 +142,6 @@ def choices(of: Sequence[Choice]) -> str:
     return markdown(headers, [[*choice.cells().values(), choice.what] for choice in of], left=len(headers))
 
 
-def study(name: str, number: int) -> str:
-    """Return a table of ``scoup eval`` as it was written."""
-    table = record(name)["tables"][number]
-    return markdown(table["headers"], table["rows"])
-
-
-def faults() -> str:
-    """Return every way under each fault by the protocol and as answered always, then the differences."""
-    found = record("answers_faults")
-    keys = [key for key in next(iter(found["ways"].values())) if key != "all"]
-    rows = [
-        [way, *(f"{of[key]['peak']:.3f} / {of[key]['always']:.3f}" for key in keys)]
-        for way, of in found["ways"].items()
-    ]
-    rows += [
-        [f"{pair}, {rule}", *(difference_cell(of[key][rule]) for key in keys)]
-        for pair, of in found["differences"].items()
-        for rule in ("peak", "always")
-    ]
-    return markdown(["peak / always", *keys], rows)
-
-
 def consistency() -> str:
     """Return the means over scenes and levels."""
     table = record("eval-consistency")["tables"][0]
@@ -205,8 +182,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
-    "hostile": (Hostile, "hostile"),
-    "hostile, detection": (Detection, "hostile_detection"),
     "endurance": (Endurance, "endurance"),
     "power loss": (PowerLoss, "power_loss"),
     "server load": (ServerLoad, "server_load"),
@@ -216,18 +191,11 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
     "readme, extraction": extraction,
     "whole way": whole_way,
-    **{
-        f"answers on {group}": lambda group=group: table_of(record("answers"), f"{group}, clean")
-        for group in (*README_COLUMNS, "kitchen draws, noise x 2")
-    },
-    "answers under faults": faults,
-    "baselines": lambda: study("eval-baselines", 0),
-    "baselines, differences": lambda: study("eval-baselines", 1),
-    "baselines, 3D selection": lambda: study("eval-baselines", 2),
-    "ablations": lambda: study("eval-ablations", 0),
-    "ablations, entropy": lambda: study("eval-ablations-entropy", 0),
-    "ablations, Adam": lambda: study("eval-ablations-adam", 0),
-    "autoencoder": lambda: study("eval-autoencoder", 0),
+    "answers": lambda: answers(record, "answers", ("always", "peak", "localisation")),
+    "answers under faults": lambda: answers(record, "answers_faults", ("always", "peak")),
+    "damaged files": lambda: damaged(record),
+    "baselines": lambda: baselines(record),
+    "ablations": lambda: ablations(record),
     "consistency": consistency,
     "claims": lambda: claims_table(record),
     "scannet": lambda: points("eval-scannet", "mIoU"),
@@ -238,15 +206,46 @@ TABLES: dict[str, Callable[[], str]] = {
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""
+SCENES_IN_THE_RECORD = r"(kitchen|table|shelves|hall|yard)-\d+"
+HIDDEN = {
+    "selections": SCENES_IN_THE_RECORD,
+    "labels": SCENES_IN_THE_RECORD,
+    "absence": r"from (0|0\.5|1|4)",
+    "likeness": r"desk-all|5 %|sd|border error|mixed|things with a region",
+    "coding, compared": r"least, ms|of|20,000",
+    "bench": "100,000",
+    "things": r"table-4|shelves-2|kitchen-22|mean count error|AP at IoU 0.75|(right of|behind|under): .*|ms .*|of it.*",
+    "views": "coverage",
+    "viewer": r"(kitchen-21|desk) \(tuned on\)|colours / query|scoup view / scoup info|(scene|exported page), bytes",
+    "city": "(load|coding|save), s",
+    "endurance": "too late|start|codes|views|vote|outputs|end|done again, most",
+    "power loss": "changes of files|flushes|ms per flush",
+}
+"""Headings and first cells of the columns and rows that only the record has."""
+
+
+def shown(table: str, hidden: str) -> str:
+    """Return Markdown without the hidden columns and rows of its tables."""
+    lines, kept = [], None
+    for line in table.splitlines():
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if not line.startswith("|"):
+            kept = None
+        elif kept is None:
+            kept = [place for place, cell in enumerate(cells) if not re.fullmatch(hidden, cell)]
+        if kept is None:
+            lines.append(line)
+        elif not re.fullmatch(hidden, cells[0]):
+            lines.append(f"| {' | '.join(cells[place] for place in kept)} |")
+    return "\n".join(lines)
 
 
 def fill_tables(text: str) -> str:
     """Return a document with its tables made again, without what aligns their columns."""
 
     def block(found: re.Match[str]) -> str:
-        return (
-            found[1] + re.sub("-{4,}", "---", re.sub(" +", " ", TABLES[found[2]]().strip())) + "\n" + found[3]
-        )
+        table = shown(TABLES[found[2]](), HIDDEN.get(found[2], "(?!)"))
+        return found[1] + re.sub("-{4,}", "---", re.sub(" +", " ", table.strip())) + "\n" + found[3]
 
     return BLOCK.sub(block, text)
 
