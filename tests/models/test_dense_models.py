@@ -10,9 +10,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from scoup.base.errors import ScoupError
-from scoup.models.dense import DenseModel, _starts, open_dense_model
+from scoup.models.dense import DenseModel, open_dense_model
 from scoup.models.image import open_image_model
 from scoup.models.normalization import CLIP, HALF
+from scoup.models.windows import _starts
 from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip, tiny_siglip2
 
 SIDE, PATCH, GRID = 32, 8, 4

@@ -59,7 +59,8 @@ class Extract(WritesCommon):
     scikit-image, no model and no objects. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
     embedder: str = CLIP_MODEL
     """A CLIP or SigLIP model by folder or hub id, with dense: before it for one pass over the photograph instead of
-    one for each region; open_clip:ARCHITECTURE/PRETRAINED; or colors: no model, and no queries in words."""
+    one for each region; dense:onnx:FILE, an exported dense encoder; open_clip:ARCHITECTURE/PRETRAINED; or colors: no
+    model, and no queries in words."""
     segmenter_revision: OptionalText = None
     """Branch, tag or commit of the segmenter. The commit found is recorded, and kept when work is resumed."""
     embedder_revision: OptionalText = None

@@ -12,8 +12,8 @@ from scoup.extract import felzenszwalb, plain_colors
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
 from scoup.io.regions.manifest import read_manifest
-from scoup.models import dense, mobile_sam, onnx_sam, sam
-from scoup.models.hub import OPEN_CLIP, is_cached
+from scoup.models import dense, mobile_sam, onnx_dense, onnx_sam, sam
+from scoup.models.hub import ONNX, OPEN_CLIP, is_cached
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ SEGMENTERS = (
     _sam("sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
     Choice("FOLDER or hub id", "any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
     Choice(
-        f"{onnx_sam.PREFIX}FOLDER", "SAM or SAM 2 exported to ONNX, on the CPU (seconds: SAM 2 tiny)", seconds=45.7,
+        f"{ONNX}FOLDER", "SAM or SAM 2 exported to ONNX, on the CPU (seconds: SAM 2 tiny)", seconds=45.7,
         extra="onnx",
     ),
     Choice(
@@ -87,6 +87,10 @@ EMBEDDERS = (
     Choice(
         f"{dense.PREFIX}MODEL", "the same models in one pass per photograph instead of one per region", seconds=2.4,
         extra="models",
+    ),
+    Choice(
+        f"{dense.PREFIX}{ONNX}FILE", "a dense encoder exported to ONNX (RADIO, dino.txt), on the CPU",
+        extra="onnx",
     ),
     Choice(f"{OPEN_CLIP}ARCHITECTURE/PRETRAINED", "open_clip", extra="open-clip"),
     Choice(plain_colors.NAME, "no model: colours and edges of a crop; a field of it cannot be queried by text"),
@@ -115,10 +119,10 @@ def open_segmenter(
     from scoup.extract.automatic_masks import SamSegmenter
 
     settings = settings or MaskSettings()
-    if name.startswith(onnx_sam.PREFIX):
+    if name.startswith(ONNX):
         return SamSegmenter(onnx_sam.open_onnx_sam(name), settings, with_default)
     if not (name in sam.NAMES or "/" in name or name.endswith(".pt") or Path(name).exists()):
-        known = (felzenszwalb.NAME, *sam.NAMES, f"{onnx_sam.PREFIX}FOLDER", "OWNER/MODEL of a hub")
+        known = (felzenszwalb.NAME, *sam.NAMES, f"{ONNX}FOLDER", "OWNER/MODEL of a hub")
         raise UnknownNameError("segmenter", name, known)
     return SamSegmenter(sam.open_sam(name, revision, device, settings.half), settings, with_default)
 
@@ -135,6 +139,9 @@ def open_embedder(name: str, revision: str | None = None, device: torch.device |
     if name.startswith(dense.PREFIX):
         from scoup.extract.dense import DenseEmbedder
 
+        model = name.removeprefix(dense.PREFIX)
+        if model.startswith(ONNX):
+            return DenseEmbedder(onnx_dense.open_onnx_dense(model))
         return DenseEmbedder(dense.open_dense_model(name, revision, device))
     from scoup.models.image import open_image_model
 

@@ -20,9 +20,9 @@ from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
 from scoup.models.image import WITHOUT_MODEL
 from scoup.models.normalization import Normalization
 from scoup.models.towers import Tower, load_tower, normalization_of
+from scoup.models.windows import mean_of_windows
 
 PREFIX = "dense:"  # before the model in an embedder's name
-_WINDOWS_AT_ONCE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,26 +58,10 @@ class DenseModel:
         """Return [h / patch, w / patch, C] float32 features: CLIP's in the text space, unit vectors; SigLIP's before
         its head.
 
-        The image [3, h, w] in 0..1 (multiples of ``patch``, at least ``side``) is covered by as few windows of the
-        model's size as possible, evenly placed; where they overlap, the mean is taken.
+        The image [3, h, w] in 0..1 is covered by windows (``mean_of_windows``).
         """
-        patch, window = self.patch, self.side // self.patch
-        rows, columns = image.shape[1] // patch, image.shape[2] // patch
-        places = [(y, x) for y in _starts(rows, window) for x in _starts(columns, window)]
         pixels = self.normalization(image.to(self.device)).to(self.dtype)
-        cuts = [
-            pixels[:, y * patch : (y + window) * patch, x * patch : (x + window) * patch] for y, x in places
-        ]
-        with torch.inference_mode():
-            found = torch.cat(
-                [self._window_tokens(part) for part in torch.stack(cuts).split(_WINDOWS_AT_ONCE)]
-            )
-        total = found.new_zeros(rows, columns, found.shape[-1])
-        count = found.new_zeros(rows, columns, 1)
-        for (y, x), of_window in zip(places, found, strict=True):
-            total[y : y + window, x : x + window] += of_window
-            count[y : y + window, x : x + window] += 1
-        mean = total / count
+        mean = mean_of_windows(pixels, self.side, self.patch, self._window_tokens)
         return functional.normalize(mean, dim=2) if self.tower.is_clip else mean
 
     def pool(self, tokens: Tensor, shares: Tensor) -> Tensor:
@@ -136,14 +120,6 @@ def _vision(tower: Tower) -> Any:
 def _first(output: Any) -> Tensor:
     """Return the hidden states: layers of older versions of transformers return tuples."""
     return output[0] if isinstance(output, tuple) else output
-
-
-def _starts(length: int, window: int) -> list[int]:
-    """Return the first places of as few windows as cover a length, evenly placed."""
-    count = -(-length // window)
-    if count == 1:
-        return [0]
-    return [(length - window) * number // (count - 1) for number in range(count)]
 
 
 def _pool_by_head(head: Any, tokens: Tensor, weights: Tensor, dtype: torch.dtype) -> Tensor:

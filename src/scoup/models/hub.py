@@ -23,6 +23,7 @@ from scoup.models.normalization import Normalization
 Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"  # before the name of a model of open_clip
+ONNX = "onnx:"  # before the path of an exported model
 _PATIENCE = (
     5.0  # seconds within which a hub that can be reached answers; its own client would try for a minute
 )

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from scoup.base.digests import file_sha256
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.models.hub import ModelRequest
+from scoup.models.hub import ONNX, ModelRequest
 from scoup.models.normalization import IMAGENET
 from scoup.models.sam import (
     WITHOUT_MODEL,
@@ -30,7 +30,6 @@ from scoup.models.sam import (
     scale_to_square,
 )
 
-PREFIX = "onnx:"  # before the folder in a segmenter's name
 SIDE = 1024  # of the models' square, unless the encoder's input says another
 _ENDINGS = (".onnx", ".ort")
 _POINTS_AT_ONCE = 4  # more are slower on a CPU
@@ -105,19 +104,19 @@ def open_onnx_sam(name: str) -> OnnxSam:
 
     Of a decoder for single and one for several masks, that for several is taken.
     """
-    folder = Path(name.removeprefix(PREFIX))
+    folder = Path(name.removeprefix(ONNX))
     runtime = ModelRequest("segmenter", name, WITHOUT_MODEL).package("onnxruntime", "onnx")
     if not folder.is_dir():
         raise MissingFileError(
             folder, "there is no such folder", "pass the folder of an encoder and a decoder"
         )
     paths = _model_file(folder, "encoder"), _model_file(folder, "decoder")
-    encoder, decoder = (_session(runtime, path) for path in paths)
+    encoder, decoder = (open_session(runtime, path) for path in paths)
     _check(paths, encoder, decoder)
     size = encoder.get_inputs()[0].shape[-1]
     side = size if isinstance(size, int) and size > 3 else SIDE
     first, second = map(file_sha256, paths)
-    return OnnxSam(encoder, decoder, f"{PREFIX}{folder.resolve().name}", (first, second), side)
+    return OnnxSam(encoder, decoder, f"{ONNX}{folder.resolve().name}", (first, second), side)
 
 
 def _model_file(folder: Path, role: str) -> Path:
@@ -133,7 +132,8 @@ def _model_file(folder: Path, role: str) -> Path:
     return several[0]
 
 
-def _session(runtime: Any, path: Path) -> Any:
+def open_session(runtime: Any, path: Path) -> Any:
+    """Load an ONNX model, with as many threads as torch has."""
     options = runtime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
     options.log_severity_level = 4  # errors are raised, not printed

@@ -17,7 +17,7 @@ from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError, quoted
 from scoup.base.html import card
-from scoup.models.hub import OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
+from scoup.models.hub import ONNX, OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
 from scoup.models.towers import load_tower
 from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, with_everyday
@@ -217,6 +217,10 @@ class TextEncoder:
 
 
 def _open_model(name: str, revision: str | None, device: torch.device | str) -> Encode:
+    if name.startswith(ONNX):
+        raise ScoupError(
+            f"{name}: an image encoder exported to ONNX has no text model; pass a table with the vectors of the words"
+        )
     request = ModelRequest("text model", name, "use a table file of text embeddings", revision=revision)
     if name.startswith(OPEN_CLIP):
         model, tokenizer = load_open_clip(request, device, with_tokenizer=True)
