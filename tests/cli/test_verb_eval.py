@@ -152,19 +152,6 @@ def test_ablations(here: Path) -> None:
     assert (here / "eval_lerf-ovs" / "ablations.png").is_file()
 
 
-def test_curves(here: Path) -> None:
-    record = run_json(
-        "eval", "curves", "lerf-ovs", "--scenes", "table", "--faults", "masks", "--faults", "noise",
-        "--methods", "sparse-64", "--methods", "dense",
-    )  # fmt: skip
-    found = {(p["fault"], p["strength"], p["method"]): p["miou"] for p in record["points"]}
-    assert len(found) == 2 * 4 * 2
-    for method in ("sparse-64", "dense"):
-        assert found["masks", 0, method] == found["noise", 0, method]
-        assert found["noise", 90, method] < found["noise", 0, method]
-    assert (here / "eval_lerf-ovs" / "curve_masks.png").is_file()
-
-
 def test_consistency(here: Path) -> None:
     record = run_json("eval", "consistency", "lerf-ovs", "--scenes", "table", "--epochs", 2)
     assert record["matched_by"] == {"table": "Gaussians"}

@@ -13,7 +13,7 @@ from PIL import Image
 
 from scoup.base.errors import InputError
 from scoup_lab.evaluate.metrics import Interval
-from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, Curve, CurvePlot, IntervalPlot, Plot, png
+from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, IntervalPlot, png
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.tables import Table
 
@@ -21,9 +21,6 @@ needs_matplotlib = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="matplotlib is not installed"
 )
 
-RISING = Curve("rising", (0, 1, 2), (Interval(10, 8, 12), Interval(20, 18, 22), Interval(30, 25, 35)))
-FLAT = Curve("flat", (0, 1), (Interval(15, 15, 15), Interval(15, 15, 15)))
-CURVES = CurvePlot([RISING, FLAT], "title", "x", "y")
 INTERVALS = IntervalPlot(
     [
         ("first", "a", Interval(50, 40, 60)),
@@ -33,20 +30,6 @@ INTERVALS = IntervalPlot(
     "title",
     "x",
 )
-
-
-@needs_matplotlib
-def test_curves_and_bands_are_those_given() -> None:
-    (axes,) = CURVES.figure().axes
-    assert [line.get_label() for line in axes.lines] == ["rising", "flat"]
-    assert [list(np.asarray(line.get_ydata())) for line in axes.lines] == [[10, 20, 30], [15, 15]]
-    low, high = axes.collections[0].get_datalim(axes.transData).intervaly
-    assert (low, high) == (8, 35)
-    assert len({line.get_color() for line in axes.lines}) == 2
-    legend = axes.get_legend()
-    assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == ["rising", "flat"]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
 
 
 @needs_matplotlib
@@ -72,32 +55,23 @@ def test_differences_stand_beside_a_line() -> None:
 
 
 @needs_matplotlib
-@pytest.mark.parametrize("plot", [CURVES, INTERVALS])
-def test_pictures_are_deterministic_and_pyplot_stays_out(plot: Plot) -> None:
-    first = png(plot)
-    assert png(plot) == first
+def test_pictures_are_deterministic_and_pyplot_stays_out() -> None:
+    first = png(INTERVALS)
+    assert png(INTERVALS) == first
     with Image.open(io.BytesIO(first)) as picture:
         assert min(picture.size) > 150
         assert np.asarray(picture.convert("L")).std() > 5
     assert "matplotlib.pyplot" not in sys.modules
 
 
-@pytest.mark.parametrize(
-    "plot",
-    [
-        CurvePlot([Curve("a", (), ())], "", "", ""),
-        CurvePlot([Curve("a", (1, 2), (Interval(1, 1, 1),))], "", "", ""),
-        IntervalPlot([], "", ""),
-    ],
-)
 @needs_matplotlib
-def test_what_cannot_be_drawn(plot: Plot) -> None:
+def test_a_plot_needs_rows() -> None:
     with pytest.raises(InputError):
-        plot.figure()
+        IntervalPlot([], "", "").figure()
 
 
 def report() -> Report:
-    return Report("study", "Study", [Table("t", ("a",), (("1",),))], {"a": 1}, {"p.png": CURVES})
+    return Report("study", "Study", [Table("t", ("a",), (("1",),))], {"a": 1}, {"p.png": INTERVALS})
 
 
 @needs_matplotlib
@@ -114,5 +88,5 @@ def test_without_matplotlib_a_report_is_its_tables(tmp_path: Path, monkeypatch: 
     assert {path.name for path in written} == {"study.md", "study.json", "study.tex"}
     assert "png" not in (tmp_path / "study.md").read_text()
     with pytest.raises(InputError) as refused:
-        png(CURVES)
+        png(INTERVALS)
     assert str(refused.value) == HOW_TO_GET_THEM

@@ -31,7 +31,6 @@ from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations
 from scoup_lab.evaluate.studies.comparison import Comparison
 from scoup_lab.evaluate.studies.consistency import Consistency
-from scoup_lab.evaluate.studies.curves import Curves, find_fault
 from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 from support import unit
 
@@ -179,20 +178,6 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
     assert scores["kept"].pairs != scores["dropped"].pairs
     with pytest.raises(InputError, match="sparse codes"):
         scene.scores(find_method("dense").fit(scene.rasterised), rules)
-
-
-def test_curves(scenes: list[StudyScene], tmp_path: Path) -> None:
-    methods = [find_method(name) for name in ("sparse", "dense")]
-    faults = [find_fault(name) for name in ("masks", "noise", "views")]
-    study = Curves(methods, faults, PRESET, SETTINGS)
-    points = study.results(scenes[:1])
-    found = {(point.fault, point.strength, point.method): point.scores[0].miou for point in points}
-    assert len(found) == len(points) == 3 * 4 * 2
-    for method in ("sparse", "dense"):
-        assert found["masks", 0, method] == found["noise", 0, method] == found["views", 100, method]
-    report = study.report(points, PROTOCOL.title, {})
-    assert len(report.tables) == len(report.plots) == 3
-    check_report(report, tmp_path)
 
 
 def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:

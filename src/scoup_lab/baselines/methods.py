@@ -148,8 +148,6 @@ BASELINES = (
 )
 METHODS: dict[str, Method] = {method.name: method for method in (*PRESETS, *BASELINES)}
 """By name."""
-SLOW = frozenset({"paper", "autoencoder", "autoencoder-lerf", "joint-codes"})
-"""Those that learn by many small steps: they take half a minute or more a scene."""
 COMPARED = tuple(name for name in METHODS if name not in ("sparse-all", "autoencoder-lerf", "joint-codes"))
 """Those compared by default: without one that the ablations cover, and without the slowest two."""
 

@@ -1,4 +1,4 @@
-"""Plots of studies, drawn by matplotlib (``pip install 'scoup[eval]'``): curves with bands, points with intervals."""
+"""Plots of studies, drawn by matplotlib (``pip install 'scoup[eval]'``): points with intervals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HOW_TO_GET_THEM = "plots need the package matplotlib: pip install 'scoup[eval]', and run again"
-_MARKERS = "osD^vPX*"
 _GREY = "#6e727a"
 _ROW = 0.27  # inches
 
@@ -27,39 +26,6 @@ class Plot(Protocol):
     def figure(self) -> Figure:
         """Return the drawing."""
         ...
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Intervals over x."""
-
-    name: str  # for the legend
-    x: tuple[float, ...]  # in rising order
-    y: tuple[Interval, ...]  # one for each
-
-
-@dataclass(frozen=True)
-class CurvePlot:
-    """Curves with bands, and a legend on the right."""
-
-    curves: Sequence[Curve]  # at least one, each of one point or more
-    title: str
-    x_label: str
-    y_label: str
-
-    def figure(self) -> Figure:
-        for curve in self.curves:
-            if not curve.x or len(curve.x) != len(curve.y):
-                raise InputError(f"the curve {curve.name!r} has {len(curve.x)} x and {len(curve.y)} y")
-        figure, axes = _axes(9.8, 5.6, self.title, self.x_label)
-        axes.set_ylabel(self.y_label)
-        for number, curve in enumerate(self.curves):
-            color, marker = f"C{number}", _MARKERS[number % len(_MARKERS)]
-            axes.plot(curve.x, [y.mean for y in curve.y], color=color, marker=marker, label=curve.name)
-            low, high = [y.low for y in curve.y], [y.high for y in curve.y]
-            axes.fill_between(curve.x, low, high, color=color, alpha=0.12, linewidth=0)
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-        return figure
 
 
 @dataclass(frozen=True)

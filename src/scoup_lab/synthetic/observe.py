@@ -118,19 +118,16 @@ def make_regions(truth: IntMap, level: str, rng: np.random.Generator) -> IntMap:
     return _renumbered(labels)
 
 
-def moved_borders(
-    part_map: IntMap,
-    rng: np.random.Generator,
-    pixels: float = BORDER_NOISE,
-    smoothness: float = BORDER_SMOOTHNESS,
-) -> IntMap:
-    """Return the map [H, W] read at smoothly displaced positions; ``pixels`` is a standard deviation."""
+def moved_borders(part_map: IntMap, rng: np.random.Generator) -> IntMap:
+    """Return the map [H, W] read at smoothly displaced positions."""
     scale = part_map.shape[1] / REFERENCE_WIDTH
     rows, columns = np.indices(part_map.shape)
     shifts = []
     for _ in range(2):
-        field = ndimage.gaussian_filter(rng.normal(size=part_map.shape), smoothness * scale, mode="wrap")
-        shifts.append(field / max(field.std(), 1e-12) * pixels * scale)
+        field = ndimage.gaussian_filter(
+            rng.normal(size=part_map.shape), BORDER_SMOOTHNESS * scale, mode="wrap"
+        )
+        shifts.append(field / max(field.std(), 1e-12) * BORDER_NOISE * scale)
     height, width = part_map.shape
     take_rows = np.rint(rows + shifts[0]).astype(int).clip(0, height - 1)
     take_columns = np.rint(columns + shifts[1]).astype(int).clip(0, width - 1)

@@ -18,7 +18,6 @@ EVAL = Family(
         "scenesplat": "scoup_lab.cli.evaluate.data_sets:SceneSplat",
         "baselines": "scoup_lab.cli.evaluate.studies:Baselines",
         "ablations": "scoup_lab.cli.evaluate.studies:Ablations",
-        "curves": "scoup_lab.cli.evaluate.studies:Curves",
         "consistency": "scoup_lab.cli.evaluate.studies:Consistency",
         "synthetic": "scoup_lab.cli.evaluate.synthetic:Synthetic",
     },

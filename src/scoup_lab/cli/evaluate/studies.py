@@ -1,4 +1,4 @@
-"""scoup eval baselines, ablations, curves, consistency: studies on the scenes of one data set."""
+"""scoup eval baselines, ablations, consistency: studies on the scenes of one data set."""
 
 from __future__ import annotations
 
@@ -127,36 +127,6 @@ class Ablations(StudyOptions):
         from scoup_lab.evaluate.studies.ablations import Ablations as AblationStudy
 
         return AblationStudy(find_ablations(self.groups), self.query_preset(), self.seeds, self.epochs)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Curves(StudyOptions):
-    """Accuracy against faults put in on purpose: displaced and missing masks, noisy and wrong embeddings, fewer
-    views. A table and a plot for each."""
-
-    faults: Names = ()
-    """What to put in: masks, missing, noise, wrong, views; repeat it for several. Default: all."""
-    methods: Names = ()
-    """Methods as in `scoup eval baselines`; repeat it for several. Default: as there, without those that
-    take minutes (paper, autoencoder)."""
-    seed: int = 0
-    """Seed of the methods."""
-    draw: int = 0
-    """Seed of the faults."""
-    epochs: int = 100
-    """Epochs of the autoencoder, if it is among the methods."""
-
-    recorded: ClassVar[str] = "seed draw"
-
-    def study(self) -> Study[Any]:
-        from scoup_lab.baselines.methods import COMPARED, SLOW, find_method
-        from scoup_lab.evaluate.studies.curves import FAULT_SCALES, find_fault
-        from scoup_lab.evaluate.studies.curves import Curves as CurveStudy
-
-        faults = [find_fault(name) for name in self.faults or FAULT_SCALES]
-        names = self.methods or tuple(name for name in COMPARED if name not in SLOW)
-        methods = [find_method(name) for name in names]
-        return CurveStudy(methods, faults, self.query_preset(), _settings(self.seed, self.epochs), self.draw)
 
 
 @dataclass(frozen=True, kw_only=True)
