@@ -10,6 +10,7 @@ program is killed, too. Nothing is preloaded that reads the environment when imp
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
 import importlib
 import io
@@ -53,6 +54,7 @@ MODULES = (
     "scoup.field.language_field",
     "scoup.query.locate",
 )
+IF_INSTALLED = ("skimage.segmentation",)
 LENGTH = struct.Struct("<Q")
 
 
@@ -184,8 +186,9 @@ def ended(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    for module in MODULES:
-        importlib.import_module(module)
+    for module in (*MODULES, *IF_INSTALLED):
+        with contextlib.suppress(*((ImportError,) if module in IF_INSTALLED else ())):
+            importlib.import_module(module)
     gc.freeze()  # no program need look through all of this for garbage
     given = serve(sys.argv[1])
     become(given, sys.argv[2])

@@ -21,6 +21,16 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(autouse=True)
+def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras of a splat alone are chosen among few."""
+    for name, few in (
+        ("view_candidates.AZIMUTHS", 4), ("view_candidates.PLACES", 2), ("view_candidates.PARTS", 2),
+        ("view_candidates.DISTANCES", (0.65, 1.0)), ("own_views.PARENTS", 4),
+    ):  # fmt: skip
+        monkeypatch.setattr(f"scoup.extract.{name}", few)
+
+
 @pytest.fixture
 def here(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The current folder: a copy of ``original``."""

@@ -34,16 +34,19 @@ def nobody_reads(name: str) -> Iterator[None]:
             setattr(sys, name, before)
 
 
-@pytest.mark.parametrize("verb", [name for name in VERBS if name not in ("demo", "bench")])
-def test_every_verb_ends_its_work(verb: str, tmp_path: Path) -> None:
-    """With text and with JSON on the pipe; what is written is what is written otherwise."""
-    assert run(*VERBS[verb])[0] == 0
-    expected = entries(Path())
-    for options in ((), ("--json",)):
-        with nobody_reads("stdout"):
-            code = main([str(part) for part in (*VERBS[verb], *options, "--overwrite")])
-        assert code == 0
-        assert entries(Path()) == expected
+@pytest.mark.parametrize("verb", [name for name in VERBS if name not in ("demo", "bench", "synthetic")])
+def test_every_verb_ends_its_work(verb: str) -> None:
+    before = entries(Path())
+    with nobody_reads("stdout"):
+        code = main([str(part) for part in VERBS[verb]])
+    assert code == 0
+    assert entries(Path()) > before
+
+
+def test_json_that_nobody_reads() -> None:
+    with nobody_reads("stdout"):
+        assert main([str(part) for part in (*BUILD, "--json")]) == 0
+    assert run("info", "a.scoup")[0] == 0
 
 
 def test_warnings_that_nobody_reads_end_nothing() -> None:
@@ -55,15 +58,15 @@ def test_warnings_that_nobody_reads_end_nothing() -> None:
 
 
 @unix
-@pytest.mark.parametrize("ending", ["| true", ">&-", "<&- >&- 2>&-"])
-def test_shells_that_close_streams(ending: str) -> None:
-    words = " ".join(str(word) for word in BUILD)
-    command = f"set -o pipefail; '{sys.executable}' -c '{RUN}' {words} {ending}"
-    assert subprocess.run(["bash", "-c", command], check=False).returncode == 0
-    assert run("info", "a.scoup")[0] == 0
+def in_a_shell(python: str, *words: str, ending: str) -> int:
+    """The exit code of the command line."""
+    command = f"set -o pipefail; '{python}' -c '{RUN}' {' '.join(words)} {ending}"
+    return subprocess.run(["bash", "-c", command], check=False).returncode
 
 
 @unix
-def test_a_mistake_stays_one_without_a_reader() -> None:
-    command = f"set -o pipefail; '{sys.executable}' -c '{RUN}' build nowhere --out a.scoup 2>&1 | true"
-    assert subprocess.run(["bash", "-c", command], check=False).returncode == 2
+def test_shells_that_close_streams(preloaded_python: str) -> None:
+    assert in_a_shell(preloaded_python, *BUILD, ending="| true") == 0
+    assert in_a_shell(sys.executable, *BUILD, "--overwrite", ending="<&- >&- 2>&-") == 0
+    assert run("info", "a.scoup")[0] == 0
+    assert in_a_shell(preloaded_python, "build nowhere --out b.scoup", ending="2>&1 | true") == 2

@@ -34,6 +34,5 @@ def test_help_and_the_facts_of_a_field_need_nothing_heavy(arguments: list[str]) 
 
 
 @needs_native
-@pytest.mark.parametrize("pictures", ["none", "sheet"])
-def test_a_query_needs_no_scipy(pictures: str) -> None:
-    assert "scipy" not in imported("query", "f.scoup", "kettle", "--pictures", pictures)
+def test_a_query_needs_no_scipy() -> None:
+    assert "scipy" not in imported("query", "f.scoup", "kettle")

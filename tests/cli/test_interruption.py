@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,13 +20,13 @@ from scoup.io import save_png
 from scoup.io.regions.store import RegionStore
 from support import HANGS
 
-pytestmark = pytest.mark.usefixtures("here")
+pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
 # A build in a process of its own that rasterises no third view: it waits, once two are in the file.
 STUCK = """
-import time
+import os, time
 from scoup import raster
 from scoup.cli.app import entry
 from scoup.uplift.checkpoint import checkpoint
@@ -38,7 +40,7 @@ def slow(*view):
     while len(rasterised) == 3 and len(appended) < 2:
         time.sleep(0.01)
     if len(rasterised) == 3:
-        print("two views", flush=True)
+        print("two views", os.getpid(), flush=True)
     while len(rasterised) == 3:
         time.sleep(0.1)
     return region_sums(*view)
@@ -51,14 +53,17 @@ def names() -> set[str]:
     return {path.name for path in Path().iterdir()}
 
 
-def stuck(*arguments: object) -> subprocess.Popen[str]:
-    """The build, stuck after two views."""
+@contextmanager
+def stuck(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The build, stuck after two views, and the number of its process."""
     command = [sys.executable, "-c", STUCK, *map(str, arguments)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    while process.stdout.readline() not in ("two views\n", ""):
-        pass
-    return process
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        while line and not line.startswith("two views"):
+            line = process.stdout.readline()
+        yield process, line.split()[-1]
 
 
 @pytest.mark.parametrize(
@@ -66,9 +71,9 @@ def stuck(*arguments: object) -> subprocess.Popen[str]:
 )
 def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word: str, code: int) -> None:
     before = names()
-    with stuck(*BUILD) as build:
+    with stuck(*BUILD) as (build, number_of_it):
         message = refused(*BUILD)
-        assert message.startswith(f"a.scoup: is being written by process {build.pid} on ")
+        assert message.startswith(f"a.scoup: is being written by process {number_of_it} on ")
         build.send_signal(number)
         _, err = build.communicate(timeout=HANGS)
     assert build.returncode == code
@@ -82,7 +87,7 @@ def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word:
 
 def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
     before = names()
-    with stuck(*BUILD) as build:
+    with stuck(*BUILD) as (build, _):
         build.kill()
         build.communicate(timeout=HANGS)
     Path(".a.0123456789ab.scoup").write_text("half a field")

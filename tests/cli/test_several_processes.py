@@ -26,7 +26,7 @@ IMPATIENT = """
 import os, signal
 from scoup.base import heartbeats
 from scoup.cli.app import entry
-heartbeats.SILENCE = 5
+heartbeats.SILENCE, heartbeats._BEAT = 3, 0.3
 """
 DIES = (
     IMPATIENT

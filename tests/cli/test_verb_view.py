@@ -112,8 +112,7 @@ ViewedField.answers = answers
 """
 
 
-@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
-def test_it_stops_quietly_while_requests_wait(stop: signal.Signals, code: int):
+def test_it_stops_quietly_while_requests_wait():
     def ask(queries: str) -> None:
         with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
             urllib.request.urlopen(urllib.request.Request(queries, QUERY), timeout=HANGS)
@@ -124,8 +123,8 @@ def test_it_stops_quietly_while_requests_wait(stop: signal.Signals, code: int):
             visitor.start()
         assert process.stdout is not None
         assert process.stdout.readline() == "asked\n"
-        process.send_signal(stop)
+        process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=HANGS)
         for visitor in visitors:
             visitor.join()
-    assert (process.returncode, err) == (code, "")
+    assert (process.returncode, err) == (143, "")
