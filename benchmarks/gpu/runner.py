@@ -27,7 +27,6 @@ from benchmarks.gpu.stage import NO_TIME, Row, Sizes, Stage, reason
 STAGES = {
     "parity": "Parity with the reference",
     "timing": "One view",
-    "precision": "Precision of the products",
     "build": "The whole build",
 }
 """Modules and functions, and the headings of their tables, in the order they run."""

@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 import torch
-from benchmarks.gpu import ROOT, gsplat, parity, precision
+from benchmarks.gpu import ROOT, gsplat, parity
 from benchmarks.gpu.report import report
 from benchmarks.gpu.runner import STAGES
-from benchmarks.gpu.stage import FULL, QUICK, TINY, Stage, Unavailable
+from benchmarks.gpu.stage import QUICK, TINY, Stage, Unavailable
 
 from scoup import raster
 from scoup_lab.bench import random_scene_cameras, random_scene_gaussians, random_workload
@@ -42,28 +42,19 @@ def written_by_the_command(folder: Path, *stages: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_precisions_agree_where_products_are_exact(needs_triton: None, tmp_path: Path) -> None:
-    record = written_by_the_command(tmp_path, "precision")
-    rows = [row for row in record["stages"]["precision"]["rows"] if precision.KEYS[0] in row]
-    assert len(rows) == len(precision.OTHERS) + 1
-    assert all(row["pixels_of_another_order"] <= 1e-3 for row in rows)
-    assert all(row[key] < 1e-5 for row in rows for key in precision.KEYS[:3])
-    assert "no time here means anything" in report(record)
-    on_a_gpu = {**record, "settings": {**record["settings"], "interpreted": False}}
-    assert "## Expected and measured" in report(on_a_gpu)
-
-
-@pytest.mark.slow
 def test_every_stage_runs(needs_triton: None, tmp_path: Path) -> None:
     """Parity has tests of its own: its suite is most of the tests of the kernels."""
-    record = written_by_the_command(tmp_path, "timing", "precision", "build")
+    record = written_by_the_command(tmp_path, "timing", "build")
     for name, result in record["stages"].items():
         assert "reason" not in result, (name, result)
         assert result["rows"], name
         for row in result["rows"]:
-            known = {"median_s", "value", precision.KEYS[0]} & set(row)
-            assert known or row["reason"] == "gsplat needs a CUDA device", (name, row)
+            assert {"median_s", "value"} & set(row) or row["reason"] == "gsplat needs a CUDA device", (
+                name,
+                row,
+            )
     page = report(record)
+    assert "no time here means anything" in page
     assert all(f"## {STAGES[name]}" in page for name in record["stages"])
     assert "gsplat: RGB: gsplat needs a CUDA device" in page
 
@@ -189,26 +180,3 @@ def test_dense_uplift_by_gradients() -> None:
         module = SimpleNamespace(rasterization=rasterization)
         gsplat.dense_uplift(module, work, embeddings, out, channels)
         torch.testing.assert_close(out, expected, atol=1e-4, rtol=1e-4)
-
-
-def test_yardsticks_are_judged_by_the_rows() -> None:
-    from benchmarks.gpu import build, timing
-    from benchmarks.gpu.report import yardsticks
-
-    def row(name: str, seconds: float, **over: float) -> dict[str, object]:
-        return {"name": name, "median_s": seconds, "over": over}
-
-    query = row(timing.relevancy_name(64), 2e-3, **{timing.RGB: 1.2, timing.DECODED: 0.2})
-    sums = row(timing.SUMS, 2e-3, **{timing.RGB: 3.0, timing.DENSE: 0.01})
-    built = {**row(build.NAMES["paper"], 2.5, **{build.PAPER: 0.04}), "peak_bytes": 4e9}
-    changed = {"name": precision.answers_name("fp16x3"), "pixels_of_another_order": 1e-4}
-    settings = {"n_atoms": FULL.n_atoms}
-    stages = {"timing": {"rows": [query, sums]}, "build": {"rows": [built]}, "precision": {"rows": [changed]}}
-    lines = yardsticks({"settings": settings, "stages": stages})
-    assert [(line[1], line[2]) for line in lines] == [
-        ("1.2 x", "yes"), ("500 /s", "no"), ("5 x", "no"), ("3 x", "no"), ("100 x", "yes"), ("25 x", "yes"),
-        ("0.0001", "yes"), ("2.5 s", "yes"), ("4 GB", "no"), ("-", "not measured"), ("-", "not measured"),
-    ]  # fmt: skip
-    nothing = yardsticks({"settings": settings, "stages": {}})
-    assert [line[0] for line in nothing] == [line[0] for line in lines]
-    assert {(line[1], line[2]) for line in nothing} == {("-", "not measured")}
