@@ -10,11 +10,10 @@ from pathlib import Path
 import pytest
 
 from cli_support import BUILD, refused, run, run_json, write_scene
-from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
+from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png
 from scoup.io.splats.formats import READERS
 from scoup.io.splats.ply import read_ply
 from scoup.raster import render_colors
-from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 
 RANDOM = pytest.mark.filterwarnings("ignore:.*badly explained")  # the regions are random
@@ -69,19 +68,6 @@ def test_the_splat_of_another_scene_is_refused_before_the_work():
     assert run_json(*BUILD, "--no-check-fit")["views"] == 4
 
 
-def test_a_doubtful_scene_is_built_with_a_warning():
-    shutil.copytree("scene", "other")
-    photograph(Path("other"), Path("elsewhere/point_cloud.ply"))
-    for number in (1, 3):
-        shutil.copy(f"other/images/view_0{number}.png", "scene/images")
-    record = run_json(*BUILD)
-    assert len(record["warnings"]) == 1
-    assert (
-        "2 of 4 renders tried look unlike their photographs (view_01.png, view_03.png;"
-        in record["warnings"][0]
-    )
-
-
 @RANDOM
 def test_new_views_are_checked():
     Path("later").mkdir()
@@ -109,17 +95,3 @@ def test_cameras_follow_a_splat_into_the_frame_of_its_training():
     Path("dataparser_transforms.json").write_text(json.dumps({"transform": rows, "scale": scale}))
     code, _, err = run(*trained, "--dataparser-transforms", "dataparser_transforms.json")
     assert (code, err) == (0, "")
-
-
-def test_cameras_without_photographs_are_judged_by_what_they_see():
-    shutil.rmtree("scene/images")
-    found = load_cameras("scene/sparse/0", missing_images="keep")
-    turned = [Camera(camera.name, camera.viewmat * camera.viewmat.new_tensor([[-1], [1], [-1], [1]]), camera.K,
-                     camera.width, camera.height) for camera in found]  # fmt: skip
-    shutil.rmtree("scene/sparse")
-    write_colmap(Cameras([*turned[:2], *list(found)[2:]]), "scene/sparse/0")
-    warnings = run_json(*BUILD)["warnings"]
-    assert any(
-        "2 of 4 cameras tried see nothing of the splat (view_00.png, view_01.png)" in said
-        for said in warnings
-    )

@@ -70,6 +70,7 @@ def stuck(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
     ("number", "word", "code"), [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)]
 )
 def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word: str, code: int) -> None:
+    run_json("build", "scene", *QUICK, "--out", "whole.scoup")
     before = names()
     with stuck(*BUILD) as (build, number_of_it):
         message = refused(*BUILD)
@@ -83,6 +84,7 @@ def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word:
     assert (code, err) == (0, "")
     assert "continues an interrupted build: 2 of 4 views are there" in out
     assert names() - before == {"a.scoup"}
+    assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
 
 
 def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import QUICK, RUN, run, run_json, snapshot, together, write_scene
+from cli_support import QUICK, RUN, run, snapshot, together, write_scene
 from scoup.base.locks import locked_output
 from scoup.uplift.region_sums import RegionSums
 from support import HANGS, environments
@@ -214,12 +214,3 @@ def test_a_process_that_waits_can_be_interrupted() -> None:
     assert err == "error: interrupted; 2 of 2 views are kept, run the same command again to continue\n"
     built(2)
     assert is_whole()
-
-
-def test_an_extraction_takes_its_share(here: Path) -> None:
-    extract = ("extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "regions")
-    record = run_json(*extract, "--shard", "2/3")
-    assert (record["made"], record["shard"], record["of_shards"]) == (1, 2, 3)
-    assert [path.name for path in Path("regions").glob("*.regions")] == ["view_01.regions"]
-    assert "(shard 1 of 3)" in run(*extract, "--shard", "1/3")[1]
-    assert "1 view made, 3 already there" in run(*extract)[1]

@@ -106,14 +106,6 @@ def test_embedded_geometry_serves_where_the_file_is_damaged():
     assert load_gaussians("b.ply").means.equal(load_gaussians("a.ply").means)
 
 
-def test_thresholds_and_neighbours_change_the_choice():
-    ask = ("select", "f.scoup", "kettle", "--out", "a.ply", "--overwrite")
-    count = lambda *options: run_json(*ask, *options)["written"]  # noqa: E731
-    assert count("--threshold", "0.1") > count("--threshold", "0.9")
-    assert count("--absolute", "--threshold", "0.5") > count("--absolute", "--threshold", "0.8")
-    assert count("--neighbours", "10") != count()
-
-
 def test_the_threshold_is_said_and_without_one_is_the_most_stable():
     ask = ("select", "f.scoup", "kettle", "mug", "--out", "a.ply", "--overwrite")
     thresholds = lambda *options: run_json(*ask, *options)["thresholds"]  # noqa: E731
@@ -122,6 +114,8 @@ def test_the_threshold_is_said_and_without_one_is_the_most_stable():
     assert all(threshold is None or 0.44 <= threshold <= 0.84 for threshold in stable.values())
     assert thresholds("--threshold", "0.55") == {"kettle": 0.55, "mug": 0.55}
     assert thresholds("--absolute", "--always") == {"kettle": 0.6, "mug": 0.6}
+    count = lambda *options: run_json(*ask, *options)["selected"]  # noqa: E731
+    assert len({count(), count("--neighbours", "10"), count("--level", "s"), count("--level", "l")}) > 2
     field = LanguageField.load("f.scoup")
     assert field.location("mug").record()["threshold"] == stable["mug"]
 
@@ -139,18 +133,6 @@ def test_the_splat_itself_is_never_replaced():
     assert "already exists; pass --overwrite" in refused(
         "select", "f.scoup", "kettle", "--out", "scene/point_cloud.ply"
     )
-
-
-def test_a_level_of_ones_own():
-    counts = {
-        level: run_json("select", "f.scoup", "kettle", "--out", f"{level}.ply", "--level", level)["written"]
-        for level in ("s", "m", "l")
-    }
-    field = LanguageField.load("f.scoup")
-    for level, count in counts.items():
-        assert count == int(field.location(field.question("kettle", level=level)).answer.mask.sum())
-    assert len(set(counts.values())) > 1
-    assert "there is no level 'x'" in refused("select", "f.scoup", "kettle", "--out", "x.ply", "--level", "x")
 
 
 def test_expressions_join_texts():
