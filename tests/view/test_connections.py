@@ -59,6 +59,7 @@ def answers(viewer: Viewer) -> bool:
 )
 def test_who_does_not_end_a_request_is_let_go(viewer: Viewer, monkeypatch, sent: str) -> None:
     monkeypatch.setattr(connections, "SECONDS", 0.2)
+    monkeypatch.setattr(viewer._server.config, "timeout_keep_alive", 0.2)
     with connect(viewer, sent) as opened:
         assert is_closed_by_the_server(opened)
     assert answers(viewer)

@@ -1,5 +1,5 @@
 """Methods: ways from a rasterised scene to relevancy. Our presets, ablations and baselines are all methods, and tables,
-studies and curves treat them alike.
+studies treat them alike.
 
 All share the rasteriser, the regions, the text vectors and the queries, so that scores differ by what is compared and
 nothing else.
