@@ -5,8 +5,8 @@
 Stages: parity (every answer against the reference), timing (one view, beside gsplat, dense uplift and the paper's per-
 pixel scatter) and build (whole builds, kept sums and queries, beside the paper's procedure). Writes
 docs/benchmarks/gpu-DEVICE.json and .md, again whenever more is known. Each stage is a process: what breaks the device
-or hangs costs its own row. Runs from a checkout in which nothing is installed, with torch, triton and scipy; parity
-needs pytest and hypothesis, the comparison gsplat (pip install gsplat) and nvcc, which compiles it. On a machine
+or hangs costs the rest of its stage. Runs from a checkout in which nothing is installed, with torch, triton and scipy;
+parity needs pytest and hypothesis, the comparison gsplat (pip install gsplat) and nvcc, which compiles it. On a machine
 without a GPU --quick runs everything tiny, with interpreted kernels: its times mean nothing.
 """
 

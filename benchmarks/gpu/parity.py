@@ -40,20 +40,11 @@ class Tests:
         if report.failed:
             self.problem = failure_line(report.longreprtext)
 
-    def pytest_collection_modifyitems(self, session: Any, items: list[Any]) -> None:
-        """Leave out tests whose outcome is known, or which have ended an earlier process."""
+    def pytest_sessionstart(self, session: Any) -> None:
         self.session = session
-        ended = {name: {"outcome": "failed", "reason": why} for name, why in self.stage.left_out.items()}
-        earlier = {**ended, **self.stage.known}
-        self.rows += [
-            {**earlier[item.nodeid], "name": item.nodeid} for item in items if item.nodeid in earlier
-        ]
-        items[:] = [item for item in items if item.nodeid not in earlier]
-        self.stage.save()
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         self.row = {"name": nodeid, "outcome": "passed"}
-        self.stage.send(("next", nodeid, self.stage.sizes.quiet_s))
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.outcome != "passed":

@@ -1,7 +1,7 @@
 """The runner of stages: each runs in a process of its own, and its results are kept.
 
-A process of its own because a kernel that goes wrong can leave a device that answers nothing more. What ends a process,
-breaks its device or hangs costs its own row: the stage goes on in another process, without it.
+A process of its own because a kernel that goes wrong can leave a device that answers nothing more: that costs the rest
+of its stage.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from benchmarks.gpu import ROOT
-from benchmarks.gpu.stage import NO_TIME, Row, Sizes, Stage, reason
+from benchmarks.gpu.stage import NO_TIME, Sizes, Stage, reason
 
 STAGES = {
     "parity": "Parity with the reference",
@@ -31,7 +31,6 @@ STAGES = {
 }
 """Modules and functions, and the headings of their tables, in the order they run."""
 RESERVE = 15.0  # seconds before the end after which nothing is begun
-STARTS = 20  # processes that one stage may use up
 
 Launch = Callable[..., tuple[Connection, Any]]
 
@@ -49,55 +48,29 @@ class Runner:
     def run(self, name: str, end: float = math.inf) -> None:
         """Run a stage, until ``end`` (seconds since the epoch) at most."""
         print(f"{time.strftime('%H:%M:%S')} {name}", file=sys.stderr, flush=True)
-        left_out: dict[str, str] = {}
-        result = self.results.setdefault(name, {"rows": []})
-        known: dict[str, Row] = {}
-        for _ in range(STARTS):
-            if time.time() > end - RESERVE:
-                result["reason"] = NO_TIME
-                break
-            process = self.launch(name, self.sizes, self.interpreted, end - RESERVE, left_out, known)
-            doing, why = self.follow(name, *process, known, end)
-            result = self.results[name]
-            if not why:
-                break
-            result["reason"] = why
-            if not doing or doing in left_out:
-                break
-            rows = {row["name"]: row for row in result["rows"]}
-            known = {key: row for key, row in rows.items() if "reason" not in row or "outcome" in row}
-            left_out[doing] = rows.get(doing, {}).get("reason", why)
-            print(f"{name}: {why}; once more, without: {doing}", file=sys.stderr, flush=True)
+        self.results[name] = {"rows": [], "reason": NO_TIME}
+        if time.time() < end - RESERVE:
+            self.results[name] = self.follow(
+                name, *self.launch(name, self.sizes, self.interpreted, end - RESERVE), end
+            )
         self.write()
 
-    def follow(
-        self, name: str, receiver: Connection, process: Any, known: dict[str, Row], end: float
-    ) -> tuple[str, str]:
-        """Keep what a process sends until it ends, is silent for too long, or the time is up.
-
-        Returns what it did last, and why it has ended: "" where the stage is complete.
-        """
-        doing, why, quiet_s = "", "", self.sizes.quiet_s
+    def follow(self, name: str, receiver: Connection, process: Any, end: float) -> dict[str, Any]:
+        """Keep what a process sends until it ends or the time is up; what it sent last, and why there is no more."""
+        result: dict[str, Any] = {"rows": []}
+        why = f"stopped: {NO_TIME}"
         try:
-            while True:
-                if not receiver.poll(max(0.0, min(quiet_s, end - time.time()))):
-                    why = f"stopped: {NO_TIME}" if time.time() >= end else "it hung and was stopped"
-                    break
-                kind, *content = receiver.recv()
-                if kind == "next":
-                    doing, quiet_s = content
-                elif kind != "alive":
-                    self.results[name] = merge_rows(content[0], known)
-                    if kind == "end":
-                        break
-                    self.results[name].setdefault("reason", "not finished when this was written")
+            while time.time() < end:
+                if receiver.poll(max(0.0, min(10.0, end - time.time()))):
+                    result = receiver.recv()
+                    self.results[name] = {"reason": "not finished when this was written", **result}
                     self.write()
         except (EOFError, OSError):
             process.join(30.0)
-            why = f"its process ended with {process.exitcode}"
+            why = f"its process ended with {process.exitcode}" if process.exitcode else ""
         finally:
             kill(process)
-        return doing, why
+        return {**result, "reason": why} if why else result
 
 
 def kill(process: Any) -> None:
@@ -124,8 +97,6 @@ def work(
     sizes: Sizes,
     interpreted: bool,
     deadline: float,
-    left_out: dict[str, str],
-    known: dict[str, Row],
 ) -> None:
     """Run a stage; the entry of its process."""
     os.setsid()  # it and what it starts are ended together, and not by the signals of a terminal
@@ -138,18 +109,10 @@ def work(
     import torch
 
     device = torch.device("cpu" if interpreted else "cuda")
-    stage = Stage(device, sizes, deadline, sender.send, left_out, known)
+    stage = Stage(device, sizes, deadline, sender.send)
     try:
         getattr(importlib.import_module(f"benchmarks.gpu.{name}"), name)(stage)
     except Exception as error:
         stage.result.update(reason=reason(error), traceback=traceback.format_exc()[-3000:])
-    sender.send(("end", stage.result))
+    sender.send(stage.result)
     sender.close()
-
-
-def merge_rows(result: dict[str, Any], known: dict[str, Row]) -> dict[str, Any]:
-    """Return a result with the rows that an earlier process knew and this one does not (yet)."""
-    failed = {row["name"] for row in result["rows"] if "reason" in row}
-    rows = [known[row["name"]] if row["name"] in failed & set(known) else row for row in result["rows"]]
-    there = {row["name"] for row in rows}
-    return {**result, "rows": rows + [row for name, row in known.items() if name not in there]}

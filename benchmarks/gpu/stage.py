@@ -59,18 +59,16 @@ class Sizes:
     epochs_run: int = 4000  # the time of the others is extrapolated, and the row says so
     repeats: int = 15
     tests: str = ""  # of the parity suite, an expression of pytest's -k
-    quiet_s: float = 300.0  # without a message a process hangs
 
 
 FULL = Sizes()
 # Of the tests those that run on a GPU, and of three draws of every scene the first.
 _ON_A_GPU = "(on_a_gpu and not seed1 and not seed2) or a_gpu_finds or encode_does_not_care"
-QUICK = Sizes(epochs_run=200, repeats=5, tests=_ON_A_GPU, quiet_s=120.0)
+QUICK = Sizes(epochs_run=200, repeats=5, tests=_ON_A_GPU)
 # For interpreted kernels: proves that every stage runs, and nothing else.
 TINY = Sizes(
     n_gaussians=20, width=8, height=8, large=(9, 8), n_atoms=(16,), k=2, dim=16, regions=(3, 2, 1),
     channels=(4, 16), build_views=1, build_regions=(2, 2, 2), epochs=6, epochs_run=3, repeats=1, tests="not on_a_gpu",
-    quiet_s=600.0,
 )  # fmt: skip
 
 
@@ -81,13 +79,7 @@ class Stage(Watch[str]):
     device: torch.device  # "cuda", or "cpu" with interpreted kernels
     sizes: Sizes  # of everything
     deadline: float  # seconds since the epoch after which nothing is begun
-    # to the runner: ("next", name, seconds it may be silent) before everything that may break the device or
-    # hang, ("alive",) now and then while it runs, ("result", result) whenever there is more
-    send: Callable[[tuple[Any, ...]], None]
-    # why something must not run, by name: it broke the device or hung in an earlier process
-    left_out: dict[str, str] = field(default_factory=dict)
-    # rows of an earlier process, by name. What is measured by itself is not measured again.
-    known: dict[str, Row] = field(default_factory=dict)
+    send: Callable[[dict[str, Any]], None]  # the result, to the runner, whenever there is more
     # "rows", and "about": on what they were measured
     result: dict[str, Any] = field(default_factory=lambda: {"rows": []})
 
@@ -97,20 +89,19 @@ class Stage(Watch[str]):
         self._timed: dict[str, Row] = {}
         self._over: dict[str, list[str]] = {}
 
-    def row(self, name: str, run: Callable[[], Row], quiet_s: float | None = None) -> Row:
-        """Return a row with what ``run`` returns, or with the reason why that failed. Known rows are not made again."""
+    def row(self, name: str, run: Callable[[], Row]) -> Row:
+        """Return a row with what ``run`` returns, or with the reason why that failed."""
         row: Row = {"name": name}
         self.result["rows"].append(row)
         try:
-            if name not in self.known:
-                self.begin(name, quiet_s)
-            row.update(self.known.get(name) or run())
+            self.begin()
+            row.update(run())
         except Exception as error:
             self._give_up(row, error)
         self.save()
         return row
 
-    def once(self, name: str, run: Callable[[], object], quiet_s: float | None = None) -> Row:
+    def once(self, name: str, run: Callable[[], object]) -> Row:
         """Return a row with seconds and memory of one run of something that takes long."""
 
         def measured() -> Row:
@@ -119,7 +110,7 @@ class Stage(Watch[str]):
             memory = self.clock.peak_bytes(run)
             return {**Timing((time.perf_counter() - started,)).record(), **memory}
 
-        return self.row(name, measured, quiet_s)
+        return self.row(name, measured)
 
     def rows(self, runs: Runs, over: dict[str, list[str]] | None = None) -> None:
         """Add interleaved times and memory of everything; ``over`` as in ``add_ratios``."""
@@ -128,7 +119,7 @@ class Stage(Watch[str]):
         tasks: dict[str, Task] = {}
         for name, run in runs.items():
             try:
-                self.begin(name)
+                self.begin()
                 if self.clock.on_gpu:  # the first run compiles kernels
                     run()
                     self._timed[name].update(self.clock.peak_bytes(run))
@@ -143,7 +134,6 @@ class Stage(Watch[str]):
         self.save()
 
     def may_run(self, key: str) -> bool:
-        self.send(("next", key, self.sizes.quiet_s))
         return not self.time_is_up()
 
     def failed(self, key: str, error: Exception) -> None:
@@ -155,23 +145,21 @@ class Stage(Watch[str]):
         add_ratios(list(self._timed.values()), self._over)
         self.save()
 
-    def begin(self, name: str, quiet_s: float | None = None) -> None:
-        """Say what runs next, and for how long it may be silent; Unavailable where it must not, or no time is left."""
-        self.send(("next", name, quiet_s or self.sizes.quiet_s))
-        if name in self.left_out or self.time_is_up():
-            raise Unavailable(self.left_out.get(name, NO_TIME))
+    def begin(self) -> None:
+        """Refuse to begin where no time is left."""
+        if self.time_is_up():
+            raise Unavailable(NO_TIME)
 
     def progress(self, what: str, done: int = 0, total: int = 0) -> None:
-        """Say that something long goes on (a ``Progress``), and stop it where no time is left."""
+        """Stop what takes long where no time is left; a ``Progress``."""
         if self.time_is_up():
             raise Unavailable(f"{NO_TIME}, at {done} of {total} of: {what}")
-        self.send(("alive",))
 
     def time_is_up(self) -> bool:
         return time.time() > self.deadline
 
     def save(self) -> None:
-        self.send(("result", self.result))
+        self.send(self.result)
 
     def recover(self) -> None:
         """Free memory. A kernel that has broken the device's context ends the process: only a new one can use it."""

@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,12 @@ import pytest
 import torch
 from benchmarks.gpu import ROOT, runner
 from benchmarks.gpu.__main__ import main, parse
-from benchmarks.gpu.runner import Runner, merge_rows
-from benchmarks.gpu.stage import LOST, NO_TIME, TINY, Row, Stage, Unavailable, add_ratios
+from benchmarks.gpu.runner import Runner
+from benchmarks.gpu.stage import LOST, NO_TIME, TINY, Row, Runs, Stage, Unavailable, add_ratios
 
 from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
 
 pytestmark = pytest.mark.usefixtures("quick_python")
-
-Message = tuple[Any, ...]
 
 
 class Finished:
@@ -45,35 +44,25 @@ class Launches:
 
     def __init__(self, script: Any) -> None:
         self.script = script
-        self.started: list[tuple[str, dict[str, str], list[str]]] = []
+        self.started: list[str] = []
 
     def __call__(
-        self, name: str, sizes: Any, interpreted: bool, deadline: float, left_out: dict[str, str],
-        known: dict[str, Row],
-    ) -> tuple[Connection, Finished]:  # fmt: skip
-        self.started.append((name, dict(left_out), list(known)))
+        self, name: str, sizes: Any, interpreted: bool, deadline: float
+    ) -> tuple[Connection, Finished]:
+        self.started.append(name)
         receiver, sender = multiprocessing.Pipe(duplex=False)
-        exitcode = self.script(name, left_out, sender.send)
+        exitcode = self.script(name, sender.send)
         return receiver, Finished(exitcode, sender)
 
 
-def ailing(name: str, left_out: dict[str, str], send: Any) -> int | None:
-    """Of the stage "timing", "bad" ends the process and "slow" hangs, unless left out."""
-    rows: list[Row] = []
-    for what in ("good", "bad", "slow", "last"):
-        send(("next", what, 0.0))  # it may be silent for no time at all: what is sent is there already
-        send(("alive",))
-        if what in left_out:
-            rows.append({"name": what, "reason": left_out[what]})
-        elif name == "timing" and what == "bad":
-            return 7
-        elif name == "timing" and what == "slow":
-            return None
-        else:
-            rows.append({"name": what, "median_s": 1.0})
-        send(("result", {"rows": rows}))
-    send(("end", {"rows": rows}))
-    return 0
+KNOWN: list[Row] = [{"name": "good", "median_s": 1.0}, {"name": "other", "median_s": 2.0}]
+
+
+def ailing(name: str, send: Any) -> int | None:
+    """Stage "timing" ends with an error after two rows, and "build" hangs."""
+    send({"rows": KNOWN[:1]})
+    send({"rows": KNOWN})
+    return {"timing": 7, "build": None}.get(name, 0)
 
 
 def runner_of(results: dict[str, dict[str, Any]], launch: Any) -> Runner:
@@ -88,83 +77,41 @@ def _no_process_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def test_what_kills_a_process_or_hangs_costs_its_own_row() -> None:
+def test_a_process_that_dies_or_hangs_costs_the_rest_of_its_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "RESERVE", 0.0)
     results: dict[str, dict[str, Any]] = {}
-    launches = Launches(ailing)
-    for name in ("parity", "timing", "build"):
-        runner_of(results, launches).run(name)
-    for name in ("parity", "build"):
-        assert [row["median_s"] for row in results[name]["rows"]] == [1.0] * 4
-    assert results["timing"] == {
-        "rows": [
-            {"name": "good", "median_s": 1.0},
-            {"name": "bad", "reason": "its process ended with 7"},
-            {"name": "slow", "reason": "it hung and was stopped"},
-            {"name": "last", "median_s": 1.0},
-        ]
+    for name in ("parity", "timing"):
+        runner_of(results, Launches(ailing)).run(name)
+    runner_of(results, Launches(ailing)).run("build", time.time() + 0.3)
+    assert results == {
+        "parity": {"rows": KNOWN},
+        "timing": {"rows": KNOWN, "reason": "its process ended with 7"},
+        "build": {"rows": KNOWN, "reason": f"stopped: {NO_TIME}"},
     }
-    died, hung = {"bad": "its process ended with 7"}, {"slow": "it hung and was stopped"}
-    of_timing = [start[1:] for start in launches.started if start[0] == "timing"]
-    assert of_timing == [({}, []), (died, ["good"]), (died | hung, ["good"])]
 
 
 def test_a_real_process_that_dies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "work", dies)
     results: dict[str, dict[str, Any]] = {}
     runner_of(results, runner.launch).run("timing")
-    assert results["timing"]["rows"] == [
-        {"name": "good", "median_s": 1.0},
-        {"name": "bad", "reason": "its process ended with 3"},
-    ]
-    assert "reason" not in results["timing"]
+    assert results["timing"] == {"rows": KNOWN, "reason": "its process ended with 3"}
 
 
-def dies(
-    sender: Connection, name: str, sizes: Any, interpreted: bool, deadline: float, left_out: Any, known: Any
-) -> None:
-    rows: list[Row] = [{"name": "good", "median_s": 1.0}]
-    sender.send(("result", {"rows": rows}))
-    sender.send(("next", "bad", 600.0))
-    if "bad" not in left_out:
-        sender.close()
-        os._exit(LOST)
-    sender.send(("end", {"rows": [*rows, {"name": "bad", "reason": left_out["bad"]}]}))
-
-
-def test_a_process_that_never_says_what_it_does_is_not_started_again() -> None:
-    results: dict[str, dict[str, Any]] = {}
-    launches = Launches(lambda name, left_out, send: 1)
-    runner_of(results, launches).run("timing")
-    assert len(launches.started) == 1
-    assert results["timing"] == {"rows": [], "reason": "its process ended with 1"}
+def dies(sender: Connection, *_: object) -> None:
+    sender.send({"rows": KNOWN})
+    sender.close()
+    os._exit(LOST)
 
 
 def test_nothing_is_begun_when_the_time_is_up() -> None:
-    results: dict[str, dict[str, Any]] = {"timing": {"rows": [{"name": "known"}]}}
+    results: dict[str, dict[str, Any]] = {}
     launches = Launches(ailing)
-    for name in ("timing", "build"):
-        runner_of(results, launches).run(name, end=0.0)
+    runner_of(results, launches).run("build", end=0.0)
     assert launches.started == []
-    assert results["timing"] == {"rows": [{"name": "known"}], "reason": NO_TIME}
     assert results["build"] == {"rows": [], "reason": NO_TIME}
 
 
-def test_what_an_earlier_process_knew_stays() -> None:
-    known = {"a": {"name": "a", "median_s": 1.0}, "b": {"name": "b", "median_s": 2.0}}
-    found = merge_rows(
-        {"rows": [{"name": "a", "reason": "hung"}, {"name": "c", "median_s": 3.0}], "about": 1}, known
-    )
-    assert found == {
-        "rows": [
-            {"name": "a", "median_s": 1.0},
-            {"name": "c", "median_s": 3.0},
-            {"name": "b", "median_s": 2.0},
-        ],
-        "about": 1,
-    }
-
-
-def stage(messages: list[Message], **changes: Any) -> Stage:
+def stage(messages: list[dict[str, Any]], **changes: Any) -> Stage:
     return Stage(torch.device("cpu"), TINY, **{"deadline": math.inf, "send": messages.append, **changes})
 
 
@@ -172,23 +119,16 @@ def test_what_fails_is_a_row_with_a_reason() -> None:
     def missing() -> None:
         raise Unavailable("is not here")
 
-    messages: list[Message] = []
-    one = stage(messages, left_out={"left out": "it hung"})
-    runs = {"good": lambda: None, "missing": missing, "left out": lambda: pytest.fail("ran")}
+    messages: list[dict[str, Any]] = []
+    one = stage(messages)
+    runs: Runs = {"good": lambda: None, "missing": missing}
     one.rows(runs, {"other": ["missing"], "good": ["good"]})
     good, *others = one.result["rows"]
     assert good["repeats"] == 1
     assert good["median_s"] >= 0
     assert "over" not in good
-    assert others == [{"name": "missing", "reason": "is not here"}, {"name": "left out", "reason": "it hung"}]
-    assert messages[-1] == ("result", one.result)
-    assert [message[1] for message in messages if message[0] == "next"][:3] == ["good", "missing", "left out"]
-
-
-def test_rows_that_are_known_are_not_made_again() -> None:
-    one = stage([], known={"a": {"name": "a", "median_s": 1.0}})
-    assert one.once("a", lambda: pytest.fail("ran")) == {"name": "a", "median_s": 1.0}
-    assert one.once("b", lambda: None)["repeats"] == 1
+    assert others == [{"name": "missing", "reason": "is not here"}]
+    assert messages[-1] == one.result
 
 
 def test_without_time_nothing_runs_and_what_runs_stops() -> None:
@@ -198,9 +138,7 @@ def test_without_time_nothing_runs_and_what_runs_stops() -> None:
     assert one.result["rows"][0] == {"name": "a", "reason": NO_TIME}
     with pytest.raises(Unavailable, match="no time was left, at 3 of 9 of: vote"):
         one.progress("vote", 3, 9)
-    messages: list[Message] = []
-    stage(messages).progress("vote", 3, 9)
-    assert messages == [("alive",)]
+    stage([]).progress("vote", 3, 9)
 
 
 def test_a_lost_device_ends_the_process_after_its_row_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,13 +149,13 @@ def test_a_lost_device_ends_the_process_after_its_row_is_sent(monkeypatch: pytes
         raise SystemExit(code)
 
     monkeypatch.setattr(os, "_exit", leave)
-    messages: list[Message] = []
+    messages: list[dict[str, Any]] = []
     one = stage(messages)
     monkeypatch.setattr(type(one.clock), "settle", lost)
     with pytest.raises(SystemExit) as ended:
         one.row("breaks", lambda: lost() or {})
     assert ended.value.code == LOST
-    assert messages[-1][1]["rows"] == [
+    assert messages[-1]["rows"] == [
         {"name": "breaks", "reason": "RuntimeError: an illegal memory access was encountered"}
     ]
 
@@ -242,13 +180,13 @@ def _without_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("_without_a_gpu")
 def test_what_is_known_is_written_whatever_it_is(tmp_path: Path) -> None:
-    def odd(name: str, left_out: dict[str, str], send: Any) -> int:
-        send(("end", {"rows": [{"name": "a", "median_s": math.nan, "value": math.inf, "over": 3}]}))
+    def odd(name: str, send: Any) -> int:
+        send({"rows": [{"name": "a", "median_s": math.nan, "value": math.inf, "over": 3}]})
         return 0
 
     launches = Launches(odd)
     out = run_tiny(tmp_path / "gpu.json", launches, "--stages", "timing", "timing", "build")
-    assert [start[0] for start in launches.started] == ["timing", "build"]
+    assert launches.started == ["timing", "build"]
     record = json.loads(out.read_text())
     assert record["finished"]
     assert record["stages"]["build"]["rows"] == [
@@ -259,16 +197,16 @@ def test_what_is_known_is_written_whatever_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("_without_a_gpu")
 def test_an_interrupted_run_leaves_what_it_knew(tmp_path: Path) -> None:
-    def interrupted(name: str, left_out: dict[str, str], send: Any) -> int:
+    def interrupted(name: str, send: Any) -> int:
         if name == "build":
             raise KeyboardInterrupt
-        return ailing("parity", left_out, send) or 0
+        return ailing("parity", send) or 0
 
     with pytest.raises(KeyboardInterrupt):
         run_tiny(tmp_path / "gpu.json", Launches(interrupted), "--stages", "timing", "build")
     record = json.loads((tmp_path / "gpu.json").read_text())
     assert (record["finished"], record["reason"]) == (False, "interrupted")
-    assert len(record["stages"]["timing"]["rows"]) == 4
+    assert record["stages"]["timing"]["rows"] == KNOWN
     assert "**not finished** (interrupted)" in (tmp_path / "gpu.md").read_text()
 
 

@@ -72,14 +72,13 @@ def test_e(): pass
 """
 
 
-def run_suite(folder: Path, name: str, **changes: Any) -> tuple[dict[str, Any], list[str]]:
-    """The result, with its rows by name, and what was about to run."""
-    doing: list[str] = []
-    stage = stage_on_a_cpu(send=lambda message: doing.append(message[1]) if message[0] == "next" else None)
+def run_suite(folder: Path, name: str, **changes: Any) -> dict[str, Any]:
+    """The result."""
+    stage = stage_on_a_cpu()
     for key, value in changes.items():
         setattr(stage, key, value)
     parity.parity(stage, (name,), folder)
-    return {**stage.result, "rows": {row["name"]: row for row in stage.result["rows"]}}, doing
+    return stage.result
 
 
 @pytest.fixture(scope="module")
@@ -97,27 +96,16 @@ def suite(folder_of_suite: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_parity_makes_a_row_of_each_test(suite: Path) -> None:
-    result, doing = run_suite(suite, "test_parity_some.py", sizes=replace(TINY, tests=""))
-    assert doing == [f"test_parity_some.py::test_{letter}" for letter in "abcde"]
-    outcomes = {name.split("_")[-1]: row["outcome"] for name, row in result["rows"].items()}
+    rows = run_suite(suite, "test_parity_some.py", sizes=replace(TINY, tests=""))["rows"]
+    outcomes = {row["name"].removeprefix("test_parity_some.py::test_"): row["outcome"] for row in rows}
     assert outcomes == {"a": "passed", "b": "failed", "d": "failed", "e": "passed"}
-    assert "this one" in result["rows"]["test_parity_some.py::test_b"]["reason"]
-    assert "oh" in result["rows"]["test_parity_some.py::test_d"]["reason"]
-
-
-def test_parity_goes_on_after_what_has_ended_its_process(suite: Path) -> None:
-    a, e = "test_parity_some.py::test_a", "test_parity_some.py::test_e"
-    known, left_out = {a: {"name": a, "outcome": "passed"}}, {e: "it hung"}
-    sizes = replace(TINY, tests="not test_d")
-    result, doing = run_suite(suite, "test_parity_some.py", known=known, left_out=left_out, sizes=sizes)
-    assert [name[-1] for name in doing] == ["b", "c"]
-    assert result["rows"][e] == {"name": e, "outcome": "failed", "reason": "it hung"}
-    assert result["rows"][a]["outcome"] == "passed"
+    assert "this one" in rows[1]["reason"]
+    assert "oh" in rows[2]["reason"]
 
 
 def test_parity_stops_when_the_time_is_up(suite: Path) -> None:
-    result, doing = run_suite(suite, "test_parity_some.py", deadline=0.0)
-    assert (len(doing), result["reason"]) == (1, "no time was left")
+    result = run_suite(suite, "test_parity_some.py", deadline=0.0)
+    assert (len(result["rows"]), result["reason"]) == (1, "no time was left")
 
 
 def test_a_suite_that_cannot_be_collected_says_why(suite: Path) -> None:
@@ -126,6 +114,7 @@ def test_a_suite_that_cannot_be_collected_says_why(suite: Path) -> None:
         run_suite(suite, "test_parity_other.py")
 
 
+@pytest.mark.slow
 def test_the_suite_is_there_and_quick_is_what_runs_on_a_gpu() -> None:
     as_on_a_gpu = "import sys, pytest, torch; torch.cuda.is_available = lambda: True; sys.exit(pytest.main())"
     command = [sys.executable, "-c", as_on_a_gpu, *parity.SUITE, "-p", "no:cacheprovider", "--collect-only"]
