@@ -31,6 +31,14 @@ if native.missing_reason() is not None:
     native.load_core.cache_clear()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_wait_for_the_disk() -> Iterator[None]:
+    """Files are not flushed: half of the time of tests that write many. Processes that tests start do flush."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """Real data: $SCOUP_TEST_DATA, or ``shared/data`` beside the repository. Mark such tests ``data``."""
