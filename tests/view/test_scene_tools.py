@@ -110,6 +110,7 @@ def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
         SceneTools(tools.fields).export_selection("f", "kettle", "a")
 
 
+@pytest.mark.usefixtures("quick_python")
 def test_the_server_speaks_to_the_official_client(folder: Path):
     mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
     arguments = ["-c", RUN, "mcp", str(folder / "f.scoup")]
