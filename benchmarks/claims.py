@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 import torch
 
-from benchmarks.claims_scenes import entropy_rows, glass_rows
+from benchmarks.claims_scenes import desk_rows, desk_scene, entropy_rows, glass_rows, members, study_scene
+from benchmarks.data import data_folder
 from benchmarks.scenes import find_layout
 from benchmarks.study import Record, Study, report
 from scoup import raster
@@ -27,7 +28,7 @@ from scoup_lab.bench import (
 from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 
-Part = Literal["uplift", "views", "entropy", "glass"]
+Part = Literal["uplift", "views", "entropy", "glass", "desk"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +38,8 @@ class Claims(Study):
     uplift: seconds to lift features of D numbers, against sparse codes. views: views a second of colours, of codes at
     three levels, and of D numbers at three levels. entropy: mIoU without half of the Gaussians by the entropy of their
     votes, kept in blending or dropped from it. glass: mIoU of a thing whose Gaussians get a tenth of their opacity,
-    before and after.
+    before and after. desk: the settings, the features across views, entropy and glass, on the real scene desk; things
+    become glass by the Gaussians that contribute to their marks.
 
     Dense features are lifted from the same region sums as codes, which is exact and far cheaper than the scatter of D
     numbers at every pixel that other systems do. What that scatter costs is estimated by a render of D channels in one
@@ -88,7 +90,13 @@ class Claims(Study):
             rows.append([f"views a second: {name}", f"{of['views_a_second']:.2f}", ""])
         for name, of in record.get("entropy", {}).items():
             rows.append([f"mIoU: {name}", f"{100 * of['miou']:.1f}", ""])
-        for of in record.get("glass", []):
+        desk = record.get("desk", {})
+        for name, of in desk.get("settings", {}).items():
+            rows.append([f"mIoU on desk: {name}", f"{100 * of['miou']:.1f}", ""])
+        for of in desk.get("features", {}).get("results", []):
+            shown = f"{of['cosine']:.3f}", f"unmatched {of['unmatched']:.3f}"
+            rows.append([f"cosine on desk: {of['features']}, level {of['level']}", *shown])
+        for of in [*record.get("glass", []), *desk.get("glass", [])]:
             before, after = of["before"], of["after"]
             others = f"others {_percent(before['others_miou'])} to {_percent(after['others_miou'])}"
             shown = f"{_percent(before['miou'])} to {_percent(after['miou'])}"
@@ -174,11 +182,18 @@ def demo_scene(study: Claims, n_gaussians: int) -> DemoScene:
     return make_demo_scene(study.seed, n_gaussians, *size, find_layout(study.layout))
 
 
+def glass(study: Claims) -> list[Record]:
+    """Return scores of things before and after they become glass."""
+    demo = demo_scene(study, study.n_gaussians)
+    return glass_rows(study_scene(demo, demo.gaussians), lambda name: members(demo, name), study.glass_things)
+
+
 MEASURES: dict[Part, Callable[[Claims], Any]] = {
     "uplift": uplift,
     "views": views,
     "entropy": lambda study: entropy_rows(demo_scene(study, study.entropy_gaussians)),
-    "glass": lambda study: glass_rows(demo_scene(study, study.n_gaussians), study.glass_things),
+    "glass": glass,
+    "desk": lambda study: desk_rows(desk_scene(data_folder()), study.glass_things, study.seed),
 }
 
 

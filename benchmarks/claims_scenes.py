@@ -1,7 +1,8 @@
-"""Two claims of the paper on synthetic scenes with ground truth: the entropy of votes, and glass."""
+"""Claims of the paper on scenes with ground truth: entropy of votes and glass; on desk settings and features, too."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from statistics import mean
@@ -10,15 +11,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
+import scoup
+from benchmarks.desk import DESKS, Desk
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
+from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import RegionMap, Regions
+from scoup.uplift.build_settings import build_settings
+from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore
 from scoup_lab.evaluate.studies.ablation_rows import BASE, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations, ablation_record
+from scoup_lab.evaluate.studies.consistency import Consistency, consistency_record
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.synthetic.scene import DemoScene
 
@@ -45,6 +53,46 @@ def entropy_rows(demo: DemoScene) -> dict[str, Any]:
     return ablation_record(Ablations(find_ablations(["entropy"]), PRESET, (0,)).results([scene]))
 
 
+def desk_scene(data: Path) -> StudyScene:
+    """Return the real scene desk, all of whose photographs are built from."""
+    desk, folder = Desk.open("desk", data), data / "desk"
+    files = folder, folder / "point_cloud.splat", folder / DESKS["desk"]
+    labelled = LabelledScene("desk", *files, desk.cameras, PROTOCOL, desk.frames)
+    labels, canonical = tuple(labelled.labels), desk.canonical
+    queries = torch.stack([desk.everyday[desk.words.index(label)] for label in labels])
+    vectors = TextVectors(labels, queries, canonical, canonical[:0])
+    rasterised = RasterisedScene(scoup.load_gaussians(labelled.splat), desk.cameras, desk.regions)
+    return StudyScene(labelled, vectors, rasterised)
+
+
+def desk_rows(scene: StudyScene, things: int, seed: int) -> dict[str, Any]:
+    """Return settings (the ablations of vote, atoms, non-zeros and entropy), agreement of features across views, and
+    glass, of a scene with marked photographs."""
+    ablations = find_ablations(["vote", "atoms", "non-zeros", "entropy"])
+    results = Ablations(ablations, PRESET, tuple(range(seed, seed + 3))).results([scene])
+    features = Consistency(build_settings("default", seed=seed), seed=seed).results([scene])
+    return {
+        "settings": ablation_record(results),
+        "features": consistency_record(features),
+        "glass": glass_rows(scene, lambda name: marked_members(scene, name), things),
+    }
+
+
+def marked_members(scene: StudyScene, name: str) -> Tensor:
+    """Return [N] boolean: the Gaussians most of whose contribution to labelled views lies in the marks of a name."""
+    inside = torch.zeros(len(scene.rasterised.gaussians))
+    everything = torch.zeros_like(inside)
+    for frame, camera in scene.labelled.frames:
+        if name in frame.masks:
+            outside = (~frame.masks[name]).to(torch.int16)
+            maps = {camera.name: {"m": RegionMap(outside, torch.eye(2))}}
+            sums = region_sums(scene.rasterised.gaussians, Cameras([camera]), Regions.from_maps(maps))
+            weights = sums.matrix(0, {camera.name: slice(0, 2)}).toarray()
+            inside += torch.from_numpy(weights[:, 0])
+            everything += torch.from_numpy(weights.sum(1))
+    return inside > everything / 2
+
+
 def members(demo: DemoScene, name: str) -> Tensor:
     """Return [N] boolean: the Gaussians that lie on an object."""
     of_objects = demo.parts.at_level(demo.part_of_gaussian.numpy(), "m")
@@ -56,17 +104,18 @@ def as_glass(gaussians: Gaussians, chosen: Tensor) -> Gaussians:
     return replace(gaussians, opacities=torch.where(chosen, GLASS * gaussians.opacities, gaussians.opacities))
 
 
-def glass_rows(demo: DemoScene, things: int) -> list[dict[str, Any]]:
+def glass_rows(whole: StudyScene, members_of: Callable[[str], Tensor], things: int) -> list[dict[str, Any]]:
     """Return mIoU and localisation of things before and after their opacity is multiplied by ``GLASS``, one
     thing at a time, and of all other things of the scene. The masks and embeddings of the regions stay as they
-    are.
+    are. ``members_of`` returns [N] whether each Gaussian lies on a thing.
     """
-    whole = study_scene(demo, demo.gaussians)
     before = whole.score(BASE.fit(whole.rasterised), PRESET).pairs
     labels = [pair.label for pair in before]
     rows = []
     for name in sorted(set(labels), key=lambda label: (-labels.count(label), label))[:things]:
-        scene = study_scene(demo, as_glass(demo.gaussians, members(demo, name)))
+        base = whole.rasterised
+        glass = as_glass(base.gaussians, members_of(name))
+        scene = replace(whole, rasterised=RasterisedScene(glass, base.cameras, base.regions))
         after = scene.score(BASE.fit(scene.rasterised), PRESET).pairs
         row: dict[str, Any] = {"thing": name, "views": labels.count(name)}
         for which, pairs in (("before", before), ("after", after)):

@@ -11,7 +11,7 @@ from benchmarks import labels, locate
 from benchmarks.absence import Absence, auc
 from benchmarks.answer_scenes import SceneSize
 from benchmarks.claims import Claims
-from benchmarks.claims_scenes import as_glass, members
+from benchmarks.claims_scenes import as_glass, desk_rows, marked_members, members, study_scene
 from benchmarks.coding import GRAM, PAPER_EPOCHS, PLAIN, Coding
 from benchmarks.documents import STUDIES, record
 from benchmarks.lerf_sized import LerfSized
@@ -92,6 +92,25 @@ def test_claims() -> None:
     assert len(found["entropy"]) == 6
     (row,) = found["glass"]
     assert set(row["before"]) == set(row["after"]) == {"miou", "accuracy", "others_miou", "others_accuracy"}
+
+
+@pytest.mark.slow
+def test_claims_of_a_marked_scene() -> None:
+    demo = make_demo_scene(0, 2500, 48, 36, 4, 1)
+    found = desk_rows(study_scene(demo, demo.gaussians), 1, 0)
+    assert {row["group"] for row in found["settings"].values()} == {"vote", "atoms", "non-zeros", "entropy"}
+    assert found["settings"]["L=32"]["seeds"] == [0, 1, 2]
+    rows = found["features"]["results"]
+    assert {row["features"] for row in rows} == {"raw", "autoencoder", "sparse codes"}
+    assert len(found["glass"]) == 1
+    assert "mIoU on desk: K=8" in Claims.table({"desk": found})
+
+
+def test_marked_gaussians_are_those_of_the_thing() -> None:
+    demo = make_demo_scene(0, 6000, 96, 72, 5, 3)
+    scene = study_scene(demo, demo.gaussians)
+    marked, true = marked_members(scene, "teddy bear"), members(demo, "teddy bear")
+    assert int((marked & true).sum()) > 0.9 * max(int(marked.sum()), int(true.sum()))
 
 
 def test_glass_changes_the_opacity_of_the_thing_alone() -> None:
