@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -192,3 +193,18 @@ def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     out, err = capsys.readouterr()
     assert out == f"{shown}\tone\ntwo: é 水\n"
     assert err == f"warning: {shown}\nerror: {shown.replace(chr(92) + 'x0d', '')}\n"
+
+
+def test_steps_of_minutes_have_a_time_that_remains(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    now, shown = [0.0], Terminal()
+    monkeypatch.setattr("rich.console.monotonic", lambda: now[0])
+    monkeypatch.setattr(sys, "stderr", shown)
+    with Console(Common()).progress() as progress:
+        for done in range(3):
+            progress("photographs", done, 4)
+            now[0] += 100.0
+    assert "0:03:20" in shown.getvalue()

@@ -105,7 +105,8 @@ class Console:
             MofNCompleteColumn(),
             TimeRemainingColumn(),
         )
-        with Bars(*columns, console=RichConsole(stderr=True)) as bars:
+        # Over half an hour: a photograph of `scoup extract` can take minutes.
+        with Bars(*columns, console=RichConsole(stderr=True), speed_estimate_period=1800) as bars:
             tasks: dict[str, Any] = {}
 
             def report(stage: str, done: int, total: int) -> None:
