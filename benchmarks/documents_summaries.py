@@ -26,12 +26,10 @@ def ablations(record: Records) -> str:
     """Return every change of the base, of three records; Adam ran with one codebook seed."""
     rows = []
     for name, note in {"": "", "-entropy": "", "-adam": " (one seed)"}.items():
-        for change, _, score, _, _, located, gain, published in record(f"eval-ablations{name}")["tables"][0][
-            "rows"
-        ]:
+        for change, _, score, *_, gain, published in record(f"eval-ablations{name}")["tables"][0]["rows"]:
             if gain != "-" or not name:
-                rows.append([change + note, score, located, gain, published])
-    return markdown(["change", "mIoU", "localisation", "minus base", "paper: mIoU / localisation"], rows)
+                rows.append([change + note, score, gain, published.partition(" / ")[0]])
+    return markdown(["change", "mIoU", "minus base", "paper's mIoU"], rows)
 
 
 def answers(record: Records, name: str, rules: Sequence[str]) -> str:

@@ -116,7 +116,8 @@ class Trial:
 
     @property
     def passed(self) -> bool:
-        """Whether everything is as it should be, but for the number of views done again, which a verb bounds."""
+        """Return whether everything is as it should be, but for the number of views done again, which a verb
+        bounds."""
         consistent = all(kill.consistent for kill in self.kills)
         return self.ended_well and self.same_bytes and not self.orphans and not self.most_begun and consistent
 

@@ -129,7 +129,8 @@ def _folders(store: Path, line: str) -> list[Contents]:
 
 
 def is_whole(verb: Verb, plain: Plain, contents: Contents) -> bool:
-    """Whether each file under the name of an output is old or new, and those that belong together are so together."""
+    """Return whether each file under the name of an output is old or new, and those that belong together are so
+    together."""
     for path, content in contents.items():
         if path in {**plain.before, **plain.files} and content not in (
             plain.before.get(path), plain.files.get(path)

@@ -36,7 +36,7 @@ def verb_seconds(
 
 
 def _write_files(field: LanguageField, cameras: Cameras, folder: Path) -> None:
-    """Write a splat, a table of words and a field of the codes."""
+    """Write a splat, a word table and a field of the codes."""
     scoup.save_gaussians(field.gaussians, folder / "room.ply")
     gaussians = scoup.load_gaussians(folder / "room.ply")
     words = list(dict.fromkeys([*CANONICAL_PHRASES, WORD, *EVERYDAY_WORDS]))

@@ -91,7 +91,7 @@ def test_if_the_first_fails_the_others_end_and_leave_it_to_the_first_to_say_so()
     assert isinstance(error, ValueError)
     for lost in others:
         assert isinstance(lost, ProcessLostError)
-        assert "a.scoup.lock was given up" in str(lost)
+        assert "a.scoup.lock was abandoned" in str(lost)
         assert is_said_elsewhere(lost)
 
 
@@ -105,7 +105,7 @@ def test_if_another_fails_the_first_says_so() -> None:
 
     found = at_once(lambda: other(PARTS[0]), fails, first)
     assert [type(error) for error in found] == [ProcessLostError, type(None), ProcessLostError]
-    assert "a.2.sums.lock was given up" in str(found[2])
+    assert "a.2.sums.lock was abandoned" in str(found[2])
     assert [is_said_elsewhere(error) for error in found] == [True, False, False]
 
 

@@ -88,9 +88,7 @@ def test_all_or_nothing_wherever_it_is_killed(before: dict[str, bytes], what: st
         if named == set(wanted):
             complete(Path("a.scoup"))
         else:
-            with pytest.warns(
-                ScoupWarning, match=r"^a.scoup: put in place what a killed process had finished \("
-            ):
+            with pytest.warns(ScoupWarning, match=r"^a.scoup: completed the renames of a killed process \("):
                 complete(Path("a.scoup"))
         outcomes.add("after" if named == set(wanted) else "between")
         assert snapshot(Path()) == wanted

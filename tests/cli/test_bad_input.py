@@ -216,15 +216,14 @@ def test_words_for_a_field_of_another_model(here):
     names = [*WORDS, *CANONICAL_PHRASES]
     save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 512)))
     wide = ("--text", "wide.npz")
-    assert (
-        "the field was built for the table scene/words.npz: pass that, or a table of words of 16"
-        in refused(*ASK["query"], *wide)
+    assert "the field was built for the table scene/words.npz: pass that, or a word table of 16" in refused(
+        *ASK["query"], *wide
     )
     # Features that do not name their model, and that the usual one cannot have made: none is guessed.
     assert run(*BUILD)[0] == 0
     ask = ("query", "a.scoup", "kettle", "--out", "answers")
     assert "a.scoup: names no embedding model; pass a table or model with --text" in refused(*ask)
-    assert "the field does not name its model: pass a table of words of 16 dimensions" in refused(*ask, *wide)
+    assert "the field does not name its model: pass a word table of 16 dimensions" in refused(*ask, *wide)
     assert run("build", "scene", *QUICK, "--out", "b.scoup", "--model", "colors")[0] == 0
     for text in ((), wide):
         message = refused("query", "b.scoup", "kettle", "--out", "answers", *text)
@@ -333,7 +332,7 @@ def test_several_models_of_colmap():
 
 
 def test_a_folder_in_a_scene_or_above_scenes():
-    assert "scene/images: contains nothing known here" in (message := refused("info", "scene/images"))
+    assert "scene/images: contains nothing that SCOUP reads" in (message := refused("info", "scene/images"))
     assert "use the scene it is in: scene" in message
     assert "use the scene it is in: scene" in refused("build", "scene/images", "--out", "a.scoup")
     iteration = Path("trained/point_cloud/iteration_30000")
@@ -393,12 +392,12 @@ def test_an_extraction_that_fails_at_once_leaves_nothing():
         (
             "scene/language_features",
             "scene",
-            "scene: contains other things than region features (images, language_fea",
+            "scene: contains other files than region features (images, language_fea",
         ),
         (
             "scene",
             "scene/images",
-            "scene/images: contains other things than region features (view_00.png, view_01.png",
+            "scene/images: contains other files than region features (view_00.png, view_01.png",
         ),
     ],
 )

@@ -69,7 +69,7 @@ def test_killed_between_field_and_sums(name: str, scene: Scene, monkeypatch: pyt
             shutil.copytree(killed, scene.work, dirs_exist_ok=True)
         found, _, err = run(*arguments)
         assert found == code, err
-        assert "a.scoup: put in place what a killed process had finished (a.scoup.sums)" in err
+        assert "a.scoup: completed the renames of a killed process (a.scoup.sums)" in err
         assert sentence in err
         after = snapshot(scene.work)
         assert {file: content for file, content in after.items() if not file.startswith("b.")} == plain.files

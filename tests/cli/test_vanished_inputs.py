@@ -28,7 +28,7 @@ LAST_LABELS = "scene/language_features/view_03_s.npy"
 PHOTO = "scene/images/view_02.png"
 FIRST, SECOND = "s.scoup.1-of-2.sums", "s.scoup.2-of-2.sums"
 SUMS = view_file("view_01.png")
-GONE = "was there, and is gone; put it back and try again"
+GONE = "disappeared while being read; restore it and retry"
 OUT = ("--out", "a.scoup", "--overwrite")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 

@@ -243,7 +243,7 @@ def test_photographs_of_one_pixel_are_no_photographs():
     save_png(torch.zeros(1, 1, 3, dtype=torch.uint8), Path("scene/images/view_02.png"), overwrite=True)
     message = refused("build", "scene", *QUICK, "--out", "a.scoup")
     assert (
-        "view_02.png: is a single pixel, but its camera has 40 x 30: a stand-in, not the photograph"
+        "view_02.png: is a single pixel, but its camera has 40 x 30: a placeholder, not the photograph"
         in message
     )
     assert "remove the folder to use the cameras alone" in message

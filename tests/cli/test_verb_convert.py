@@ -85,9 +85,9 @@ def test_bad_input():
         (["features.npy", "a.scoup"], "--gaussians"),
         (["features.npy", "folder", *gaussians], "ends in .scoup"),
         (["features.npy", "a.scoup", *gaussians], "not one row for each of 150 Gaussians"),
-        (["a.txt", "a.scoup"], "is nothing that is converted here"),
+        (["a.txt", "a.scoup"], "cannot be converted"),
         (["none", "there"], "none"),
-        (["scene/words.npz", "a.scoup"], "is nothing that is converted here"),
+        (["scene/words.npz", "a.scoup"], "cannot be converted"),
     ):
         assert said in refused("convert", *arguments)
 

@@ -137,7 +137,7 @@ def test_convert_into_a_folder_that_extract_has_made(here) -> None:
     run_json("convert", "compact", "regions", "--overwrite")
     assert not list(Path("regions").glob("*_made.json"))  # they are not what extract has made any more
     Path("regions/scoup.lock.txt").touch()
-    assert "contains other things than region features (scoup.lock.txt)" in refused(
+    assert "contains other files than region features (scoup.lock.txt)" in refused(
         "convert", "compact", "regions", "--overwrite"
     )
 

@@ -69,7 +69,7 @@ def test_cameras_of_every_kind():
 
 def test_a_table_of_words():
     record = run_json("info", "scene/words.npz")
-    assert (record["kind"], record["dim"], record["names"][0]) == ("table of words", 16, "kettle")
+    assert (record["kind"], record["dim"], record["names"][0]) == ("word table", 16, "kettle")
     Path("words.json").write_text(json.dumps({"kettle": [1.0, 2.0], "mug": [0.5, 1.0]}))
     assert run_json("info", "words.json")["names"] == ["kettle", "mug"]
 
@@ -86,9 +86,9 @@ def test_region_features():
 
 def test_what_is_nothing_of_ours():
     Path("empty").mkdir()
-    assert "contains nothing known here" in refused("info", "empty")
+    assert "contains nothing that SCOUP reads" in refused("info", "empty")
     Path("a.xyz").write_text("x")
-    assert "a.xyz: is not a kind of file known here" in refused("info", "a.xyz")
+    assert "a.xyz: is not a known kind of file" in refused("info", "a.xyz")
     Path("a.json").write_text("{")
     assert refused("info", "a.json").startswith("a.json: ")
     assert "there is no such file or folder" in refused("info", "nowhere")

@@ -102,7 +102,7 @@ def test_work_on_other_views_is_not_continued(monkeypatch: pytest.MonkeyPatch) -
         patch.setattr("scoup.extract.own_views.render_colors", interrupt)
         said = run(*views, 2)[2]
     assert "the cameras are kept, run the same command again to continue" in said
-    assert "own.partial: is not of these views; starting over" in run(*views, 3)[2]
+    assert "own.partial: belongs to other views; starting over" in run(*views, 3)[2]
     assert len(load_cameras("own")) == 3
 
 

@@ -92,7 +92,7 @@ def test_draws_without_a_value_do_not_count() -> None:
 def test_numbers_that_are_no_class_are_refused() -> None:
     with pytest.raises(InputError, match="-1 to 3, not 0 to 4"):
         confusion_matrix(TRUTH, torch.full_like(TRUTH, 4).clamp(min=0).index_fill(0, torch.tensor([0]), 0), 4)
-    with pytest.raises(InputError, match="one each a point"):
+    with pytest.raises(InputError, match="expected one per point"):
         confusion_matrix(TRUTH, GIVEN[:3], 4)
 
 

@@ -106,7 +106,7 @@ def test_arrays(tmp_path: Path) -> None:
         (np.full((2, 3), np.inf), np.ones(2), "not finite"),
         (np.ones((2, 3)), np.array([0.5, 1]), "not whole numbers"),
         (np.ones((2, 3)), np.array([np.nan, 1]), "not whole numbers"),
-        (np.ones((2, 3)), np.array([{}, {}]), "does not hold plain numbers"),
+        (np.ones((2, 3)), np.array([{}, {}]), "does not contain plain numbers"),
     ],
 )
 def test_other_arrays_are_refused(

@@ -39,7 +39,7 @@ def test_compressed_files(tmp_path):
     with pytest.raises(FileFormatError, match="has 1 chunks for 300 vertices"):
         read_ply(tmp_path / "a.ply")
     (tmp_path / "a.ply").write_bytes(whole.replace(b"min_scale_y", b"min_scale_q"))
-    with pytest.raises(FileFormatError, match="lacks min_scale_x or its like"):
+    with pytest.raises(FileFormatError, match="lacks min_scale_x or a similar property"):
         read_ply(tmp_path / "a.ply")
 
 

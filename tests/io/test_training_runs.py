@@ -113,7 +113,7 @@ def test_what_a_run_lacks_is_named_with_the_remedy(tmp_path: Path) -> None:
     ):
         load_cameras(run)
     (run / "config.yml").write_text("method_name: splatfacto\n")
-    with pytest.raises(MissingFileError, match="does not say where the data"):
+    with pytest.raises(MissingFileError, match="does not name the folder"):
         load_cameras(run)
     write_colmap(some_cameras(2), tmp_path / "my-kitchen/sparse/0")
     save_run(run, "/nowhere/my-kitchen", "colmap_dataparser.ColmapDataParserConfig")
@@ -236,7 +236,7 @@ def test_checkpoints_of_other_contents_are_refused(tmp_path: Path) -> None:
     save_splatfacto(some_gaussians(9, 0), path)
     content = torch.load(path, weights_only=True)
     content["pipeline"]["_model.gauss_params.scales"] = torch.zeros(8, 3)
-    for changed, said in ((content, "do not belong together"), ({"step": 1}, "has no 'pipeline' in it")):
+    for changed, said in ((content, "do not belong together"), ({"step": 1}, "has no entry 'pipeline'")):
         torch.save(changed, path)
         with pytest.raises(FileFormatError, match=said):
             load_gaussians(path)
@@ -249,7 +249,7 @@ def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
     assert len(load_cameras(run, missing_images="keep")) == 3
     kind = "data: !!python/object/apply:pathlib.PosixPath\n"
     for text, said in (
-        (kind + "other: 1\n", "does not say where the data"),
+        (kind + "other: 1\n", "does not name the folder"),
         (kind + "- /\n- nowhere", "nowhere"),
     ):
         (run / "config.yml").write_text(text)

@@ -148,7 +148,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         open_onnx_sam(f"onnx:{tmp_path}")
     save_encoder(tmp_path, second=False)
     save_decoder(tmp_path, second=False, masks=1)
-    with pytest.raises(FileFormatError, match="gives one mask for a point"):
+    with pytest.raises(FileFormatError, match="returns one mask per point"):
         open_onnx_sam(f"onnx:{tmp_path}")
     save_decoder(tmp_path, second=False, name="other_decoder")
     with pytest.raises(MissingFileError, match=r"contains 2 files named \*decoder\*"):

@@ -212,7 +212,7 @@ def test_archives_that_unpack_to_no_end_are_refused(tmp_path: Path) -> None:
         vectors = np.ones((2, length), np.float32)
         np.savez_compressed(tmp_path / f"{length}.npz", names=np.array(["a", "b"]), vectors=vectors)
     assert load_table(tmp_path / "1000.npz").vectors.shape == (2, 1000)
-    with pytest.raises(FileFormatError, match="is too large for a table of words"):
+    with pytest.raises(FileFormatError, match="is too large for a word table"):
         load_table(tmp_path / "3000000.npz")
 
 

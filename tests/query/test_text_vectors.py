@@ -64,14 +64,14 @@ def test_everyday_words_are_one_more_phrase() -> None:
         (
             "words.npz",
             "",
-            "the field was built for the table words.npz: pass that, or a table of words of 16",
+            "the field was built for the table words.npz: pass that, or a word table of 16",
         ),
         (
             "colors",
             "",
             "embedded by their colours, without a model, and cannot be queried in words; extract them with",
         ),
-        ("", "", "the field does not name its model: pass a table of words of 16 dimensions"),
+        ("", "", "the field does not name its model: pass a word table of 16 dimensions"),
         (
             "some/clip",
             "some/clip",

@@ -110,7 +110,7 @@ def test_files_can_number_no_more() -> None:
         )
 
     assert len(many(MOST_THINGS)) == MOST_THINGS
-    with pytest.raises(InputError, match="65,536 things; there may be 65,535"):
+    with pytest.raises(InputError, match="65,536 things; at most 65,535 are possible"):
         many(MOST_THINGS + 1)
 
 

@@ -100,7 +100,7 @@ def test_a_damaged_copy(updated: Updated, file: str) -> None:
     content = (PARTIAL / file).read_bytes()
     (PARTIAL / file).unlink()  # it may be a link to what is kept
     (PARTIAL / file).write_bytes(content[:-1])
-    with pytest.warns(ScoupWarning, match="is not of this update; starting over"):
+    with pytest.warns(ScoupWarning, match="belongs to another update; starting over"):
         updated.run()
     assert snapshot(Path("a.scoup.sums")) == wanted
     assert snapshot(SOURCE) == kept
@@ -169,6 +169,8 @@ def test_sums_of_another_scene_are_not_continued(updated: Updated) -> None:
     shutil.rmtree(SOURCE)
     updated.gaussians, _, _ = small_scene(count=61, views=4)
     region_sums(updated.gaussians, Cameras([updated.cameras[1]]), updated.regions, path=SOURCE)
-    with pytest.warns(ScoupWarning, match="^a.scoup.update.partial: is not of this update; starting over"):
+    with pytest.warns(
+        ScoupWarning, match="^a.scoup.update.partial: belongs to another update; starting over"
+    ):
         assert len(updated.run()) == 2
     assert len(RegionSums.open("a.scoup.sums")) == 3

@@ -60,7 +60,7 @@ def refused_read(path: str | Path, error: OSError) -> FileFormatError:
         error: the system's.
     """
     if isinstance(error, FileNotFoundError):
-        return FileFormatError(path, "was there, and is gone", "put it back and try again")
+        return FileFormatError(path, "disappeared while being read", "restore it and retry")
     remedy = remedy_of(error) or "check its permissions"
     return FileFormatError(path, f"cannot be read ({error.strerror or error})", remedy)
 

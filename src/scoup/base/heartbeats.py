@@ -74,7 +74,7 @@ def wait_for_parts(lock: Output, locks: Sequence[Path]) -> None:
             if record is not None and record.get(_READY_FOR) == lock.notes[_ID]:
                 del watched[path]
             elif watch.has_ended:
-                raise ProcessLostError(f"{path} was given up")
+                raise ProcessLostError(f"{path} was abandoned")
         time.sleep(_POLL)
 
 
@@ -92,7 +92,7 @@ def wait_until_taken(lock: Output, part: Path, whole: Path) -> None:
         if record is not None and record.get(_ID) != lock.notes.get(_READY_FOR):
             lock.note(**{_READY_FOR: record.get(_ID)})
         if watch.has_ended and part.exists():
-            error = ProcessLostError(f"{whole} was given up")
+            error = ProcessLostError(f"{whole} was abandoned")
             setattr(error, SAID_ELSEWHERE, True)
             raise error
         time.sleep(_POLL)

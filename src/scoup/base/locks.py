@@ -103,7 +103,7 @@ def locked_output(path: Path, overwrite: bool = False, is_folder: bool = False) 
     with hold_lock(path, lock_path(path), temporary) as descriptor:
         if moved := _finish(path):
             warnings.warn(
-                f"{path}: put in place what a killed process had finished ({', '.join(moved)})",
+                f"{path}: completed the renames of a killed process ({', '.join(moved)})",
                 ScoupWarning,
                 stacklevel=3,
             )

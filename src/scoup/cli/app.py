@@ -19,7 +19,7 @@ DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, an
 
 Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of your own:
 
-  scoup views point_cloud.ply --out SCENE      (where there are no photographs)
+  scoup views point_cloud.ply --out SCENE      (without photographs)
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
   scoup update scene.scoup --scene SCENE --add all
@@ -33,7 +33,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
-`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 a fault of the program, or another of several
+`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 internal error or another of several
 processes was lost, 2 bad input, 130 interrupted, 143 terminated."""
 
 SCOUP = Family(

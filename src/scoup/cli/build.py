@@ -44,9 +44,8 @@ class _Loaded:
 class Build(BuildOptions, ViewOptions):
     """Build a language field from a trained splat, its cameras, and region features.
 
-    SCENE is a folder as COLMAP, nerfstudio or Inria's code leave it; every guess about it can be overridden. Where
-    there is only a splat, name it instead: views of it are rendered and cut into regions first, in <out>_views.
-    Interrupted, the same command continues where it stopped.
+    SCENE is an output folder of COLMAP, nerfstudio or Inria's code. For a splat alone, name it instead: views of it are
+    rendered and cut into regions first, in <out>_views. To resume an interrupted build, run the same command again.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -63,20 +62,19 @@ class Build(BuildOptions, ViewOptions):
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
     model: OptionalText = None
-    """What made the region embeddings: a CLIP model by id, or a table of words. Queries will use it too. Default: what
-    the features say (those of scoup extract do), else, for embeddings of 512
-    dimensions, laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
+    """Model of the region embeddings: a CLIP model id or a word table. Queries use it too. Default: the one that the
+    features name, else, for embeddings of 512 dimensions, laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     segmenter: OptionalText = None
-    """What finds regions in views of a splat alone, as for scoup extract."""
+    """Segmenter for views of a splat alone, as for scoup extract."""
     embedder: OptionalText = None
-    """What gives these regions embeddings, as for scoup extract."""
+    """Embedder for views of a splat alone, as for scoup extract."""
     keep_sums: Flag = False
-    """Also keep the region sums, in <out>.sums: with them scoup update adds and removes views, and --sums builds again
-    (other embeddings, codes or rounds) without rasterising."""
+    """Also write the region sums to <out>.sums: scoup update needs them, and --sums builds from them (other embeddings,
+    codes or rounds) without rasterising."""
     sums: OptionalPath = None
-    """Take the region sums from this folder, written by --keep-sums; nothing is rasterised. It is not changed."""
+    """Build from the region sums in this folder, written by --keep-sums, without rasterising."""
     sums_weights: Literal["float32", "float16"] = "float32"
     """Type of stored region sums: float16 takes 5 bytes per entry instead of 7."""
     least_weight: float = 0.0
@@ -84,8 +82,8 @@ class Build(BuildOptions, ViewOptions):
     contribute hardly anything lose their codes."""
 
     shard: OptionalText = None
-    """I/N, such as 1/4: only rasterise this share of the views, and write <out>.I-of-N.sums. scoup merge makes the
-    field of all shards, with the options of coding, vote and output. They can be made in any order, anywhere."""
+    """I/N, such as 1/4: rasterise only this share of the views and write <out>.I-of-N.sums, in any order, on any
+    machine. scoup merge makes the field of all shards, with the options of coding, vote and output."""
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
@@ -240,7 +238,7 @@ class Build(BuildOptions, ViewOptions):
         if self.shard is not None:
             if not share.is_everything:
                 raise InputError(
-                    "pass --shard, or run under torchrun, which shares out views itself; not both"
+                    "pass --shard, or run under torchrun, not both: torchrun divides the views itself"
                 )
             self._check_alone_with_shard()
             path = shard_path(out, Share.parse(self.shard))
@@ -276,7 +274,7 @@ class Build(BuildOptions, ViewOptions):
         return checkpoint(out, loaded.gaussians, loaded.regions, loaded.raster_preset, **how)
 
     def _announce(self, console: Console, sums: RegionSums, views: int) -> None:
-        """Say what is continued, now, and what is kept, should the build be interrupted."""
+        """Report what is resumed, and what an interruption leaves."""
         from scoup.uplift.checkpoint import resume_message
 
         if self.sums is None:

@@ -82,7 +82,7 @@ def report_field(
     device: str,
     seconds: float,
 ) -> None:
-    """Say what was built; ``bytes_of_sums`` where they are kept."""
+    """Report what was built; ``bytes_of_sums`` if they are kept."""
     from scoup.field.part_sizes import part_sizes
     from scoup.uplift.storage.paths import sums_path
 

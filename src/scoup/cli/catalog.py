@@ -26,7 +26,7 @@ class MakeCatalog(TextOptions, FrameOptions):
     out: OptionalPath = None
     """Folder to write. Default: <name of FIELD>_catalog here."""
     metres_per_unit: OptionalNumber = None
-    """Length of the scene's unit in metres, if you know it: the table is in metres, and the scene graph has both."""
+    """Length of the scene's unit in metres: the table is in metres, the scene graph has both."""
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""

@@ -21,18 +21,17 @@ _CHECKPOINTS = (".pth", ".ckpt")
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(WritesCommon):
-    """Convert splats, region features or fields of other systems; what SOURCE and TARGET are decides.
+    """Convert splats, region features or fields of other systems; the kinds of SOURCE and TARGET decide.
 
     A splat (a file, or a folder with one) becomes another: .ply, .compressed.ply, .splat, .spz, .glb, .gltf, .ksplat,
     .sog, or OpenUSD's .usd, .usda, .usdc, .usdz, by the suffix of TARGET.
 
     A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
     compact file per view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's
-    three numbers per region (language_features_dim3) become embeddings again.
-    An array of features, one row per Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse
-    coding.
-    A checkpoint of LangSplatV2 (chkpnt10000.pth) becomes a field with its codebook and codes; of a folder NAME_1 those
-    of NAME_2 and NAME_3 are taken, too.
+    three numbers per region (language_features_dim3) become embeddings again. An array of features, one row per
+    Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse coding. A checkpoint of LangSplatV2
+    (chkpnt10000.pth) becomes a field with its codebook and codes; for a folder NAME_1, those of NAME_2 and NAME_3 are
+    read, too.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -46,15 +45,14 @@ class Convert(WritesCommon):
     target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET", help_behavior_hint="")]
     """Splat, folder or .scoup to write."""
     keep_axes: Flag = False
-    """Do not turn .spz, glTF and OpenUSD, which name their axes, from and to those of 3DGS: for files of programs that
-    keep the numbers of the PLY."""
+    """Do not convert the axes of .spz, glTF and OpenUSD: for files of programs that keep the numbers of the PLY."""
     model: OptionalText = None
-    """Id of the model that made the embeddings, or a table of words. Default: as SOURCE says; most say nothing."""
+    """Id of the model that made the embeddings, or a word table. Default: the one that SOURCE names, if any."""
     to: Annotated[
         Literal["compact", "langsplat"] | None,
         tyro.conf.arg(metavar="{compact,langsplat}", help_behavior_hint=""),
     ] = None
-    """Layout to write. Default: the one that SOURCE is not in."""
+    """Layout to write. Default: the one that SOURCE does not have."""
     bits: Literal[16, 32] = 16
     """Bits of a stored embedding number in the compact layout."""
     autoencoder: OptionalPath = None
@@ -84,7 +82,7 @@ class Convert(WritesCommon):
         else:
             raise FileFormatError(
                 self.source,
-                "is nothing that is converted here",
+                "cannot be converted",
                 "use a splat and the name of another, a folder of region features, features (.npy, .pt) or "
                 "LangSplatV2's checkpoint (.pth)",
             )

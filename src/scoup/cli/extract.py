@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 class Extract(WritesCommon):
     """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
 
-    Interrupted, the same command continues where it stopped; photographs that changed are done again. Under torchrun
-    every process takes its share of the photographs and, on a GPU machine, its own GPU. Models are fetched on first
-    use into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
+    To resume after an interruption, run the same command again; changed photographs are processed again. Under torchrun
+    every process takes its share of the photographs and, on a GPU machine, its own GPU. Models are fetched on first use
+    into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -60,11 +60,11 @@ class Extract(WritesCommon):
     embedder: str = CLIP_MODEL
     """A CLIP or SigLIP model by folder or hub id, with dense: before it for one pass over the photograph instead of
     one for each region; dense:onnx:FILE, an exported dense encoder; open_clip:ARCHITECTURE/PRETRAINED; or colors: no
-    model, and no queries in words."""
+    model; cannot be queried by text."""
     segmenter_revision: OptionalText = None
-    """Branch, tag or commit of the segmenter. The commit found is recorded, and kept when work is resumed."""
+    """Branch, tag or commit of the segmenter. The commit is recorded, and used again on resuming."""
     embedder_revision: OptionalText = None
-    """Branch, tag or commit of the embedder; the same holds."""
+    """Branch, tag or commit of the embedder, likewise."""
     list_models: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
     """Print a table of segmenters and embedders, and whether their weights are on this machine; do nothing else."""
     preset: Annotated[
@@ -75,13 +75,13 @@ class Extract(WritesCommon):
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
     layout: Literal["compact", "langsplat"] = "compact"
-    """compact: one small file a view. langsplat: <image>_s.npy and _f.npy, as other programs read them."""
+    """compact: one small file per view. langsplat: <image>_s.npy and _f.npy, as other programs read them."""
     bits: Literal[16, 32] = 16
     """Bits of a stored embedding number in the compact layout."""
     with_default: Flag = False
-    """Also make LangSplat's level "default", which holds all masks in one list; SCOUP does not use it."""
+    """Also make LangSplat's level "default", which contains all masks in one list; SCOUP does not use it."""
     max_height: int = 1080
-    """Higher photographs are reduced to this height first; 0 for never."""
+    """Reduce taller photographs to this height first; 0: never."""
     shard: OptionalText = None
     """I/N, such as 1/4: extract only this share of the photographs. Run each of 1/N to N/N, at any time, anywhere,
     with the same OUT."""
@@ -139,7 +139,7 @@ class Extract(WritesCommon):
             return share
         if not share.is_everything:
             raise InputError(
-                "pass --shard, or run under torchrun, which shares out photographs itself; not both"
+                "pass --shard, or run under torchrun, not both: torchrun divides the photographs itself"
             )
         return Share.parse(self.shard)
 

@@ -15,8 +15,8 @@ from scoup.cli.options import Common
 
 @dataclass(frozen=True, kw_only=True)
 class Info(Common):
-    """Say what is in a file or folder: a field, region sums, a splat, cameras, a scene, region features, a table of
-    words."""
+    """Show what is in a file or folder: a field, region sums, a splat, cameras, a scene, region features, a word
+    table."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
     """A .scoup, .sums, .npz, .json or .safetensors file, a splat (.ply, .spz, .glb, .pt and more), or a folder."""
@@ -31,7 +31,7 @@ class Info(Common):
         if not self.path.is_dir() and suffix not in _KINDS:
             from scoup.io.splats.other_formats import other_format
 
-            problem, remedy = other_format(self.path) or ("is not a kind of file known here", _READ)
+            problem, remedy = other_format(self.path) or ("is not a known kind of file", _READ)
             raise FileFormatError(self.path, problem, remedy)
         is_scene = self.path.is_dir() and suffix != ".sums"
         record = (_folder if is_scene else _KINDS[suffix])(self.path)
@@ -44,7 +44,7 @@ class Info(Common):
 
 _READ = (
     "read are fields (.scoup), region sums (.sums), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), "
-    "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), tables of words (.npz, .json, .safetensors), "
+    "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), "
     "and folders of scenes and region features"
 )
 
@@ -81,7 +81,7 @@ def _word_table(path: Path) -> dict[str, Any]:
     from scoup.models.word_table import load_table
 
     table = load_table(path)
-    record = {"kind": "table of words", "names": list(table.names), "dim": table.vectors.shape[1]}
+    record = {"kind": "word table", "names": list(table.names), "dim": table.vectors.shape[1]}
     return record | ({"embedding_model": table.model} if table.model else {})
 
 
@@ -90,7 +90,7 @@ def _json(path: Path) -> dict[str, Any]:
 
     if path.name in ("transforms.json", "cameras.json"):
         return _cameras(path)
-    content = read_json(path, "cameras or a table of words").value
+    content = read_json(path, "cameras or a word table").value
     has_frames = isinstance(content, dict) and "frames" in content
     return (_cameras if isinstance(content, list) or has_frames else _word_table)(path)
 

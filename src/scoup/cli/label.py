@@ -26,10 +26,10 @@ USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
 
 @dataclass(frozen=True, kw_only=True)
 class Label(TextOptions, CameraOptions):
-    """Give every Gaussian the best of a list of words, or none of them, and write that for other programs.
+    """Label every Gaussian with the best of a list of words, or none, for other programs.
 
-    A word counts for the Gaussians that `scoup select` finds for it, unless it is not in the scene. Of several words
-    for one Gaussian the one answered at the finer level counts, then the most relevant.
+    A word applies to the Gaussians that `scoup select` finds, if it is in the scene. Of several words for one Gaussian,
+    the finer level wins, then the most relevant word.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -42,26 +42,24 @@ class Label(TextOptions, CameraOptions):
     ] = ()
     """Names of things, for example "kettle" "wooden table"; they are numbered from 0 in this order."""
     words: OptionalPath = None
-    """A list of further words, one a line."""
+    """File of further words, one per line."""
     out: OptionalPath = None
     """Folder to write. Default: <name of FIELD>_labels here."""
     outputs: tuple[Output, ...] = USUAL
-    """What is written. sidecar: labels.npy, a number each Gaussian, -1 for none, and labels.json, what the numbers
-    mean. ids: labels.ply, the splat with an integer property `label`. colors: colored.ply, the splat in the colours
-    of the words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. clouds: a point
-    cloud a word. maps: a PNG with palette for each camera, and coco.json."""
+    """What is written. sidecar: labels.npy, a number per Gaussian, -1 for none, and labels.json, what the numbers mean.
+    ids: labels.ply, the splat with an integer property `label`. colors: colored.ply, the splat in the colours of the
+    words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. clouds: a point cloud
+    per word. maps: a PNG with palette for each camera, and coco.json."""
     camera: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
     ] = ()
     """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
     threshold: OptionalNumber = None
-    """A word counts for Gaussians above this, 0 to 1, once relevancy is rescaled over the scene. Default: where its
-    answer changes least."""
+    """Threshold of a word, 0 to 1, on relevancy rescaled over the scene. Default: where its answer changes least."""
     presence: OptionalNumber = None
-    """A word is in the scene if its z-score is at least this. Default: 1.4, where the table of --text has 16 words or
-    more."""
+    """Least z-score of a word that is in the scene. Default: 1.4, if the table of --text has 16 words or more."""
     always: Flag = False
-    """Take every word as one of something in the scene."""
+    """Label with every word, without judging presence."""
 
     def run(self, console: Console) -> None:
         """Label and write."""
@@ -107,7 +105,7 @@ class Label(TextOptions, CameraOptions):
 
 
 def _report(console: Console, labels: GaussianLabels, out: Path, files: list[str]) -> None:
-    """Say what each word got, and what is written."""
+    """Report the Gaussians of each word, and the files."""
     from scoup.query.label_files import label_record
 
     record: dict[str, Any] = label_record(labels)

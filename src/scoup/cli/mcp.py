@@ -27,11 +27,11 @@ class ServeAgents(Common):
     ]
     """.scoup files; each is a scene, named as its file."""
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
-    """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
+    """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
     out: OptionalPath = None
     """Folder into which selections may be exported; nothing in it is overwritten. Default: exports are refused."""
     metres_per_unit: OptionalNumber = None
-    """Length of the scenes' unit in metres, if you know it."""
+    """Length of the scenes' unit in metres."""
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""

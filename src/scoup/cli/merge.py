@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class Merge(BuildOptions):
     """Make a language field from shards written by scoup build --shard.
 
-    Of all shards of a scene this is the field that scoup build makes in one process, byte for byte; of some of them,
-    the field of their views. Nothing is rasterised, and neither photographs nor region features are needed.
+    All shards of a scene give the field that scoup build makes in one process, byte for byte; some of them, the field
+    of their views. Nothing is rasterised; photographs and region features are not needed.
     """
 
     option_groups: ClassVar[OptionGroups] = {"scene": "gaussians", "output": "out keep_sums"}
@@ -38,11 +38,11 @@ class Merge(BuildOptions):
     ]
     """The shards, in any order: kitchen.scoup.*-of-4.sums."""
     gaussians: OptionalPath = None
-    """Where the splat is now. Default: where it was when the shards were made."""
+    """The splat, if it has moved. Default: its path when the shards were made."""
     out: OptionalPath = None
-    """The field to write, a .scoup file. Default: that of the shards, beside the first of them."""
+    """The field to write, a .scoup file. Default: named after the shards, beside the first."""
     keep_sums: Flag = False
-    """Also keep the region sums of all shards together, in <out>.sums, as scoup build does."""
+    """Also write the region sums of all shards to <out>.sums, as scoup build does."""
 
     def run(self, console: Console) -> None:
         """Merge, save and report."""
@@ -68,7 +68,7 @@ class Merge(BuildOptions):
         from scoup.base.errors import InputError
 
         if not self.shards:
-            raise InputError("name the shards to merge, as scoup build --shard has left them")
+            raise InputError("name the shards to merge, as scoup build --shard writes them")
         out = self.out
         if out is None:
             found = re.fullmatch(r"(.+\.scoup)\.\d+-of-\d+\.sums", self.shards[0].name)

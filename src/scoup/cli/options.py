@@ -36,7 +36,7 @@ class Common:
     option_groups: ClassVar[OptionGroups] = {"common": "device quiet as_json"}
 
     device: str = "cpu"
-    """Where tensors live: cpu, or cuda where torch has a GPU."""
+    """Device of the tensors: cpu, or cuda if torch has a GPU."""
     quiet: Flag = False
     """Print nothing but warnings and errors."""
     as_json: Annotated[bool, tyro.conf.arg(name="json", help_behavior_hint="")] = False
@@ -50,4 +50,4 @@ class WritesCommon(Common):
     option_groups: ClassVar[OptionGroups] = {"common": "overwrite"}
 
     overwrite: Flag = False
-    """Replace outputs that are already there."""
+    """Replace existing outputs."""

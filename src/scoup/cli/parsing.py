@@ -90,7 +90,7 @@ def _text(verb: type | Family) -> str:
 
 
 def _paragraphs(text: str) -> list[str]:
-    """Each in one line, but for those that are indented."""
+    """Join the lines of each paragraph, except indented ones."""
     parts = inspect.cleandoc(text).split("\n\n")
     return [part if part.startswith(" ") else " ".join(part.split()) for part in parts]
 

@@ -63,32 +63,31 @@ class Query(TextOptions, CameraOptions):
     out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
     rule: Literal["default", "scoup", "langsplatv2", "langsplat"] = "default"
-    """What turns relevancy into masks and points: sides of the boxes that smooth, threshold, choice of the level.
-    scoup, langsplatv2 and langsplat are those systems' rules for LERF-OVS; default takes the boxes of scoup, the
-    threshold at which the answer changes least and the level whose mask is relevant, stable and whole, and compares
-    with everyday words, too."""
+    """Rules that turn relevancy into masks and points: smoothing, threshold, choice of the level. scoup, langsplatv2
+    and langsplat are those systems' rules for LERF-OVS. default smooths as scoup does, takes the threshold at which the
+    answer changes least and the level whose mask is relevant, stable and whole, and also compares with everyday
+    words."""
     threshold: OptionalNumber = None
-    """A pixel is in the mask above this, 0 to 1, once relevancy is rescaled over the view. Default: the rule's; of
-    the rule default, where the answer changes least."""
+    """Threshold of the mask, 0 to 1, on relevancy rescaled over the view. Default: the rule's; for the rule default,
+    where the answer changes least."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: as the rule chooses, for each text."""
     presence: OptionalNumber = None
-    """A text is in a view if its z-score is at least this: how many standard deviations what was found lies nearer to
-    it than to everyday words. Otherwise it gets an empty mask and no point there. Default: 1.4 with the rule default,
-    where the table of --text has 16 words or more; the systems' rules find something always."""
+    """Least z-score of a text that is in a view: how many standard deviations closer the match is to the text than to
+    everyday words. Below it, the mask is empty and there is no point. Default: 1.4 with the rule default, if the table
+    of --text has 16 words or more; the other rules answer every text."""
     always: Flag = False
-    """Find something in every view, for any text."""
+    """Answer every text in every view, without judging presence."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
-    """sheet: one contact sheet, sheet.png, with a row for each view and a column for each text (of one text, views
-    beside each other); of more than 12 views those of the best answers, the texts choosing in turn; more than 6 texts
-    take several sheets. all: also heat map, mask and overlay of each answer, as files of their own. none: query.json
-    only."""
+    """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
+    the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
+    single files. none: query.json only."""
     npz: Flag = False
     """Write relevancies and masks of each view as arrays, VIEW/relevancy.npz."""
     coco: Flag = False
     """Write the masks of all views as coco.json: run lengths, boxes and scores."""
     metres_per_unit: OptionalNumber = None
-    """Length of the scene's unit in metres, if you know it: places and sizes are given in metres, too."""
+    """Length of the scene's unit in metres, to give positions and sizes in metres, too."""
     video: Literal["path", "turntable", "none"] = "none"
     """path: an mp4 of each text's heat map on a way through the field's cameras, TEXT_path.mp4. turntable: on a circle
     around the thing. Needs scoup[video]."""
@@ -219,7 +218,7 @@ class Query(TextOptions, CameraOptions):
         present_from: float | None,
         places: list[Location],
     ) -> None:
-        """Say what was found, and where it is written."""
+        """Report the answers and the files."""
         for record in result["answers"]:
             console.say(_sentence(record, present_from))
         for place in places:

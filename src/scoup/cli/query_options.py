@@ -152,7 +152,7 @@ class TextOptions(FieldOptions):
     option_groups: ClassVar[OptionGroups] = {"field": "text"}
 
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
-    """Turns words into vectors: a table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
+    """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
     def text_encoder(self, field: LanguageField) -> TextEncoder:
         """The encoder of --text, or of the field.

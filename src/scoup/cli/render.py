@@ -24,9 +24,10 @@ ANIMATIONS = (".webp", ".gif")
 
 @dataclass(frozen=True, kw_only=True)
 class Render(TextOptions, CameraOptions):
-    """Render views of a field: its colours, its codes as colours (like meaning, like colour), or relevancy to a text.
+    """Render views of a field: its colours, its codes as colours (similar meaning, similar colour), or relevancy to a
+    text.
 
-    Pictures have a title, and a legend where they need one; --plain leaves both out.
+    Pictures have a title and, if needed, a legend; --plain omits both.
     """
 
     option_groups: ClassVar[OptionGroups] = {"output": "out plain frames_per_second"}

@@ -33,9 +33,8 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
     left.
 
-    Gaussians are judged by their own codes, without rendering. Where the field's geometry is a PLY and a PLY is
-    written, its rows are copied byte for byte but for what is changed. A .scoup has its Gaussians in it and can be
-    queried again.
+    Gaussians are selected by their own codes, without rendering. From PLY to PLY, rows are copied byte for byte except
+    for the change. A .scoup contains its Gaussians and can be queried again.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -47,50 +46,49 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     texts: Annotated[
         tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="TEXT [TEXT ...]", help_behavior_hint="")
     ]
-    """What to look for: "kettle", "mug and not handle", mug + cup - handle. Of texts without and, or, not, + or -
-    between them any may answer. "mug left of the laptop", "largest box" and "second chair from the left" select things
-    by relation or order (docs/things.md). A text in double quotes of its own is taken as it stands."""
+    """What to look for: "kettle", "mug and not handle", mug + cup - handle. Texts without and, or, not, + or - between
+    them are combined with or. "mug left of the laptop", "largest box" and "second chair from the left" select things by
+    relation or order (docs/things.md). A text in inner double quotes is taken literally."""
     out: Path
     """The splat (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .usd, .usdz) or field (.scoup) to write."""
     edit: Literal["keep", "remove", "recolor", "fade", "ids"] = "keep"
-    """keep: write those found. remove: all others. recolor, fade: all, with those found changed. ids: all, with a
+    """keep: write the selection. remove: all others. recolor, fade: all, with the selection changed. ids: all, with a
     property `selected`: number of text, or 0 (PLY only; `scoup label` writes one class each)."""
     color: str = "#ff5c28"
-    """Of --edit recolor: red, green and blue as #rrggbb. Light and shade stay."""
+    """Colour for --edit recolor, #rrggbb. Light and shade stay."""
     opacity: float = 0.15
-    """Of --edit fade: what opacities are multiplied with, 0 to 1."""
+    """Factor of the opacities for --edit fade, 0 to 1."""
     largest: Flag = False
-    """Keep only the largest connected part of what answers."""
+    """Keep only the largest connected component of the selection."""
     shrink: int = 0
-    """So many times, leave out Gaussians with a neighbour that is not selected."""
+    """Remove Gaussians with a neighbour outside the selection, this many times."""
     grow: int = 0
-    """So many times, add the neighbours of those selected."""
+    """Add the neighbours of the selection, this many times."""
     within: float = 0.0
-    """Add everything at most so far from what answers, in units of the scene."""
+    """Add Gaussians within this distance of the selection, in scene units."""
     picture: OptionalPath = None
-    """Write a .png of the scene before, what was selected, and the scene after."""
+    """Write a .png of the scene before, the selection, and the scene after."""
     camera: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
     ] = ()
     """Of --picture: name of a camera. Default: the one that sees most of the selection."""
     metres_per_unit: OptionalNumber = None
-    """Length of the scene's unit in metres, if you know it: places and sizes are printed in metres, too."""
+    """Length of the scene's unit in metres, to print positions and sizes in metres, too."""
     threshold: OptionalNumber = None
-    """A Gaussian is chosen above this, 0 to 1, once relevancy is rescaled over the scene. Default: where the answer
-    changes least; 0.6 with --absolute."""
+    """Threshold of the selection, 0 to 1, on relevancy rescaled over the scene. Default: where the answer changes
+    least; 0.6 with --absolute."""
     absolute: Flag = False
-    """Put the threshold on the relevancy itself, where 0.5 is a draw with the canonical phrases and everyday words."""
+    """Apply the threshold to relevancy itself; 0.5 is a draw with the canonical phrases and everyday words."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     presence: OptionalNumber = None
-    """A text is in the scene if its z-score is at least this: how many standard deviations what was found lies nearer
-    to it than to everyday words. Otherwise nothing is chosen for it. Default: 1.4, where the table of --text has 16
-    words or more."""
+    """Least z-score of a text that is in the scene: how many standard deviations closer the match is to the text than
+    to everyday words. Below it, nothing is selected. Default: 1.4, if the table of --text has 16 words or more."""
     always: Flag = False
-    """Choose something for any text, unless the threshold is absolute."""
+    """Answer every text without judging presence, unless the threshold is absolute."""
     neighbours: int = 0
-    """Blend the relevancy of each Gaussian half and half with the mean of so many nearest neighbours: 10 is usual, 0 is
-    off."""
+    """Blend the relevancy of each Gaussian half and half with the mean of this many nearest neighbours; 10 is usual, 0
+    is off."""
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
@@ -232,7 +230,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
 
     def _report(self, console: Console, whole: SceneAnswer, written: int, place: Location) -> None:
-        """Say what was found, where it is, and what is written."""
+        """Report the selection, its place and the files."""
         counts = {part.text: int(part.mask.sum()) for part in whole.parts}
         for text, count in counts.items():
             console.say(f"{text}: {count:,} of {counted(len(whole.mask), 'Gaussian')}")

@@ -31,13 +31,13 @@ Names = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Update(FieldOptions, ViewOptions):
-    """Add views to a field, remove some, or add again those whose regions have changed; or let it follow its splat.
+    """Add, replace or remove views of a field, or carry its codes over to an edited splat.
 
-    The field must have been built with --keep-sums. Only the views named are rasterised; then all vote again. The atoms
-    of the field and the codes of its other regions stay. Interrupted, the same command continues where it stopped.
+    The field must have been built with --keep-sums. Only the named views are rasterised; then all views vote. Atoms and
+    the codes of other regions stay. To resume an interrupted update, run the same command again.
 
-    With --edited, Gaussians that were not changed keep their codes; with --scene too, views that show the edit are
-    rasterised, and all vote again.
+    With --edited, unchanged Gaussians keep their codes; with --scene as well, views that show the edit are rasterised,
+    and all views vote.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -50,8 +50,8 @@ class Update(FieldOptions, ViewOptions):
     scene: OptionalPath = None
     """Folder with the cameras of the views to add, as for scoup build; with --edited, of the field's views."""
     add: Names = ()
-    """Name of a camera to add, or to add again; repeat it for several. all: every one with features that is not in
-    the field, or whose region maps or camera have changed."""
+    """Name of a camera to add or replace; repeat it for several. all: every camera with features that is new, or whose
+    region maps or pose have changed."""
     remove: Names = ()
     """Name of a view to remove; repeat it for several."""
     new_atoms: int = 0
@@ -59,10 +59,10 @@ class Update(FieldOptions, ViewOptions):
     sums: OptionalPath = None
     """The region sums of the field. Default: FIELD.sums."""
     edited: OptionalPath = None
-    """The splat of the field after an edit: Gaussians deleted, appended or reordered, colours aside."""
+    """The splat of the field after an edit: Gaussians deleted, appended, reordered or recoloured."""
     tolerance: OptionalNumber = None
-    """Largest distance of matching centres, in units of the scene, for formats that round numbers. Default:
-    only those whose numbers are the same."""
+    """Largest distance of matching centres, in units of the scene, for formats that round numbers. Default: equal
+    numbers only."""
     out: OptionalPath = None
     """The field to write; its region sums go beside it. Default: FIELD, which needs --overwrite."""
     weight_bits: Literal[8, 16] = 16
@@ -241,7 +241,7 @@ class Update(FieldOptions, ViewOptions):
 
 
 def _announce(console: Console, copied: UpdateCopy, out: Path) -> None:
-    """Say what is continued, now, and what is kept, should the update be interrupted."""
+    """Report what is resumed, and what an interruption leaves."""
     total = len(copied.add)
     if copied.n_added:
         console.say(f"{out}: continues an interrupted update: {copied.n_added} of {total} views are there")

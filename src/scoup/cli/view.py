@@ -20,10 +20,10 @@ _MEGABYTE = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class View(TextOptions):
-    """Look at a field in the browser: type a word, and the splat lights up.
+    """Show a field in the browser: type a word, and the splat lights up.
 
-    Prints the address of a page, and answers it until Ctrl-C. Only this machine reaches it, unless --host says
-    otherwise. With --export it writes a page instead that needs no server and no network.
+    Prints the address of the page and serves it until Ctrl-C, to this machine only unless --host is passed. --export
+    writes a page that needs no server and no network.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -33,21 +33,21 @@ class View(TextOptions):
     }
 
     words: OptionalPath = None
-    """A list of words, one a line: what a click chooses from, and all that an exported page can be asked. Default:
-    everyday words; of a table, all its names."""
+    """File of words, one per line: the choices of a click, and all that an exported page can be asked. Default:
+    everyday words, or all names of a word table."""
     most: int = 1_000_000
-    """The page shows so many Gaussians at most; neighbours are merged until no more are left. Pictures of the server
-    have all."""
+    """Most Gaussians that the page shows; neighbours are merged until no more are left. Pictures of the server show
+    all."""
     remote: Flag = False
-    """The page shows pictures of the server only: for scenes or machines that are too much for the browser."""
+    """Send only rendered pictures: for scenes too large for the browser."""
     host: str = "127.0.0.1"
-    """Address to bind to. 0.0.0.0 lets other machines in: whoever knows the address, which holds a token."""
+    """Address to bind to. 0.0.0.0 admits other machines: all that know the address, which contains a token."""
     port: OptionalInteger = None
     """Port to bind to; 0 takes any. Default: 8350 or, if that is in use, any."""
     open_browser: Flag = False
     """Open the page in the browser of this machine."""
     export: OptionalPath = None
-    """Write a page of one HTML file here, and end."""
+    """Write a page to this HTML file, and exit."""
     split: Flag = False
     """With --export: a folder, with the data in files beside the page."""
 
@@ -115,7 +115,7 @@ class View(TextOptions):
                 if not is_loopback(self.host):
                     console.warn(
                         f"{self.host}: other machines can reach this page; whoever has the address can ask the field "
-                        "and download its Gaussians, and what is sent is not encrypted"
+                        "and download its Gaussians; the connection is not encrypted"
                     )
                 record: dict[str, Any] = {"address": viewer.address, "field": self.field}
                 console.say(f"{self.field}: {viewer.address}\nCtrl-C ends it")

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakeViews(WritesCommon):
-    """Choose cameras for a splat that comes without photographs, and render them as if they were photographs.
+    """Choose cameras for a splat without photographs, and render their views.
 
-    The fewest are taken that show nearly all of the splat clearly and from several directions. The folder then serves
-    every tool as a scene: scoup extract finds regions in it, scoup build takes it with --gaussians SPLAT.
+    Takes the fewest views that show nearly all of the splat clearly and from several directions. The folder is a scene
+    for scoup extract and for scoup build --gaussians SPLAT.
     """
 
     option_groups: ClassVar[OptionGroups] = {"view": "views width height up beside", "output": "out"}
@@ -89,7 +89,7 @@ class MakeViews(WritesCommon):
 
 
 def _say_what_is_kept(console: Console, out: Path, work: ViewWork, n_beside: int) -> None:
-    """Say what is continued, and what an interruption leaves."""
+    """Report what is resumed, and what an interruption leaves."""
     before = console.kept()
 
     def report() -> str:

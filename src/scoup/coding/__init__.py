@@ -106,7 +106,7 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
     if solver not in SOLVERS:
         raise InputError(f"there is no solver {solver!r}; solvers: {', '.join(map(repr, SOLVERS))}")
     if not 1 <= k <= 64:
-        raise InputError(f"k must be 1 to 64 atoms a code, not {k}")
+        raise InputError(f"k must be 1 to 64 atoms per code, got {k}")
     if epochs < 0:
         raise InputError(f"epochs must not be negative, got {epochs}")
     if effort not in EFFORTS:

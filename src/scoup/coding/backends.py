@@ -68,7 +68,7 @@ def coding_backend(device: torch.device, name: str | None = None) -> CodingBacke
 
 
 def working_device(rows: Tensor) -> torch.device:
-    """Where rows are coded: where they are, but on the CPU for devices without float64."""
+    """Return the device on which rows are coded: their own, or the CPU for devices without float64."""
     return rows.device if rows.device.type in ("cpu", "cuda") else torch.device("cpu")
 
 

@@ -28,7 +28,7 @@ def code(
     swap_passes: int = 0,
     warm: Tensor | None = None,  # [n, K]
 ) -> RowCodes:
-    """For each row at most k atoms and weights >= 0 that bring the decoded code near to it in angle.
+    """Return at most k atoms and weights >= 0 per row that bring the decoded code close to it in angle.
 
     Under the cosine loss only the direction of w C matters, so the best weights on a support solve non-negative
     least squares, which needs only s = C f and G = C C^T. The support is found greedily by orthogonal least squares

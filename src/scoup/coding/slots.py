@@ -74,7 +74,7 @@ class Slots:
             self._exchange(moved)
 
     def _exchange(self, rows: Tensor) -> None:
-        """In each of ``rows`` [n] swap the smallest logit of the support with the largest outside it."""
+        """Swap, in each of ``rows`` [n], the smallest logit of the support with the largest outside it."""
         values = self._logits.index_select(1, rows)
         leaving = values[: self._k].argmin(0)
         entering = values[self._k :].argmax(0) + self._k

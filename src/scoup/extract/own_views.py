@@ -116,7 +116,7 @@ def _check_numbers(width: int, height: int, count: int | None) -> None:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of a splat views show: shares of its opaque Gaussians, 0..1; where none is opaque, of those that can be
+    """Coverage of a splat by views: shares of its opaque Gaussians, 0..1; where none is opaque, of those that can be
     seen."""
 
     once: float

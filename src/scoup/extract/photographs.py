@@ -113,7 +113,7 @@ def _to_rgb(image: Any) -> Any:
     if image.mode.startswith("I") or image.mode == "F":
         values = np.asarray(image).astype(np.float64)
         if image.mode == "F" or values.max(initial=0) > 65535 or values.min(initial=0) < 0:
-            raise ValueError(f"image mode {image.mode} is not a photograph's")
+            raise ValueError(f"image mode {image.mode} is not supported")
         return Image.fromarray((values / 256).astype(np.uint8)).convert("RGB")
     return image.convert("RGB")
 

@@ -34,7 +34,7 @@ DIRECTIONS = 10.0  # from which each Gaussian is to be seen, at most
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What one candidate camera shows of M counted Gaussians, and how good its picture is."""
+    """The Gaussians, of M counted ones, that one candidate camera shows, and the quality of its picture."""
 
     shown: Tensor
     """[M] float32, how well each Gaussian is shown, 0..1."""
@@ -50,7 +50,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """What candidate cameras show of M counted Gaussians."""
+    """The Gaussians, of M counted ones, that candidate cameras show."""
 
     cameras: list[Camera]
     shown: Tensor

@@ -95,7 +95,7 @@ def view_work(out: Path, gaussians: Gaussians, beside: Cameras | None, **how: An
     with locked_output(path, overwrite=True, is_folder=True):
         work = _open(path, of, len(gaussians))
         if work is None and path.exists():
-            warnings.warn(f"{path}: is not of these views; starting over", ScoupWarning, stacklevel=3)
+            warnings.warn(f"{path}: belongs to other views; starting over", ScoupWarning, stacklevel=3)
             remove(path)
         yield work or ViewWork(torch.zeros(len(gaussians), dtype=torch.int32), path, of)
         remove(path)

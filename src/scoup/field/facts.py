@@ -32,7 +32,7 @@ _THINGS: Mapping[str, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class FieldFacts:
-    """What is in a language field, without its tensors.
+    """Facts of a language field, without its tensors.
 
     Attributes:
         gaussians: N.

@@ -138,8 +138,9 @@ def _resized_to_image(
     if size == (1, 1) and max(camera.width, camera.height) > max(FACTORS):
         raise FileFormatError(
             path,
-            f"is a single pixel, but its camera has {camera.width} x {camera.height}: a stand-in, not the photograph",
-            "put the photographs in its place, name their folder with `images`, or remove the folder to use the "
+            f"is a single pixel, but its camera has {camera.width} x {camera.height}: "
+            "a placeholder, not the photograph",
+            "replace it by the photographs, name their folder with `images`, or remove the folder to use the "
             "cameras alone",
         )
     expected = camera.height * width / camera.width

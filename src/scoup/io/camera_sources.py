@@ -27,7 +27,7 @@ _MOST_FOLDERS = 100  # looked into for scenes
 
 @dataclass(frozen=True)
 class CameraSource:
-    """Where the cameras of a scene are: format, file or model folder, folders that may hold images, other models of
+    """Source of the cameras of a scene: format, file or model folder, folders that may hold images, other models of
     COLMAP beside the one taken, and what says in which frame the splat was trained: dataparser_transforms.json of
     nerfstudio, or cfg.yml of gsplat, whose trainer moves the world.
     """
@@ -157,7 +157,7 @@ def _source_of_file(path: Path) -> CameraSource:
         return CameraSource("colmap", folder, (scene_folder(folder),))
     if path.suffix.lower() != ".json":
         raise FileFormatError(
-            path, "is not a kind of camera file known here", "use transforms.json or cameras.json"
+            path, "is not a known kind of camera file", "use transforms.json or cameras.json"
         )
     with open(path, "rb") as stream:
         start = stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")

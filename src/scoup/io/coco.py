@@ -24,7 +24,7 @@ class CocoAnnotations:
 
     def __post_init__(self) -> None:
         if len(set(self.categories)) < len(self.categories):
-            raise InputError(f"categories differ by their names: {', '.join(self.categories)}")
+            raise InputError(f"categories need different names, got {', '.join(self.categories)}")
 
     def add(
         self,

@@ -118,7 +118,7 @@ def describe_folder(path: Path) -> DescribedFolder:
     if not record:
         raise FileFormatError(
             path,
-            f"contains nothing known here: it has no cameras and no region features, and {no_splat}",
+            f"contains nothing that SCOUP reads: it has no cameras and no region features, and {no_splat}",
             where_cameras_are(path),
         )
     return DescribedFolder({"kind": "scene", **record}, splat, gaussians, cameras)

@@ -57,7 +57,7 @@ def _parse(path: Path, head: bytes) -> tuple[np.dtype, tuple[int, ...], bool, in
     except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError) as error:
         raise FileFormatError(path, "has a damaged header", _REMEDY) from error
     if not isinstance(descr, str) or not re.fullmatch(r"[<>|=]?([iu][1248]|f[248])", descr):
-        raise FileFormatError(path, f"does not hold plain numbers (type {str(descr)[:40]!r})", _REMEDY)
+        raise FileFormatError(path, f"does not contain plain numbers (type {str(descr)[:40]!r})", _REMEDY)
     sound = isinstance(shape, tuple) and len(shape) <= 8
     if not sound or not all(isinstance(side, int) and 0 <= side < 1 << 48 for side in shape):
         raise FileFormatError(path, "has a damaged shape in its header", _REMEDY)

@@ -47,7 +47,7 @@ class OnnxSam:
 
     @property
     def is_second(self) -> bool:
-        """Whether it is SAM 2, whose images are stretched over the whole square."""
+        """Return whether it is SAM 2, whose images are stretched over the whole square."""
         return _is_second(self.decoder)
 
     def record(self) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def _model_file(folder: Path, role: str) -> Path:
     several = [path for path in found if "single" not in path.name.lower()] or found
     if len(several) != 1:
         problem = f"contains {len(several)} files named *{role}*.onnx or .ort, expected 1"
-        raise MissingFileError(folder, problem, "leave one encoder and its decoder in it")
+        raise MissingFileError(folder, problem, "keep only one encoder and its decoder in it")
     return several[0]
 
 
@@ -158,7 +158,7 @@ def _check(paths: tuple[Path, Path], encoder: Any, decoder: Any) -> None:
     if masks not in outputs or iou is None:
         raise FileFormatError(paths[1], f"has no outputs {masks} and iou_predictions", "use another export")
     if isinstance(iou.shape[-1], int) and iou.shape[-1] < 3:
-        raise FileFormatError(paths[1], "gives one mask for a point", "use the export for several masks")
+        raise FileFormatError(paths[1], "returns one mask per point", "use the export for several masks")
 
 
 def _is_second(decoder: Any) -> bool:

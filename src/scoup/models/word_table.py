@@ -28,7 +28,7 @@ _FORMS = (
     "pass a table (.npz with names and vectors, .json with name: numbers, or .safetensors; "
     "scoup.models.word_table.save_table writes one), or a model by folder or hub id"
 )
-_MAX_BYTES = 1 << 31  # a table of words is small; a damaged size must not fill the memory
+_MAX_BYTES = 1 << 31  # a word table is small; a damaged size must not fill the memory
 _RATIO, _ANY_BYTES = 20, 16 << 20  # numbers hardly shrink: what unpacks to more than both is not a table
 _REMEDY = "the file is damaged or of another kind; write it again (scoup.models.word_table.save_table)"
 
@@ -119,7 +119,7 @@ def _read_npz(path: Path) -> WordTable:
         members = archive.infolist()
         most = min(_MAX_BYTES, max(_ANY_BYTES, _RATIO * path.stat().st_size))
         if sum(member.file_size for member in members) > most:
-            raise FileFormatError(path, "is too large for a table of words", _REMEDY)
+            raise FileFormatError(path, "is too large for a word table", _REMEDY)
         for member in members:
             with archive.open(member) as stream:
                 arrays[member.filename.removesuffix(".npy")] = _read_array(path, stream, member.file_size)

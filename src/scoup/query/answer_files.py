@@ -75,7 +75,7 @@ class AnswerFiles:
 
     @property
     def needs_colors(self) -> bool:
-        """Whether ``add`` needs the colours of the views."""
+        """Return whether ``add`` needs the colours of the views."""
         return self._sheets is not None
 
     def of_view(self, camera: Camera, out: Path) -> list[dict[str, str]]:

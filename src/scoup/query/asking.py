@@ -176,7 +176,7 @@ class AskedScene(CodedScene):
 
 
 def _question_key(texts: Any, *options: Any) -> tuple[Any, ...] | None:
-    """What tells questions apart; None for questions that are not kept: vectors, and many texts."""
+    """Return the cache key of a question; None for questions that are not cached: vectors, and many texts."""
     words = tuple(texts) if isinstance(texts, (list, tuple)) else texts
     if isinstance(words, tuple):
         is_kept = len(words) <= MOST_TEXTS and all(isinstance(word, str) for word in words)

@@ -140,7 +140,7 @@ class CodedScene:
 
     @property
     def has_geometry(self) -> bool:
-        """Whether the geometry is in memory."""
+        """Return whether the geometry is in memory."""
         return self._gaussians is not None
 
     @property

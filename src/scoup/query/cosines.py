@@ -53,7 +53,7 @@ class FieldCodes:
 
 @dataclass(frozen=True, eq=False)
 class KeptCosines:
-    """What is kept of the pixels of one projection, [H, W, S], or of all Gaussians, [N, S]."""
+    """Cached cosines of the pixels of one projection, [H, W, S], or of all Gaussians, [N, S]."""
 
     codes: FieldCodes  # kept alive, so that no other tensor can get the id of theirs
     versions: tuple[int, ...]  # of the codes at that time
@@ -73,7 +73,7 @@ class FieldCosines:
         return FieldCosines, ()
 
     def __len__(self) -> int:
-        """How many projections something is kept of."""
+        """Return the number of cached projections."""
         return len(self._pixels)
 
     def of_pixels(

@@ -92,7 +92,8 @@ def code_drawing(field: CodedScene, level: str | int, plain: bool = False) -> Dr
 
 
 def _code_legend(indices: Tensor, weights: Tensor, colors: Picture) -> Callable[[int], Picture]:
-    """What draws the legend of a code picture of a width, from the codes [N, K] and colours [N, 3] of the Gaussians."""
+    """Return a function that draws the legend of a code picture of a width, from the codes [N, K] and colours [N, 3] of
+    the Gaussians."""
     coded = weights.sum(1) > 0
     leading = indices.long().gather(1, weights.argmax(1, keepdim=True))[:, 0][coded].numpy()
     counts = np.bincount(leading)

@@ -66,7 +66,7 @@ class Expression:
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is texts without phrases, and its only operator is "or"."""
+        """Return whether it is texts without phrases, and its only operator is "or"."""
         return not self.phrases and all(operator == "or" for operator in _operators(self.root))
 
     def __str__(self) -> str:

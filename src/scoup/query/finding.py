@@ -44,7 +44,7 @@ class Finding:
 
     @property
     def presence(self) -> bool:
-        """Whether the thing is in the scene or in a view."""
+        """Return whether the thing is in the scene or in a view."""
         return self.location.presence or any(answer.presence for answer in self.answers)
 
     @property

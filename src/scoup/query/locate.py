@@ -70,7 +70,7 @@ class Location:
 
     @property
     def presence(self) -> bool:
-        """Whether the thing is there; true if that was not judged and any Gaussian answers."""
+        """Return whether the thing is there; true if that was not judged and any Gaussian answers."""
         return self.position is not None
 
     def said(self, metres_per_unit: float | None = None) -> str:

@@ -57,7 +57,7 @@ class Phrase:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """All texts to look for: its own first."""
+        """Return all texts to look for, its own first."""
         return self.text, *(text for anchor in self.anchors for text in texts_of(anchor))
 
     def __str__(self) -> str:

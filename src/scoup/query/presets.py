@@ -37,7 +37,7 @@ class QueryPreset:
 
     @property
     def follows_things(self) -> bool:
-        """Whether things answer where a field has them; thresholds and the papers' rules are for votes."""
+        """Return whether things answer where a field has them; thresholds and the papers' rules are for votes."""
         return self.level_choice == "evidence" and self.threshold is None
 
     def __post_init__(self) -> None:

@@ -74,8 +74,8 @@ class Shapes:
         return share
 
     def top_below(self, one: int, other: int) -> float:
-        """How high another thing reaches around the footprint of one, not above its middle; minus infinity if it is
-        not there."""
+        """Return the height that another thing reaches around the footprint of one, not above its middle; minus
+        infinity if none."""
         means = self.points.of_one(other)
         margin = 0.5 * self.extent(one)
         around = np.ones(len(means), bool)
@@ -87,7 +87,7 @@ class Shapes:
         return float(np.quantile(heights, 0.9)) if len(heights) else -np.inf
 
     def surrounds(self, one: int, other: int) -> bool:
-        """Whether a thing has Gaussians on nearly all sides of another, at the heights of the other."""
+        """Return whether a thing has Gaussians on nearly all sides of another, at the heights of the other."""
         means = self.points.of_one(one)
         low, high = self.spans[other, UP]
         away = means[(means[:, UP] >= low) & (means[:, UP] <= high)] - self.middle(other)
@@ -97,7 +97,7 @@ class Shapes:
 
 
 def _beyond(axis: int, sign: int) -> Condition:
-    """Whether the middle of one lies clearly on one side of another along an axis."""
+    """Return whether the middle of one lies clearly on one side of another along an axis."""
 
     def holds(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
         offset = sign * (shapes.middle(one)[axis] - shapes.middle(others[0])[axis])
@@ -107,7 +107,7 @@ def _beyond(axis: int, sign: int) -> Condition:
 
 
 def _touches(shapes: Shapes, one: int, other: int) -> bool:
-    """Whether the bottom of one is where another ends around its footprint."""
+    """Return whether the bottom of one is where another ends around its footprint."""
     if shapes.overlap(one, other) < OVER:
         return False
     gap = shapes.spans[one, UP, 0] - shapes.top_below(one, other)

@@ -51,7 +51,7 @@ class Reshaping:
 
     @property
     def changes(self) -> bool:
-        """Whether it changes anything."""
+        """Return whether it changes anything."""
         return self != UNCHANGED
 
 

@@ -60,7 +60,7 @@ class Thing:
 
     @property
     def n_gaussians(self) -> int:
-        """How many Gaussians it has."""
+        """Return the number of Gaussians."""
         return len(self.gaussians)
 
     @property

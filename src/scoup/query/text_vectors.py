@@ -41,7 +41,7 @@ class TextVectors:
 
     @property
     def can_judge_presence(self) -> bool:
-        """Whether there are enough everyday words for a z-score (``scoup.query.presence``)."""
+        """Return whether there are enough everyday words for a z-score (``scoup.query.presence``)."""
         return len(self.everyday) >= LEAST_WORDS
 
     def with_everyday(self) -> TextVectors:
@@ -120,7 +120,7 @@ def _where_words_are(field: CodedScene, other: TextEncoder) -> str:
     named = field.embedding_model
     if named == COLORS:
         return NO_WORDS_FOR_COLORS
-    table = f"a table of words of {field.dim} dimensions, made with the model that embedded its regions"
+    table = f"a word table of {field.dim} dimensions, made with the model that embedded its regions"
     if not named:
         return f"the field does not name its model: pass {table}"
     if is_table(named):

@@ -67,7 +67,7 @@ class ThingPoints:
 
     @classmethod
     def of(cls, gaussians: Gaussians, members: Sequence[Tensor]) -> ThingPoints:
-        """From the numbers of the Gaussians of each thing; weights are opacities."""
+        """Make shapes of the Gaussians of each thing, by their numbers; weights are opacities."""
         rows = torch.cat([*members, torch.empty(0, dtype=torch.int64)]).cpu()
         chosen = gaussians.select(rows.to(gaussians.device)).to("cpu")
         means = chosen.means.double().numpy()
@@ -84,7 +84,7 @@ class ThingPoints:
 
     @classmethod
     def of_one_thing(cls, points: Tensor, weights: Tensor) -> ThingPoints:
-        """From points [M, 3] and their weights [M], some above 0; none is taken for a stray."""
+        """Make the shape of one thing from points [M, 3] and their weights [M], some above 0; no point is a stray."""
         return cls(points.numpy(), weights.numpy(), np.array([0, len(points)]))
 
     def __len__(self) -> int:

@@ -115,7 +115,7 @@ def atom_products(atoms: Tensor, vectors: Tensor) -> Tensor:
 
 
 def _native(name: str, indices: Tensor, weights: Tensor, *others: Any) -> Tensor | None:
-    """What a function of the compiled core returns; None where it cannot be used."""
+    """Return the result of the compiled core; None if it cannot be used."""
     core = native_core() if indices.device.type == "cpu" else None
     if core is None or indices.dtype not in (torch.uint8, torch.uint16):
         return None

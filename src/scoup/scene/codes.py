@@ -174,7 +174,7 @@ def float32_products(rows: Tensor, others: Tensor) -> Tensor:
 
 @contextmanager
 def full_float32() -> Iterator[None]:
-    """In this context, torch's float32 products on a GPU keep all bits, whatever precision the user has set."""
+    """Keep all bits of torch's float32 products on a GPU, whatever precision the user has set."""
     matmul = torch.backends.cuda.matmul
     if hasattr(matmul, "fp32_precision"):
         # Since torch 2.9. The older functions raise an error once the user has set this attribute.

@@ -30,7 +30,7 @@ def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
         bad = ~torch.isfinite(rows).all(1)
         if bad.any():
             raise InputError(
-                f"{int(bad.sum())} of {len(rows)} {what} hold values that are not finite, "
+                f"{int(bad.sum())} of {len(rows)} {what} have values that are not finite, "
                 f"the first is row {int(bad.nonzero()[0])}; drop or replace them"
             )
     return rows

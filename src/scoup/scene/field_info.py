@@ -41,14 +41,14 @@ def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, in
             f"{len(info.levels)} level names"
         )
     if 0 in (*shape[1:], *codebook.shape):
-        raise InputError(f"codes {list(shape)} and codebook {list(codebook.shape)} hold nothing")
+        raise InputError(f"codes {list(shape)} and codebook {list(codebook.shape)} are empty")
     n_atoms = codebook.shape[1]
     if code_indices.dtype != index_dtype(n_atoms):
         raise InputError(f"code indices are {code_indices.dtype}, expected {index_dtype(n_atoms)}")
     # The smallest and the largest are not finite if any is not, and need no copy of the weights.
     low, high = torch.aminmax(code_weights) if code_weights.numel() else torch.zeros(2)
     if not torch.isfinite(codebook).all() or not bool(torch.isfinite(low) & torch.isfinite(high)):
-        raise InputError("codebook or code weights hold values that are not finite")
+        raise InputError("codebook or code weights have values that are not finite")
     if low < 0:
         raise InputError("a code weight is negative")
     # torch finds no largest of uint16.

@@ -30,7 +30,7 @@ def camera_path(cameras: Cameras, count: int) -> Cameras:
     from scipy.spatial.transform import Rotation, Slerp
 
     if not len(cameras) or count < 1:
-        raise InputError(f"a path of {count} cameras through {len(cameras)} is none")
+        raise InputError(f"a path of {count} cameras through {len(cameras)} is not possible")
     stops = spread(list(cameras), MOST_STOPS)
     first = stops[0]
     if len(stops) == 1:

@@ -61,7 +61,7 @@ class ThingTable:
                     f"{name} of things is {part.dtype} {list(part.shape)}, expected {dtype} of {count} things"
                 )
         if count > MOST_THINGS:
-            raise InputError(f"{count:,} things; there may be {MOST_THINGS:,}")
+            raise InputError(f"{count:,} things; at most {MOST_THINGS:,} are possible")
         for name in ("owners", "parents"):
             numbers = getattr(self, name)
             if bool(((numbers >= count) | (numbers < NO_THING)).any()):

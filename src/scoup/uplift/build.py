@@ -106,7 +106,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What a field records of its origin."""
+    """Origin of a field, as its provenance records it."""
 
     views: tuple[Camera, ...]
     embedding_model: str = ""

@@ -30,7 +30,7 @@ class BuildSettings:
     keep: int = 4
     """Atoms each Gaussian keeps after the vote; 0 keeps all."""
     rounds: int = 2
-    """Rounds of the vote. After the first, regions count by their cosine with the outcome of the round before."""
+    """Rounds of the vote. After the first, regions count by their cosine with the result of the previous round."""
     solver: str = "exact"
     """How codes are learned: exact, or adam as in the paper, which takes minutes where exact takes a second."""
     effort: str = "fast"
@@ -63,7 +63,7 @@ class BuildSettings:
                 "least 1"
             )
         if self.rounds < 1:
-            raise InputError(f"the vote takes at least one round, not {self.rounds}")
+            raise InputError(f"the vote needs at least one round, got {self.rounds}")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise InputError(f"the tolerance must be 0 or more, got {self.tolerance}")
         if not 0 <= self.seed < 1 << 63:

@@ -111,7 +111,7 @@ def copy_for_update(
     path = field.with_name(f"{field.name}.update.partial")
     kept = RegionSums.open(source)
     if path.exists() and not _cut_back(path, kept, add, regions):
-        warnings.warn(f"{path}: is not of this update; starting over", ScoupWarning, stacklevel=3)
+        warnings.warn(f"{path}: belongs to another update; starting over", ScoupWarning, stacklevel=3)
         remove(path)
     try:
         _copy_files(source, path)

@@ -281,7 +281,7 @@ class _Edit:
         return None if (places < 0).any() else places
 
     def is_seen(self, camera: Camera) -> bool:
-        """Whether a changed Gaussian may contribute to a pixel.
+        """Return whether a changed Gaussian may contribute to a pixel.
 
         The changed ones are rendered alone: what contributes nothing then contributes nothing and hides nothing.
         """

@@ -52,7 +52,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What some cameras see of a splat, and how that compares with their photographs."""
+    """Views of a splat by some cameras, compared with their photographs."""
 
     names: tuple[str, ...]  # of the V views
     coverage: Array  # [V] share of the pixels with an alpha above one half
@@ -96,7 +96,8 @@ class Fit:
 
     @property
     def verdict(self) -> Verdict:
-        """From a share of ``MOST`` blind views a scene is hopeless: they show nothing to build from.
+        """Return the verdict. From a share of ``MOST`` blind views a scene is hopeless: they show nothing to build
+        from.
 
         Below it, the views that are compared with photographs decide; blind ones only if none is compared.
         """

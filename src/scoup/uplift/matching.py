@@ -77,7 +77,7 @@ class Matching:
 
     @property
     def is_identity(self) -> bool:
-        """Whether every row is what it was."""
+        """Return whether every row is what it was."""
         return (
             len(self) == self.n_before
             and bool(self.exact.all())

@@ -91,7 +91,7 @@ def resume_sums(
             check_sums(sums, gaussians, regions, raster_preset)
             wanted = {"weights": "float32", "least_weight": 0.0, **more}
             if wanted != {name: getattr(sums, name) for name in wanted}:
-                raise InputError("its weights are kept in another way")
+                raise InputError("its weights have another type")
             return sums
         except (InputError, FileFormatError) as error:
             warnings.warn(f"{path}: cannot be continued ({error}); starting over", ScoupWarning, stacklevel=2)
@@ -140,7 +140,7 @@ def add_views(
 
 
 def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
-    """Whether the sums contain this view with the same camera and label maps."""
+    """Return whether the sums contain this view with the same camera and label maps."""
     view = sums.views.get(camera.name)
     return view is not None and view.digests == (camera.fingerprint(), combined.digest())
 

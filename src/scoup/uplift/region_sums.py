@@ -158,7 +158,7 @@ class RegionSums(ArrayFolder):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no Gaussian contributes to a region of any view."""
+        """Return whether no Gaussian contributes to a region of any view."""
         return not any(len(part.places) for view in self.views.values() for part in view.parts)
 
     def __contains__(self, view_name: str) -> bool:
@@ -221,7 +221,7 @@ class RegionSums(ArrayFolder):
         self._write(INPUTS, header, _arrays(tensors))
 
     def is_compatible(self, other: RegionSums) -> bool:
-        """Whether others are of the same Gaussians and levels, made and kept in the same way."""
+        """Return whether others are of the same Gaussians and levels, made and kept in the same way."""
         return self._scene()[0] == other._scene()[0] and torch.equal(self.order, other.order)
 
     @classmethod

@@ -44,7 +44,7 @@ _REMEDY = "make the shard again"
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """What a merge needs to know of the views of a shard beside their region sums."""
+    """The inputs of a shard that a merge needs beside its region sums."""
 
     sources: Sources
     places: tuple[int, ...]  # of these views among all views of the scene with regions

@@ -60,7 +60,7 @@ def find_things(
 
 @dataclass(frozen=True, eq=False)
 class _StrongEntries:
-    """What the deciding Gaussians contribute to regions, without weak entries."""
+    """Contributions of the deciding Gaussians to regions, without weak entries."""
 
     gaussians: NDArray[np.int32]  # [E] in the order of the sums
     regions: NDArray[np.int32]  # [E, S] rows of the regions among those of all views, -1 for none

@@ -115,9 +115,9 @@ def vote(
         True
     """
     if rounds < 1:
-        raise InputError(f"the vote takes at least one round, not {rounds}")
+        raise InputError(f"the vote needs at least one round, got {rounds}")
     if keep is not None and keep < 1:
-        raise InputError(f"the vote keeps at least one atom, not {keep}; None keeps all")
+        raise InputError(f"the vote must keep at least one atom, got {keep}; None keeps all")
     codebook = torch.as_tensor(codebook)
     _check_codes(sums, codes, codebook)
     grams = torch.stack([stable_products(atoms, atoms) for atoms in codebook.float().cpu()])

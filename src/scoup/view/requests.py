@@ -107,7 +107,7 @@ def _number(value: Any, name: str, least: float, most: float) -> float:
 
 def _checked_text(text: Any) -> str:
     if not isinstance(text, str) or not text.strip() or len(text) > LONGEST_TEXT:
-        raise InputError(f"a text has 1 to {LONGEST_TEXT} letters")
+        raise InputError(f"a text must have 1 to {LONGEST_TEXT} characters")
     return " ".join(text.split())
 
 

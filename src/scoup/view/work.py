@@ -38,7 +38,7 @@ class Work:
         self._count = 0
 
     async def run(self, function: Callable[[], Result]) -> Result:
-        """What a function gives.
+        """Return the result of a function.
 
         Raises:
             BusyError: ``MOST_WAITING`` others wait.
@@ -49,7 +49,7 @@ class Work:
             return await asyncio.wrap_future(self._thread.submit(function))
 
     async def run_newest(self, visitor: str, function: Callable[[], Result]) -> Result:
-        """The same, unless the visitor comes with a newer one before its turn.
+        """Return the result of a function, unless the visitor sends a newer request before its turn.
 
         Raises:
             BusyError: as ``run``.

@@ -179,7 +179,7 @@ class VisibleInView(PairRule):
 
 @dataclass(frozen=True)
 class TopContributors(PairRule):
-    """For each pixel the Gaussians that contribute most to it (Dr. Splat)."""
+    """The Gaussians that contribute most to each pixel (Dr. Splat)."""
 
     count: int = 10  # so many; of equal weights the lower Gaussian
 

@@ -37,9 +37,9 @@ class Bench(WritesCommon):
     height: int = 360
     """Height of the view, in pixels."""
     threads: Counts = ()
-    """Numbers of threads, each of which is measured. Default: as many as torch uses."""
+    """Numbers of threads to measure. Default: as many as torch uses."""
     repeats: int = 5
-    """How often each stage is timed, after once that does not count."""
+    """Timed repetitions of each stage, after one warm-up."""
     backends: Names = ()
     """Backends of the rasteriser. Default: all that work here."""
     stages: Names = ()

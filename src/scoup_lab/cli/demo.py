@@ -31,7 +31,7 @@ class Demo(WritesCommon):
     option_groups: ClassVar[OptionGroups] = {"scene": "seed n_gaussians width height views"}
 
     out: Path = Path("demo")
-    """Folder for everything."""
+    """Folder for all outputs."""
     seed: int = 0
     """Seed of the scene and of the codebook."""
     n_gaussians: int = 160_000

@@ -35,12 +35,12 @@ class PixelScores:
 
     @property
     def localizes(self) -> bool:
-        """Whether points were scored too."""
+        """Return whether points were scored too."""
         return all(scene.localizes for scene in self.scenes)
 
     @property
     def comparable(self) -> bool:
-        """Whether the scenes are those of the published data set, by name."""
+        """Return whether the scenes are those of the published data set, by name."""
         return {scene.scene for scene in self.scenes} <= set(self.published_scenes)
 
     @property
@@ -52,7 +52,7 @@ class PixelScores:
 
     @property
     def footnotes(self) -> dict[str, int]:
-        """Where the published rows are from, and their protocol where it differs -> number of the footnote."""
+        """Return the sources of the published rows, and their protocol if it differs -> number of the footnote."""
         return {note: n for n, note in enumerate(dict.fromkeys(row.note for row in self.published), 1)}
 
 

@@ -47,7 +47,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
 
     def __post_init__(self) -> None:
         if self.neighbours < 1:
-            raise InputError(f"{self.neighbours} Gaussians are to vote for a point; at least 1 must")
+            raise InputError(f"the number of neighbours must be at least 1, got {self.neighbours}")
 
     @property
     def stems(self) -> Sequence[str]:
@@ -55,7 +55,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What is queried, each once."""
+        """Return the texts that are queried, each once."""
         return tuple(dict.fromkeys(text for classes in self.class_lists for text in classes.texts))
 
     def vectors(self, source: str, scene: str) -> TextVectors:

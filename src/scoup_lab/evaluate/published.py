@@ -39,7 +39,7 @@ class Published:
 
     @property
     def note(self) -> str:
-        """All that is to be said of where the row is from, in one line."""
+        """Return the source of the row in one line."""
         return f"{self.origin}; {self.protocol}" if self.protocol else str(self.origin)
 
 

@@ -50,7 +50,7 @@ class SceneScore:
 
     @property
     def localizes(self) -> bool:
-        """Whether the protocol scores points too."""
+        """Return whether the protocol scores points too."""
         return all(pair.hit is not None for pair in self.pairs)
 
     @property

@@ -36,12 +36,12 @@ class Launch:
 
 
 def can_code(n_atoms: int, k: int) -> bool:
-    """Whether a codebook and code of these sizes fit into one program."""
+    """Return whether a codebook and code of these sizes fit into one program."""
     return 1 <= n_atoms <= MOST_ATOMS and 1 <= k <= MOST_SLOTS
 
 
 def launch_sizes(n_atoms: int, k: int) -> Launch:
-    """How programs are cut. One warp wherever that is enough: then no sum crosses warps."""
+    """Return the sizes of programs. One warp wherever that is enough: then no sum crosses warps."""
     # Triton 3.6 fails to compile the kernel for tensors of one atom.
     padded_k, padded_atoms = triton.next_power_of_2(k), max(2, triton.next_power_of_2(n_atoms))
     numbers = padded_k * padded_atoms  # of one row

@@ -51,7 +51,7 @@ class _Cursor:
     def name(self) -> str:
         end = self.data.find(b"\0", self.position, self.position + _MAX_NAME)
         if end < 0:
-            raise FileFormatError(self.path, "has an image name without an end", _REMEDY)
+            raise FileFormatError(self.path, "has an unterminated image name", _REMEDY)
         raw = self.data[self.position : end]
         self.position = end + 1
         try:
@@ -126,9 +126,7 @@ def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]
         seen = np.frombuffer(cursor.data, "<u4", 2 * values[8], cursor.position)[::2].tolist()
         cursor.skip(size)
         if not all(identifier in names for identifier in seen):
-            raise FileFormatError(
-                points, f"point {values[0]} was seen in an image that is not there", _REMEDY
-            )
+            raise FileFormatError(points, f"point {values[0]} refers to a missing image", _REMEDY)
         tracks.append(list(dict.fromkeys(names[identifier] for identifier in seen)))
     return positions, tracks
 

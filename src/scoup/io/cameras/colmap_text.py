@@ -139,4 +139,4 @@ def _joined(values: Sequence[float]) -> str:
 
 
 def _damaged(path: Path, place: int) -> FileFormatError:
-    return FileFormatError(path, f"line {place} is not what COLMAP writes", _REMEDY)
+    return FileFormatError(path, f"line {place} is not in COLMAP's format", _REMEDY)

@@ -54,7 +54,7 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
     skipped = len(frames) - len(cameras)
     if skipped and not cameras:
         raise FileFormatError(
-            path, "gives no image size (w, h), and no image is there to tell it", "add w and h to it"
+            path, "has no image size (w, h), and no readable image to take it from", "add w and h to it"
         )
     if skipped:
         warnings.warn(

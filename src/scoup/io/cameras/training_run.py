@@ -40,7 +40,7 @@ def nerfstudio_data(run: Path) -> tuple[Path, bool]:
     remedy = f"use the scene folder with its cameras, and pass `dataparser_transforms={run / TRAINED_FRAME}`"
     named = _named_path(text)
     if named is None:
-        raise MissingFileError(config, "does not say where the data of the training are", remedy)
+        raise MissingFileError(config, "does not name the folder of the training data", remedy)
     return _on_this_machine(named, run, config, remedy), "ColmapDataParserConfig" in text
 
 
@@ -51,7 +51,7 @@ def gsplat_data(results: Path) -> tuple[Path, bool]:
     remedy = f"copy the COLMAP scene it was trained on beside {results}, with the folder name given there"
     named = _plain(text, "data_dir")
     if named is None:
-        raise MissingFileError(config, "does not say where the data of the training are (data_dir)", remedy)
+        raise MissingFileError(config, "does not name the folder of the training data (data_dir)", remedy)
     normalised = (_plain(text, "normalize_world_space") or "true").lower() == "true"
     return _on_this_machine(named, results, config, remedy), normalised
 

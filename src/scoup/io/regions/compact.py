@@ -156,7 +156,7 @@ def _shape_of_level(path: Path, stream: Any, level: str, size: tuple[int, int]) 
     if dim < 1:  # any number of rows of nothing fits into a file
         raise FileFormatError(path, f"level {level!r} has embeddings of no dimension", REMEDY)
     if size[0] * size[1] * _label_type(count).itemsize > packed.get_shape()[0] * _DEFLATE_LIMIT:
-        raise FileFormatError(path, f"cannot hold {size[0]} x {size[1]} labels", REMEDY)
+        raise FileFormatError(path, f"cannot contain {size[0]} x {size[1]} labels", REMEDY)
     return count, dim
 
 
@@ -171,7 +171,7 @@ def _unpack(view: CompactView, level: str, packed: bytes, out: NDArray[np.int32]
     except zlib.error as error:
         raise FileFormatError(view.path, f"has damaged labels ({error})", REMEDY) from error
     if len(data) != wanted or rest or not inflate.eof:
-        raise FileFormatError(view.path, "has labels of another size than it says", REMEDY)
+        raise FileFormatError(view.path, "has labels of another size than its header says", REMEDY)
     steps = np.frombuffer(data, kind).reshape(view.height, view.width)
     values = np.bitwise_xor.accumulate(steps, axis=0)  # labels plus one
     highest = int(values.max()) - 1

@@ -117,7 +117,7 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
     )
     if foreign:
         raise InputError(
-            f"{target}: contains other things than region features ({listed(foreign)}); use a folder for them alone, "
+            f"{target}: contains other files than region features ({listed(foreign)}); use a folder for them alone, "
             f"such as {target / f'{FOLDER_NAME}_{manifest.layout}'}"
         )
     there = RegionStore.open(target)

@@ -29,7 +29,7 @@ def read_autoencoder(path: str | Path) -> Decoder:
     names = content if isinstance(content, dict) else {}
     numbers = sorted(int(found[1]) for name in names if (found := _WEIGHT.fullmatch(str(name))))
     if not numbers:
-        raise FileFormatError(path, "has no layers of a decoder in it", f"it should be {_WHAT}")
+        raise FileFormatError(path, "contains no layers of a decoder", f"it should be {_WHAT}")
     layers: list[tuple[np.ndarray, np.ndarray]] = []
     for number in numbers:
         weight = float_tensor(

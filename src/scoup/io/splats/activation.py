@@ -84,7 +84,7 @@ def finite_rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) -> None:
-    """Say that some rows of a splat were left out."""
+    """Warn that some rows of a splat were dropped."""
     warnings.warn(
         f"{source}: dropped {dropped:,} of {counted(total, 'Gaussian')} with values that are not finite, or "
         "without a rotation (a quaternion of zeros)",
@@ -97,7 +97,7 @@ def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarra
     """Return means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other
     values."""
     if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
-        raise InputError(f"{path}: some Gaussians have values that are not finite; leave these out first")
+        raise InputError(f"{path}: some Gaussians have values that are not finite; remove these first")
     arrays = {
         name: getattr(gaussians, name).detach().cpu().numpy().astype(np.float64)
         for name in ("means", "quats", "scales", "opacities", "sh")

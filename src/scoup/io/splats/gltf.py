@@ -120,7 +120,7 @@ def write_gltf(
         raise InputError(f"features are of {len(features.ids):,} Gaussians, not of {len(gaussians):,}")
     finite, kept = keep_finite(**half_turn(_writable(gaussians, path), AXES[".glb"]), source=str(path))
     if not len(finite):
-        raise InputError(f"{path}: glTF cannot hold a scene without Gaussians; there are none to write")
+        raise InputError(f"{path}: there are no Gaussians to write")
     if features is not None:
         features = GaussianFeatures(features.ids[torch.from_numpy(kept)], features.names, features.label)
     builder = GltfBuilder()
@@ -178,7 +178,7 @@ def _writable(gaussians: Gaussians, path: Path) -> Columns:
     bases = (SH_DEGREE + 1) ** 2
     if values["sh"].shape[1] > bases:
         warnings.warn(
-            f"{path}: glTF has spherical harmonics up to degree {SH_DEGREE}; those above are left out",
+            f"{path}: glTF has spherical harmonics up to degree {SH_DEGREE}; higher ones are omitted",
             ScoupWarning,
             stacklevel=4,
         )

@@ -98,7 +98,7 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
     content = load_torch(path, _WHAT, _WITHOUT_OBJECTS)
     splats = content.get("splats") if isinstance(content, dict) else None
     if not isinstance(splats, dict):
-        raise FileFormatError(path, "has no 'splats' in it", f"it should be {_WHAT}")
+        raise FileFormatError(path, "has no entry 'splats'", f"it should be {_WHAT}")
     missing = [key for key in _SHAPES if key not in splats]
     if missing:
         remedy = (

@@ -82,7 +82,7 @@ def read_splatfacto(path: str | Path) -> Gaussians:
 def _tensors(path: Path, content: Any) -> dict[str, np.ndarray]:
     pipeline = content.get("pipeline") if isinstance(content, dict) else None
     if not isinstance(pipeline, dict):
-        raise FileFormatError(path, "has no 'pipeline' in it", f"it should be {_WHAT}")
+        raise FileFormatError(path, "has no entry 'pipeline'", f"it should be {_WHAT}")
     plain = {str(key).removeprefix("module."): value for key, value in pipeline.items()}
     prefix = next((prefix for prefix in _PREFIXES if f"{prefix}means" in plain), None)
     if prefix is None:

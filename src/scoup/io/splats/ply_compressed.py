@@ -62,7 +62,7 @@ def _within(
     """Return [N, 3] float64: ``share`` of the way from the minimum to the maximum of each row's block."""
     names = [f"{end}_{prefix}{axis}" for end in ("min", "max") for axis in axes]
     if not set(names) <= set(blocks.dtype.names or ()):
-        raise _damaged(path, f"lacks {names[0]} or its like in its chunks")
+        raise _damaged(path, f"lacks {names[0]} or a similar property in its chunks")
     ends = np.stack([blocks[name].astype(np.float64) for name in names], axis=1)[block]
     return ends[:, :3] * (1.0 - share) + ends[:, 3:] * share
 

@@ -131,7 +131,7 @@ def _parse(path: Path, lines: list[str]) -> tuple[str, list[_Element], tuple[str
                 )
     if not encoding:
         raise FileFormatError(
-            path, "does not say its format in the header", "the file is damaged; export it again"
+            path, "does not name its format in the header", "the file is damaged; export it again"
         )
     return encoding, elements, tuple(comments)
 

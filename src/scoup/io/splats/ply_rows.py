@@ -52,7 +52,7 @@ def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:
     except OSError as error:
         raise refused_read(header.path, error) from error
     if len(rows) != count:
-        raise FileFormatError(header.path, "was cut short while it was read", "copy it again")
+        raise FileFormatError(header.path, "was truncated while being read", "copy it again")
     return rows
 
 

@@ -45,7 +45,7 @@ def read_scenesplat(folder: str | Path) -> Gaussians:
     for name in ("scale", "opacity"):
         if (values[name] < 0).any():
             raise FileFormatError(
-                folder / f"{name}.npy", "has negative values", "values are to be activated, not logarithms"
+                folder / f"{name}.npy", "has negative values", "expected activated values, not logarithms"
             )
     sh = (values["color"] / np.float32(255) - np.float32(0.5)) / np.float32(SH_C0)
     return keep_finite(

@@ -89,7 +89,7 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
     degree = round(sh.shape[1] ** 0.5) - 1
     largest = float(np.abs(means).max(initial=0.0))
     if largest > (65504 if version == 1 else (1 << 23) - 1):
-        raise InputError(f"{path}: .spz has no place for coordinates of {largest:.3g}; use another format")
+        raise InputError(f"{path}: .spz cannot store coordinates of {largest:.3g}; use another format")
     scales = np.abs(arrays["scales"])
     clipped = int(((scales < _LEAST / _HALF_STEP) | (scales > _MOST * _HALF_STEP)).any(1).sum())
     if clipped:

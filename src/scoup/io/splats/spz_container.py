@@ -73,7 +73,9 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
     except zlib.error as error:
         raise FileFormatError(path, f"cannot be unpacked ({error})", _DAMAGED) from error
     if len(body) != wanted or more or not unpacker.eof:
-        raise FileFormatError(path, f"does not hold the {header.count:,} Gaussians its header says", _DAMAGED)
+        raise FileFormatError(
+            path, f"does not contain the {header.count:,} Gaussians of its header", _DAMAGED
+        )
     parts, place = {}, 0
     for name, size in header.sizes.items():
         parts[name] = body[place : place + size]

@@ -89,12 +89,12 @@ class PackedCodes:
 
     @property
     def groups(self) -> int:
-        """Of ``SLOTS`` entries each."""
+        """Number of groups of ``SLOTS`` entries."""
         return self.words.shape[2] // SLOTS.value
 
 
 def is_wide(projection: TritonProjection, weights: Tensor, n_atoms: int) -> bool:
-    """Whether codes are multiplied as float32: numbers of float32 may be beyond what float16 can hold."""
+    """Return whether codes are multiplied as float32: numbers of float32 may be beyond what float16 can hold."""
     return weights.dtype != torch.float16 or projection.products() != "fp16x3" or n_atoms > 2**16
 
 
@@ -274,14 +274,14 @@ def _bounds(projection: TritonProjection) -> tuple[float, float]:
 
 
 def _constants(projection: TritonProjection) -> dict[str, object]:
-    """What is compiled into every kernel, and how."""
+    """Return the constants of every kernel."""
     return {**FUSED, "STOP_INCLUSIVE": projection.preset.stop_inclusive, "TILE": TILE}
 
 
 def _of_codes(
     projection: TritonProjection, codes: PackedCodes, blocks: CodeBlocks, levels_left: int
 ) -> dict[str, object]:
-    """What is compiled into a kernel that renders codes."""
+    """Return the constants of a kernel that renders codes."""
     return {
         "CHUNK": blocks.chunk,
         "LEVELS": min(blocks.levels, levels_left),

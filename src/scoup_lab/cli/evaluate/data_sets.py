@@ -29,9 +29,9 @@ class Evaluated(DataSetOptions):
     k: OptionalInteger = None
     """Atoms in the code of a region (K). Default: the preset's."""
     seed: int = 0
-    """Seed of all that is random."""
+    """Random seed."""
     rebuild: Flag = False
-    """Build fields again that exist already."""
+    """Rebuild existing fields."""
 
     protocol: ClassVar[str]
     """Its name."""
@@ -92,8 +92,7 @@ class OfPixels(Evaluated):
     option_groups: ClassVar[OptionGroups] = {"scoring": "rules selection", "output": "sheets"}
 
     rules: Rules = "scoup"
-    """Whose constants turn relevancy into masks and points; langsplat names none but for LERF-OVS, whose rules Ref-LERF
-    takes."""
+    """Rules that turn relevancy into masks and points; langsplat has some for LERF-OVS and Ref-LERF only."""
     selection: Flag = False
     """Also score by the 3D-selection protocol, in tables of its own."""
     sheets: Literal["worst", "none"] = "worst"

@@ -44,9 +44,9 @@ class DataSetOptions(WritesCommon):
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
-    """Turns labels into vectors. Default: text.npz of the scene or of ROOT, else the CLIP model of LangSplat."""
+    """Text encoder of the labels. Default: text.npz of the scene or of ROOT, else the CLIP model of LangSplat."""
     out: OptionalPath = None
-    """Folder for everything that is made. Default: eval_<data set> here."""
+    """Folder for all outputs. Default: eval_<data set> here."""
 
     def places(self) -> Places:
         """Return where the parts of scenes lie."""

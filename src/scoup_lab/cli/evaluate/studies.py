@@ -27,7 +27,7 @@ class StudyOptions(DataSetOptions):
     data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"] = "lerf-ovs"
     """Layout of ROOT, and whose protocol scores."""
     rules: Rules = "scoup"
-    """Whose constants turn relevancy into masks and points."""
+    """Rules that turn relevancy into masks and points."""
 
     recorded: ClassVar[str]
     """Options that go into the record, between spaces."""
@@ -84,7 +84,7 @@ class Baselines(StudyOptions):
     """Methods to run; repeat it for several. Default: all but sparse-all, autoencoder-lerf and
     joint-codes; the last two take tens of minutes a scene."""
     seed: int = 0
-    """Seed of all that is random."""
+    """Random seed."""
     epochs: int = 100
     """Epochs of the autoencoder; LangSplat's own is 100."""
     iterations: int = 10_000
@@ -107,8 +107,8 @@ class Baselines(StudyOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Ablations(StudyOptions):
-    """One thing at a time changed: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver
-    and start, levels and how they are chosen, everyday words, fewer views, fewer pixels; at least three codebook seeds
+    """Change one thing at a time: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver and
+    start, levels and how they are chosen, everyday words, fewer views, fewer pixels; at least three codebook seeds
     each. Table and plot.
     """
 
@@ -131,11 +131,10 @@ class Ablations(StudyOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Consistency(StudyOptions):
-    """Multi-view consistency: cosine between matched observations of raw embeddings, of what LangSplat's autoencoder
-    makes of them, and of decoded sparse codes.
+    """Measure multi-view consistency: cosines between matched observations of raw, autoencoder-decoded and
+    sparse-decoded embeddings.
 
-    Matched by COLMAP's tracks where sparse/0 keeps them, otherwise by Gaussians that dominate the pixel under their
-    centre.
+    Matched by COLMAP's tracks if sparse/0 has them, otherwise by Gaussians that dominate the pixel under their centre.
     """
 
     preset_name: Annotated[Literal["default", "paper"], tyro.conf.arg(name="preset")] = "default"

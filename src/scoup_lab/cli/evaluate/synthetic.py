@@ -33,9 +33,9 @@ class Synthetic(WritesCommon):
     root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT", help_behavior_hint="")]
     """Folder to write into."""
     scenes: int = 2
-    """How many scenes, of one seed each."""
+    """Number of scenes, each with its own seed."""
     seed: int = 0
-    """Seed of the first scene; the others count on from it."""
+    """Seed of the first scene; the others follow it."""
     n_gaussians: int = 60_000
     """Gaussians in each scene."""
     width: int = 320
@@ -45,7 +45,7 @@ class Synthetic(WritesCommon):
     views: int = 16
     """Views of each scene."""
     labelled: int = 4
-    """How many of them have labels."""
+    """Views with labels."""
 
     def run(self, console: Console) -> None:
         """Make and write."""

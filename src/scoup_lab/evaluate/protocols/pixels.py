@@ -149,7 +149,7 @@ class LabelledScene(SceneFiles):
 
     @property
     def labels(self) -> list[str]:
-        """All labels of all frames, in alphabetic order."""
+        """Return all labels of all frames, in alphabetic order."""
         return sorted({label for frame, _ in self.frames for label in frame.labels})
 
     @property

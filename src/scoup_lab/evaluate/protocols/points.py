@@ -42,7 +42,7 @@ class ClassList:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What is queried."""
+        """Return the texts that are queried."""
         return tuple(text for text, _ in self._queried)
 
     def of_texts(self, positions: Tensor) -> Tensor:
@@ -71,7 +71,7 @@ class PointTruth:
 
     @property
     def counts(self) -> bool:
-        """Whether any point has a class."""
+        """Return whether any point has a class."""
         return bool((self.classes != NO_CLASS).any())
 
     def answers(self, gaussians: Gaussians, given: Tensor, n_classes: int, neighbours: int) -> Tensor:
@@ -169,7 +169,7 @@ def nearest_classes(
 
     voters = (classes.cpu() != NO_CLASS) & torch.isfinite(means.cpu()).all(1)
     if not voters.any() or neighbours < 1:
-        raise InputError(f"{int(voters.sum())} Gaussians have a class, and {neighbours} of them are to vote")
+        raise InputError(f"{int(voters.sum())} Gaussians have a class, fewer than the {neighbours} that vote")
     count = min(neighbours, int(voters.sum()))
     tree = KDTree(means.cpu()[voters].double().numpy())
     found = np.asarray(tree.query(positions.double().numpy(), k=count, workers=-1)[1]).reshape(-1, count)
@@ -186,7 +186,9 @@ def confusion_matrix(truth: Tensor, given: Tensor, n_classes: int) -> Tensor:
     ``truth``: [P] int64; points of ``NO_CLASS`` do not count; ``given``: [P] int64.
     """
     if truth.shape != given.shape or truth.dim() != 1:
-        raise InputError(f"{list(truth.shape)} true classes and {list(given.shape)} given; one each a point")
+        raise InputError(
+            f"{list(truth.shape)} true classes and {list(given.shape)} given; expected one per point"
+        )
     for numbers in (truth, given):
         if len(numbers) and not NO_CLASS <= int(numbers.min()) <= int(numbers.max()) < n_classes:
             raise InputError(

@@ -58,7 +58,7 @@ def read_segmentations(folder: str | Path) -> list[LabelledFrame]:
         raise MissingFileError(home, "contains no mask of any class (<frame>/<class>.png)", _REMEDY)
     if lacking:
         warnings.warn(
-            f"{home}: {lacking} of the masks that {_CLASSES} names are not there and are not scored",
+            f"{home}: {lacking} of the masks that {_CLASSES} names are missing and not scored",
             ScoupWarning,
             stacklevel=2,
         )
@@ -106,9 +106,9 @@ def _read_classes(path: Path) -> list[str]:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise FileFormatError(path, "is not text", "one class a line is expected") from error
+        raise FileFormatError(path, "is not text", "expected one class per line") from error
     classes = [line.strip() for line in lines if line.strip()]
     if not classes or len(set(classes)) < len(classes):
         problem = "names a class twice" if classes else "names no class"
-        raise FileFormatError(path, problem, "one class a line is expected")
+        raise FileFormatError(path, problem, "expected one class per line")
     return classes

@@ -32,7 +32,7 @@ class Ablation:
 
     @property
     def is_base(self) -> bool:
-        """Whether nothing is changed."""
+        """Return whether nothing is changed."""
         return self.method is BASE and self.rule is ScoringRule
 
 

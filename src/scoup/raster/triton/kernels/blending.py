@@ -123,15 +123,15 @@ def spread(records, start, end, CHUNK: tl.constexpr, PIXELS: tl.constexpr):
 
 @triton.jit
 def one_behind_the_other(through, share, through_behind, share_behind):
-    """What two lots of Gaussians let through together, and the share of the light that the hindmost one paints with:
-    its alpha times what all before it let through. Associative, and no division is needed.
+    """Return what two groups of Gaussians let through together, and the share of the light that the hindmost one
+    contributes: its alpha times what all before it let through. Associative, and no division is needed.
     """
     return through * through_behind, through * share_behind
 
 
 @triton.jit
 def is_lit(transmittance):
-    """Whether any pixel goes on."""
+    """Return whether any pixel goes on."""
     return tl.max(tl.max(transmittance, axis=1), axis=0) > 0
 
 

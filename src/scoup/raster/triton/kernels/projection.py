@@ -49,8 +49,8 @@ def sieve_kernel(
     count,
     BLOCK: tl.constexpr,
 ):
-    """Which Gaussians may be visible, by their centre and largest scale alone. NaN fails every comparison; on a GPU
-    the largest of scales may be a number though one of them is not: ``project_kernel`` leaves that Gaussian out.
+    """Mark the Gaussians that may be visible, by their centre and largest scale alone. NaN fails every comparison; on a
+    GPU the largest of scales may be a number though one of them is not: ``project_kernel`` leaves that Gaussian out.
     """
     row = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     there = row < count
