@@ -220,8 +220,8 @@ def test_sums_alone_are_refused(scene: RasterisedScene) -> None:
     ("changes", "problem"),
     [
         ({"iterations": -1}, "negative"),
-        ({"k": 0}, "1 to 8 atoms, not 0"),
-        ({"k": 9}, "1 to 8 atoms, not 9"),
+        ({"k": 0}, "1 to 8 atoms, got 0"),
+        ({"k": 9}, "1 to 8 atoms, got 9"),
         ({"learning_rate": 0.0}, "positive"),
     ],
 )

@@ -38,5 +38,5 @@ def test_members_are_those_that_paint() -> None:
 
 
 def test_a_width_of_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match="one pixel or more, not 0"):
+    with pytest.raises(InputError, match="one pixel or more, got 0"):
         weights_of_views(RasterisedScene(*small_scene(20, views=1)), 0)

@@ -204,5 +204,5 @@ def test_refusals() -> None:
     with pytest.raises(InputError, match="negative"):
         book.extended(rows, -1)
     codes = SparseCodes(torch.zeros(1, 2, dtype=torch.uint16), torch.zeros(1, 2), 65530)
-    with pytest.raises(InputError, match="65536 atoms, not 65538"):
+    with pytest.raises(InputError, match="65536 atoms, got 65538"):
         Codebook(torch.zeros(65530, 16), codes, book.report).extended(rows, 8)

@@ -109,7 +109,7 @@ def test_stored_bits(tmp_path: Path) -> None:
         store = RegionStore.create(tmp_path / str(bits), manifest)
         store.write(view("a.png"))
         assert store.open_view("a").embeddings("s").dtype == kind
-    with pytest.raises(InputError, match="16 or 32 bits, not 8"):
+    with pytest.raises(InputError, match="16 or 32 bits, got 8"):
         RegionManifest.of("langsplat", "", {}, 8)
 
 

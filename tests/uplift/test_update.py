@@ -345,7 +345,7 @@ def test_refusals(wall: Wall, kept: Kept) -> None:
     late = wall.late[:1]
     with pytest.raises(InputError, match="negative"):
         update(field, sums, late, wall.regions, new_atoms=-1)
-    with pytest.raises(InputError, match="1 to 65536 atoms, not 65537"):
+    with pytest.raises(InputError, match="1 to 65536 atoms, got 65537"):
         update(field, sums, late, wall.regions, new_atoms=65531)
     with pytest.raises(InputError, match="levels"):
         update(field, sums, late, Regions(("s",), wall.regions.view_names, wall.regions.load))

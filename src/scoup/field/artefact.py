@@ -51,7 +51,7 @@ class FieldParts:
 def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int) -> None:
     """Write a field; see ``LanguageField.save``."""
     if weight_bits not in (8, 16):
-        raise InputError(f"weights are stored with 8 or 16 bits, not {weight_bits}")
+        raise InputError(f"code weights must have 8 or 16 bits, got {weight_bits}")
     check_output(path, overwrite)
     weights = parts.code_weights
     if weight_bits == 8:

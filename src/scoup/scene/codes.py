@@ -18,7 +18,7 @@ from scoup.base.native import native_core
 def index_dtype(n_atoms: int) -> torch.dtype:
     """Return the dtype of code indices: uint8 up to 256 atoms, uint16 beyond."""
     if not 1 <= n_atoms <= 65536:
-        raise InputError(f"a codebook may have 1 to 65536 atoms, not {n_atoms}")
+        raise InputError(f"a codebook must have 1 to 65536 atoms, got {n_atoms}")
     return torch.uint8 if n_atoms <= 256 else torch.uint16
 
 

@@ -76,7 +76,7 @@ def query_vectors(
         given = torch.as_tensor(vectors)
     except (TypeError, ValueError, RuntimeError):
         raise InputError(
-            f"{what} must be vectors [{dim}] or [count, {dim}], not {str(vectors)[:60]}"
+            f"{what} must be vectors [{dim}] or [count, {dim}], got {str(vectors)[:60]}"
         ) from None
     rows = given[None] if given.dim() == 1 else given
     if rows.dim() != 2 or rows.shape[1] != dim or not len(rows):

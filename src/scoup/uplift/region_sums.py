@@ -77,7 +77,7 @@ class RegionSums(ArrayFolder):
         least_weight: float = 0.0,
     ) -> None:
         if weights not in ("float32", "float16"):
-            raise InputError(f"weights of region sums are float32 or float16, not {weights!r}")
+            raise InputError(f"weights of region sums must be float32 or float16, got {weights!r}")
         if not 0 <= least_weight < 1:
             raise InputError(f"the least weight of an entry must be 0 to 1, got {least_weight}")
         if path is not None and path.exists():

@@ -46,7 +46,9 @@ class PictureRequest:
 
     def __post_init__(self) -> None:
         if self.mode not in get_args(PictureMode):
-            raise InputError(f"a picture shows {', '.join(get_args(PictureMode))}, not {self.mode!r}")
+            raise InputError(
+                f"a picture must show one of {', '.join(get_args(PictureMode))}, got {self.mode!r}"
+            )
         if max(self.camera.width, self.camera.height) > LARGEST_SIDE:
             raise InputError(f"a picture has sides of at most {LARGEST_SIDE} pixels")
         if self.mode in ("heat", "mask") and self.question is None:

@@ -153,7 +153,7 @@ def _check(settings: AutoencoderSettings) -> None:
         raise InputError(f"epochs must not be negative, got {settings.epochs}")
     if settings.batch < 2:
         raise InputError(
-            f"a batch needs two rows or more, not {settings.batch}: they are normalised together"
+            f"a batch needs two rows or more, which are normalised together, got {settings.batch}"
         )
     if not settings.learning_rate > 0:
         raise InputError(f"the learning rate must be positive, got {settings.learning_rate}")

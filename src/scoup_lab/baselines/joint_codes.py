@@ -209,6 +209,6 @@ def _check(settings: JointSettings) -> None:
     if settings.iterations < 0:
         raise InputError(f"iterations must not be negative, got {settings.iterations}")
     if not 1 <= settings.k <= settings.n_atoms:
-        raise InputError(f"a code keeps 1 to {settings.n_atoms} atoms, not {settings.k}")
+        raise InputError(f"a code must keep 1 to {settings.n_atoms} atoms, got {settings.k}")
     if not settings.learning_rate > 0:
         raise InputError(f"the learning rate must be positive, got {settings.learning_rate}")

@@ -208,7 +208,7 @@ def every_nth_pixel(regions: Regions, stride: int) -> Regions:
 def pixel_weights(projection: raster.Projection, pixels: int = PIXELS_AT_A_TIME) -> Iterator[PixelWeights]:
     """Yield all pairs of a Gaussian and a pixel it contributes to, in bands of rows; sorted by Gaussian, then pixel."""
     if pixels < 1:
-        raise InputError(f"a band needs at least one pixel, not {pixels}")
+        raise InputError(f"a band needs at least one pixel, got {pixels}")
     height, width = projection.height, projection.width
     rows = max(1, pixels // width)
     for top in range(0, height, rows):

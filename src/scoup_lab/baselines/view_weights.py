@@ -41,7 +41,7 @@ def weights_of_views(scene: RasterisedScene, width: int) -> list[ViewWeights]:
     ``width``: of the views in pixels, heights in proportion; views that are narrower keep their size.
     """
     if width < 1:
-        raise InputError(f"views need a width of one pixel or more, not {width}")
+        raise InputError(f"views need a width of one pixel or more, got {width}")
     views = []
     for camera in cameras_with_regions(scene.cameras, scene.regions):
         factor = min(1.0, width / camera.width)

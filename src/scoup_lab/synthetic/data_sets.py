@@ -102,7 +102,7 @@ def write_data_set(
     names = tuple(f"{layout.name}_{seed}" if len(seeds) > 1 else layout.name for layout, seed in scenes)
     if not names or len(set(names)) < len(names):
         raise InputError(
-            f"a data set needs at least one scene, and scenes of different names, not {list(names)}"
+            f"a data set needs at least one scene, and scenes of different names, got {list(names)}"
         )
     home = "val" if data_set == "scenesplat" else ""
     for name in names:

@@ -42,7 +42,7 @@ def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
         seed: of everything.
     """
     if n_gaussians < 1:
-        raise InputError(f"a random scene needs at least one Gaussian, not {n_gaussians}")
+        raise InputError(f"a random scene needs at least one Gaussian, got {n_gaussians}")
     rng = np.random.default_rng(seed)
     corners, edges, balls = _surfaces(rng)
     normals_of = np.cross(edges[:, 0], edges[:, 1])

@@ -37,7 +37,7 @@ class RegionManifest:
             bits: of a stored embedding number in the compact layout, 16 or 32; LangSplat's files always hold 32.
         """
         if bits not in (16, 32):
-            raise InputError(f"embeddings are stored with 16 or 32 bits, not {bits}")
+            raise InputError(f"embeddings must have 16 or 32 bits, got {bits}")
         return cls(layout, embedding_model, settings | ({"bits": bits} if layout == "compact" else {}))
 
     @property
