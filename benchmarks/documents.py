@@ -149,13 +149,6 @@ def choices(of: Sequence[Choice]) -> str:
     return markdown(headers, [[*choice.cells().values(), choice.what] for choice in of], left=len(headers))
 
 
-def consistency() -> str:
-    """Return the means over scenes and levels."""
-    table = record("eval-consistency")["tables"][0]
-    rows = [[row[0], row[4], *row[6:]] for row in table["rows"] if row[1] == "all"]
-    return markdown(["features", "matched", "of different points", "difference"], rows)
-
-
 def points(name: str, metric: str) -> str:
     """Return scores of points by class: every system with its interval."""
     systems = record(name)["systems"]
@@ -203,7 +196,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "damaged files": lambda: damaged(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
-    "consistency": consistency,
     "claims": lambda: claims_table(record),
     "scannet": lambda: points("eval-scannet", "mIoU"),
     "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
