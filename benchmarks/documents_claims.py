@@ -181,7 +181,7 @@ def _cost(record: Records) -> list[list[str]]:
     joint_measured = (
         f"{times_joint['paper']:.0f} times `paper`, {times_joint['sparse']:.0f} times the default"
     )
-    joint_measured += f", {LANGSPLATV2.iterations:,} steps a level extrapolated"
+    joint_measured += f", {LANGSPLATV2.iterations:,} steps per level extrapolated"
     return [
         [
             "encoding all regions is over 10 times faster than training LangSplat's autoencoder",

@@ -61,7 +61,7 @@ class Memory:
 
 
 MEMORY = Memory()
-PIXELS = Memory(13_000, 512)  # images: 1100 pixels a byte and 2^25 besides are decoded, at about 12 bytes
+PIXELS = Memory(13_000, 512)  # images: 1100 pixels per byte and 2^25 besides are decoded, at about 12 bytes
 MASKS = Memory(64, 768)  # labels: masks of 2^28 pixels besides
 SPZ = Memory(1500, 64)  # a hundred times the file, and 4 MB besides, are unpacked
 TABLES = Memory(128, 128)  # of .npz twenty times the file, and 16 MB besides, are unpacked

@@ -1,4 +1,4 @@
-"""The command line: one dataclass a verb."""
+"""The command line: one dataclass per verb."""
 
 from __future__ import annotations
 

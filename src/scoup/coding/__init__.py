@@ -82,7 +82,7 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
     nothing: the values are the atoms, followed by zeros, and a code is one atom (``scoup.coding.distinct``).
 
     Args:
-        embeddings: [R, D] floating point, one row a region; a tensor or a numpy array.
+        embeddings: [R, D] floating point, one row per region; a tensor or a numpy array.
         n_atoms: L, 1 to 65536.
         k: K, the most atoms a code may use, 1 to 64.
         solver: one of ``SOLVERS``; "exact" (the default) reaches a lower loss than the paper's "adam" in a fraction of

@@ -1,4 +1,4 @@
-"""Readers and writers: one module a format; all give and take the dataclasses of ``scene/``."""
+"""Readers and writers: one module per format; all give and take the dataclasses of ``scene/``."""
 
 from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
 from scoup.io.camera_sources import find_cameras

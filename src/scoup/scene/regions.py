@@ -38,7 +38,7 @@ class RegionMap:
     labels: Tensor
     """[H, W] int32, the row of each pixel's region in ``embeddings``; -1 where there is no region."""
     embeddings: Tensor
-    """[R, D] float32, one row a region, scaled to unit norm (a zero row means "unknown")."""
+    """[R, D] float32, one row per region, scaled to unit norm (a zero row means "unknown")."""
 
     __repr__ = brief
 

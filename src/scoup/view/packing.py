@@ -1,4 +1,4 @@
-"""Arrays for the page: few bytes a number, component by component, gzipped."""
+"""Arrays for the page: few bytes per number, component by component, gzipped."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def fit_autoencoder(
 
     The same input, seed and number of threads give the same network. The random state of torch is left alone.
 
-    ``embeddings``: [R, D] floating point, one row a region, any norm; rows of norm zero are left out;
+    ``embeddings``: [R, D] floating point, one row per region, any norm; rows of norm zero are left out;
     ``settings``: see ``AutoencoderSettings``.
     """
     _check(settings)

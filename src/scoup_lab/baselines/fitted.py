@@ -38,7 +38,7 @@ class FittedMethod(Protocol):
 
     @property
     def shared_bytes(self) -> float:
-        """Bytes stored once a scene: codebooks, networks."""
+        """Bytes stored once per scene: codebooks, networks."""
         ...
 
     def relevancy(

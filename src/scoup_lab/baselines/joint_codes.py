@@ -6,7 +6,7 @@ codebook, the feature of pixel p is (sum over i of e_i(p) w_i) C, and Adam lower
 embedding of the region there. Each level by itself; geometry stays as it is.
 
 Followed from LangSplatV2's paper (arXiv 2507.07136) and public code: 64 atoms, 4 kept, all logits zero at the start,
-the codebook from k-means, one view a step in shuffled rounds, 10000 steps a level, Adam with rate 0.0025 and epsilon
+the codebook from k-means, one view a step in shuffled rounds, 10000 steps per level, Adam with rate 0.0025 and epsilon
 1e-15 for logits and codebook alike, cosine loss alone.
 
 Where this departs from it:

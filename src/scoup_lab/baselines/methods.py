@@ -56,7 +56,7 @@ BASELINES = (
         "dense",
         dense_uplift,
         "LUDVIG",
-        "Features of pixels averaged over views by blending weights, 512 numbers a level.",
+        "Features of pixels averaged over views by blending weights, 512 numbers per level.",
         "No graph diffusion; features are embeddings of regions, at three levels, not maps of pixels; each Gaussian's "
         "mean is scaled to unit norm before it is rendered.",
         random=False,
@@ -65,7 +65,7 @@ BASELINES = (
         "dense-mean",
         dense_mean_uplift,
         "SCOUP, dense uplift as published",
-        "Eq. 3 of the paper: the mean of embeddings by blending weights, as long as it comes out; 512 numbers a level.",
+        "Eq. 3 of the paper: the mean of embeddings by blending weights, not scaled; 512 numbers per level.",
         "Only pixels with a region count, in the sum and in its normaliser.",
         random=False,
     ),
@@ -74,7 +74,7 @@ BASELINES = (
         dense_uplift,
         "Occam's LGS",
         "Each Gaussian gathers the embedding at the pixel of its projected centre, one a view, weighted by its own "
-        "blending weight there; 512 numbers a level.",
+        "blending weight there; 512 numbers per level.",
         "No filtering of Gaussians beyond those that paint nothing at their centre; scores of other "
         "pixels are not used.",
         CentrePixel(),
@@ -85,7 +85,7 @@ BASELINES = (
         dense_uplift,
         "VALA",
         "Centre pixels gated by visibility: a Gaussian counts in a view only if it is among those that make up half of "
-        "the pixel's painted weight; 512 numbers a level.",
+        "the pixel's blending weight; 512 numbers per level.",
         "The gate's share of one half is our choice. Views are put together by a weighted mean; what the paper does "
         "beyond the gate is not here.",
         VisibleCentrePixel(),
@@ -105,9 +105,9 @@ BASELINES = (
         "top-contributors",
         QuantisedUplift(),
         "Dr. Splat",
-        "Each pixel's embedding goes to the Gaussians that paint most of it, weighted by how much; stored as "
+        "Each pixel's embedding goes to the Gaussians that contribute most to it, weighted by how much; stored as "
         "product-quantised codes.",
-        "Ten Gaussians a pixel and 64 bytes a level are our choice; the quantiser learns from the scene's own regions, "
+        "Ten Gaussians per pixel and 64 bytes per level are our choice; the quantiser learns from the scene's regions, "
         "not from a large image collection, by k-means in numpy instead of faiss. It is also scored in "
         "2D here, where the paper selects in 3D.",
         TopContributors(),
@@ -116,7 +116,7 @@ BASELINES = (
         "top-45-contributors",
         QuantisedUplift(128),
         "Dr. Splat, its published constants",
-        "The same with 45 Gaussians a pixel and 128 bytes a level.",
+        "The same with 45 Gaussians per pixel and 128 bytes per level.",
         "The quantiser learns from the scene's own regions, not from a large image collection, by k-means in numpy "
         "instead of faiss. It is also scored in 2D here, where the paper selects in 3D.",
         TopContributors(45),

@@ -1,1 +1,1 @@
-"""Scores against ground truth: one file a protocol, plus metrics."""
+"""Scores against ground truth: one file per protocol, plus metrics."""

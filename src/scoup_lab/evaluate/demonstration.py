@@ -178,7 +178,7 @@ def _vectors(scene: DemoScene, labels: list[str]) -> TextVectors:
 
 
 def rows_by_name(result: DemoResult) -> list[NameRow]:
-    """Return one row a name, best IoU of ours first."""
+    """Return one row per name, best IoU of ours first."""
     by_name: dict[str, dict[str, list[PairScore]]] = {}
     for method, score in result.scores.items():
         for pair in score.pairs:

@@ -83,7 +83,7 @@ def overall_table(scores: PixelScores) -> Table:
 
 
 def scene_table(scores: PixelScores) -> Table:
-    """Return one row a scene."""
+    """Return one row per scene."""
     localizes = scores.localizes
     headers = ["scene", "pairs", "mIoU", "95 % interval"]
     headers += ["localisation", "95 % interval"] if localizes else []

@@ -133,7 +133,7 @@ def overall_table(scores: PointScores) -> Table:
 
 
 def scene_table(scores: PointScores) -> Table:
-    """Return one row a scene and system, in percent."""
+    """Return one row per scene and system, in percent."""
     headers = ["scene", "system", "points", "classes", *scores.scores]
     rows = []
     for number, scene in enumerate(scores.scenes):

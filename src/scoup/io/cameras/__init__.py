@@ -1,1 +1,1 @@
-"""Camera files, one module a format."""
+"""Camera files, one module per format."""

@@ -1,1 +1,1 @@
-"""Folders of region features, one module a layout."""
+"""Folders of region features, one module per layout."""

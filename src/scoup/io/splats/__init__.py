@@ -1,1 +1,1 @@
-"""Splat files, one module a format."""
+"""Splat files, one module per format."""

@@ -38,7 +38,7 @@ class PlyTable:
     path: Path
     """Where it was read from."""
     rows: np.ndarray
-    """[N] structured array, one field a property, in the file's order, types and byte order."""
+    """[N] structured array, one field per property, in the file's order, types and byte order."""
     comments: tuple[str, ...] = ()
     """Comment lines of the header, without the keyword."""
 

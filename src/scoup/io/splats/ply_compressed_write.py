@@ -1,4 +1,4 @@
-"""Compressed PLY (PlayCanvas, SuperSplat), written: 16 bytes a Gaussian, quantised within blocks of 256."""
+"""Compressed PLY (PlayCanvas, SuperSplat), written: 16 bytes per Gaussian, quantised within blocks of 256."""
 
 from __future__ import annotations
 

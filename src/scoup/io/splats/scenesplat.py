@@ -75,7 +75,7 @@ def write_scenesplat(gaussians: Gaussians, folder: str | Path, overwrite: bool =
 
 
 def _column(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """Return [N, *shape] float32; a column of its own ([N, 1]) is taken for one number a row."""
+    """Return [N, *shape] float32; a column of its own ([N, 1]) is taken for one number per row."""
     column = open_npy(path, f"{path.stem} of Gaussians", "use a folder of SceneSplat's preprocessing")
     if not shape and column.ndim == 2 and column.shape[1] == 1:
         column = column[:, 0]

@@ -1,4 +1,4 @@
-""".splat files: 32 bytes a Gaussian, colour without view dependence."""
+""".splat files: 32 bytes per Gaussian, colour without view dependence."""
 
 from __future__ import annotations
 

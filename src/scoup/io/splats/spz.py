@@ -1,4 +1,4 @@
-"""Niantic's .spz: about 20 bytes a Gaussian, compressed; versions 1 to 4 (github.com/nianticlabs/spz).
+"""Niantic's .spz: about 20 bytes per Gaussian, compressed; versions 1 to 4 (github.com/nianticlabs/spz).
 
 Axes in the file are those of OpenGL (right, up, back): y and z change their signs on the way, as in the format's own
 tools (``axes``).

@@ -73,7 +73,7 @@ def blend(
     SCALE: tl.constexpr,
 ):
     """Blending weights [G, P] of the Gaussians ``start`` to ``start + CHUNK`` of a tile's list, times SCALE, and the
-    transmittance behind them [1, P], 0 once a pixel has stopped. Beyond ``end`` nothing paints.
+    transmittance behind them [1, P], 0 once a pixel has stopped. Beyond ``end`` nothing contributes.
     """
     u, v, ku, kv, skew, peak = spread(records, start, end, CHUNK, x.shape[1])
     along = u + ku * x - skew * y
