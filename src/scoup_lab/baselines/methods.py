@@ -75,7 +75,7 @@ BASELINES = (
         "Occam's LGS",
         "Each Gaussian gathers the embedding at the pixel of its projected centre, one a view, weighted by its own "
         "blending weight there; 512 numbers per level.",
-        "No filtering of Gaussians beyond those that paint nothing at their centre; scores of other "
+        "No filtering of Gaussians beyond those that contribute nothing at their centre; scores of other "
         "pixels are not used.",
         CentrePixel(),
         random=False,

@@ -3,7 +3,7 @@
 Nothing here is imported before tensors on a GPU are rasterised. Kernels are compiled when first used (seconds, once
 for each machine) and do not depend on the number of Gaussians or the image size. The result does not depend on which
 program runs first: same input, same bytes. Code indices are not checked here, which would take as long as a picture;
-an index beyond the codebook paints nothing.
+an index beyond the codebook contributes nothing.
 """
 
 # A launch takes plain numbers as constants, and options beside the kernel's arguments.

@@ -1,4 +1,4 @@
-"""Who paints how much of each pixel: a tile and a chunk of Gaussians at a time, front to back.
+"""How much each Gaussian contributes to each pixel: a tile and a chunk of Gaussians at a time, front to back.
 
 The blending weights of G Gaussians at P pixels are a matrix E [G, P]; what follows is one matrix product: rendering is
 E^T @ values, region sums are E @ one-hot(regions). The transmittance behind each Gaussian of a chunk is a running

@@ -34,8 +34,8 @@ def pack_kernel(
     BLOCK: tl.constexpr,
 ):
     """An atom and its weight in one integer: the bits of a float16 below 16 bits of the atom, or with WIDE those of a
-    float32 below 32. What has no such atom is 0, which paints nothing. An atom that a code has twice gets both weights
-    at its first place, even where it has none there.
+    float32 below 32. What has no such atom is 0, which contributes nothing. An atom that a code has twice gets both
+    weights at its first place, even where it has none there.
     """
     row = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     there = row < n_codes

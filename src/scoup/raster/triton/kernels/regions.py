@@ -1,4 +1,4 @@
-"""Region sums of a projection: how much each Gaussian paints of each combination of regions, tile by tile.
+"""Region sums of a projection: how much each Gaussian contributes to each combination of regions, tile by tile.
 
 The pixels of a tile that have the same combination are one column. A Gaussian's sums over the columns of a tile are a
 row of E @ one-hot(columns), which serves all levels at once.
