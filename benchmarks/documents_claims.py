@@ -203,6 +203,7 @@ def _cost(record: Records) -> list[list[str]]:
             "; ".join(
                 f"D = {dim}: {row['ratio']:.1f} times from the same region sums, {row['by_pixel_ratio']:.1f} by pixel"
                 for dim, row in by_dim.items()
+                if dim in (min(by_dim), max(by_dim))
             )
             + " (by pixel: estimated)",
             _verdict([by_dim[512]["ratio"] > 1]),
