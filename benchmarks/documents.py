@@ -232,11 +232,10 @@ def shown(table: str, hidden: str) -> str:
         cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
         if not line.startswith("|"):
             kept = None
-        elif kept is None:
-            kept = [place for place, cell in enumerate(cells) if not re.fullmatch(hidden, cell)]
-        if kept is None:
             lines.append(line)
-        elif not re.fullmatch(hidden, cells[0]):
+        elif kept is None or not re.fullmatch(hidden, cells[0]):
+            if kept is None:
+                kept = [place for place, cell in enumerate(cells) if not re.fullmatch(hidden, cell)]
             lines.append(f"| {' | '.join(cells[place] for place in kept)} |")
     return "\n".join(lines)
 

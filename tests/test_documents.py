@@ -103,6 +103,18 @@ def test_what_stands_between_tables_is_kept(monkeypatch: pytest.MonkeyPatch) -> 
     assert documents.fill_tables(full) == full
 
 
+def test_hidden_columns_and_rows_are_left_out() -> None:
+    table = "| a | b |\n| --- | ---: |\n| x | 1 |\n| y | 2 |\n\nb\n\n| b | c |\n| --- | --- |\n| z | 3 |"
+    assert documents.shown(table, "b|y") == "| a |\n| --- |\n| x |\n\nb\n\n| c |\n| --- |\n| 3 |"
+
+
+@pytest.mark.parametrize("name", documents.HIDDEN)
+def test_what_is_hidden_is_in_the_table(name: str) -> None:
+    cells = {cell.strip() for cell in documents.TABLES[name]().replace("\n", "|").split("|")}
+    for hidden in re.split(r"\|(?![^(]*\))", documents.HIDDEN[name]):
+        assert any(re.fullmatch(hidden, cell) for cell in cells), hidden
+
+
 def test_tables_are_up_to_date() -> None:
     assert documents.main(documents.Arguments(check=True)) == []
 
