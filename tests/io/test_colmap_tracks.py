@@ -51,7 +51,7 @@ def test_damage(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="points3D"):
         read_tracks(tmp_path)
     write_binary(tmp_path, [[3, 4]])
-    with pytest.raises(FileFormatError, match="not there"):
+    with pytest.raises(FileFormatError, match="a missing image"):
         read_tracks(tmp_path)
     write_binary(tmp_path)
     for name in ("points3D.bin", "images.bin"):

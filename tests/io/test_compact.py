@@ -107,8 +107,8 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
     }  # fmt: skip
     for change, message in (
         ({"width": 90_000, "height": 90_000}, "cannot contain 90000 x 90000 labels"),
-        ({"width": 33, "height": 25}, "labels of another size than it says"),
-        ({"width": 31, "height": 23}, "labels of another size than it says"),
+        ({"width": 33, "height": 25}, "labels of another size than its header says"),
+        ({"width": 31, "height": 23}, "labels of another size than its header says"),
         ({"width": 0}, "width is 0, expected a whole number from 1"),
         ({"levels": []}, "has no levels"),
         ({"levels": ["s", "m", "x"]}, "is not a file of region features or is damaged"),

@@ -154,7 +154,7 @@ def test_refused_outputs(tmp_path):
         write_gltf(gaussians, tmp_path / "a.obj")
     with pytest.raises(InputError, match="of 1 Gaussians, not of 2"):
         write_gltf(gaussians, tmp_path / "a.glb", features=GaussianFeatures(torch.tensor([0]), ("a",)))
-    with pytest.raises(InputError, match="none to write"):
+    with pytest.raises(InputError, match="no Gaussians to write"):
         write_gltf(gaussians.select(torch.tensor([], dtype=torch.long)), tmp_path / "a.glb")
     assert not list(tmp_path.iterdir())
 

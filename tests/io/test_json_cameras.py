@@ -91,7 +91,7 @@ def test_image_gives_size_and_extension(tmp_path):
         ({"fl_x": "wide"}, "fl_x"),
         ({"fl_x": -3}, "focal"),
         ({"cx": float("nan")}, "cx"),
-        ({"h": None}, "gives no image size"),
+        ({"h": None}, "has no image size"),
         ({"frame": {"transform_matrix": [[1, 2], [3, 4]]}}, "expected 4 x 4 numbers"),
         ({"frame": {"transform_matrix": np.diag([2.0, 2, 2, 1]).tolist()}}, "not a rotation"),
         ({"frame": {"transform_matrix": None}}, "transform_matrix"),

@@ -180,7 +180,7 @@ def test_no_cameras(tmp_path):
     with pytest.raises(MissingFileError, match="contains no cameras"):
         load_cameras(tmp_path)
     (tmp_path / "a.ply").write_text("ply")
-    with pytest.raises(FileFormatError, match="not a kind of camera file"):
+    with pytest.raises(FileFormatError, match="not a known kind of camera file"):
         load_cameras(tmp_path / "a.ply")
     with pytest.raises(InputError, match="distorted is"):
         load_cameras(tmp_path, distorted="ignore")  # pyright: ignore[reportArgumentType]

@@ -171,7 +171,7 @@ def test_ugly_values_are_mended(tmp_path: Path) -> None:
         ("sh", torch.inf, "not finite"),
         ("opacities", torch.nan, "not finite"),
         ("quats", torch.nan, "not finite"),
-        ("means", 1e9, "no place"),
+        ("means", 1e9, "cannot store coordinates"),
     ):
         values = {
             field: getattr(ugly, field).clone() for field in ("means", "quats", "scales", "opacities", "sh")

@@ -217,7 +217,7 @@ def test_results_without_checkpoints_have_an_exported_splat(tmp_path: Path) -> N
     with pytest.raises(MissingFileError, match="which is not on this machine"):
         load_cameras(results)
     (results / "cfg.yml").write_text("result_dir: results\n")
-    with pytest.raises(MissingFileError, match=r"does not say .*data_dir"):
+    with pytest.raises(MissingFileError, match=r"does not name the folder .*data_dir"):
         load_cameras(results)
 
 

@@ -75,7 +75,7 @@ def test_everyday_words_are_one_more_phrase() -> None:
         (
             "some/clip",
             "some/clip",
-            "so some/clip, which the field names, did not embed its regions: pass a table",
+            "so some/clip, which the field names, did not embed its regions: pass a word table",
         ),
         ("some/clip", "", "the field names the model some/clip: pass that, or a table made with it"),
     ],
