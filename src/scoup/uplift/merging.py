@@ -74,12 +74,10 @@ def _agglomerate(
 ) -> NDArray[np.int64]:
     """Merge best pair first, by a heap; an entry is stale once one of the two has grown."""
     count = len(views)
-    near: list[dict[int, float]] = [{} for _ in range(count)]
-    for (one, other), overlap in zip(pairs.tolist(), overlaps.tolist(), strict=True):
-        near[one][other] = near[other][one] = overlap
+    near = _neighbours(pairs, overlaps, count)
     seen_in = np.zeros_like(reach)
     seen_in[np.arange(count), views] = 1
-    grown, parent = [0] * count, list(range(count))
+    grown, cluster = [0] * count, np.arange(count)
     ious = overlaps / np.maximum(unions, 1)
     above = ious > least_iou
     heap = [
@@ -88,30 +86,37 @@ def _agglomerate(
     heapq.heapify(heap)
     while heap:
         _, one, other, *ages = heapq.heappop(heap)
-        if parent[one] != one or parent[other] != other or ages != [grown[one], grown[other]]:
+        if ages != [grown[one], grown[other]]:
             continue
-        parent[other] = one
+        cluster[cluster == other] = one
         grown[one] += 1
+        grown[other] = -1  # no entry is of that age
         reach[one] += reach[other]
         seen_in[one] += seen_in[other]
-        mine = near[one]
-        del mine[other]
-        for third, overlap in near[other].items():
-            if third != one:
-                mine[third] = mine.get(third, 0.0) + overlap
-                del near[third][other]
-                near[third][one] = mine[third]
-        near[other] = {}
-        others = np.fromiter(mine, np.int64, len(mine))
-        shared = np.fromiter(mine.values(), np.float64, len(mine))
+        regions, parts = (np.concatenate(both) for both in zip(near[one], near[other], strict=True))
+        total = np.bincount(cluster[regions], parts, count)
+        total[one] = 0
+        others = np.flatnonzero(total)
+        shared = total[others]
+        near[one] = others, shared
         unions = reach[others] @ seen_in[one] + seen_in[others] @ reach[one] - shared
         ious = shared / np.maximum(unions, 1)
         for place in np.flatnonzero(ious > least_iou).tolist():
             low, high = sorted((one, int(others[place])))
             heapq.heappush(heap, (-float(ious[place]), low, high, grown[low], grown[high]))
-    for region in range(count):  # a parent comes before its children
-        parent[region] = parent[parent[region]]
-    return np.unique(parent, return_inverse=True)[1].astype(np.int64)
+    return np.unique(cluster, return_inverse=True)[1].astype(np.int64)
+
+
+def _neighbours(
+    pairs: NDArray[np.int64],  # [P, 2]
+    overlaps: NDArray[np.float64],  # [P]
+    count: int,
+) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Return, for each region, those that it overlaps, and by how much."""
+    order = np.argsort(pairs.T.ravel(), kind="stable")
+    others, overlaps = pairs[:, ::-1].T.ravel()[order], np.tile(overlaps, 2)[order]
+    edges = np.cumsum(np.bincount(pairs.ravel(), minlength=count))[:-1]
+    return list(zip(np.split(others, edges), np.split(overlaps, edges), strict=True))
 
 
 def _stability(
