@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import os
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from typing import Any
 
 import scoup
 from benchmarks.bounds import least_work, machine_rates
+from benchmarks.limits import memory_of
 from benchmarks.study import Record, Study, report
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.bench import (
@@ -62,7 +63,13 @@ class LerfSized(Study):
         gaussians = random_scene_gaussians(self.n_gaussians, self.seed)
         cameras = random_scene_cameras(self.views, self.width, self.height)
         regions = random_scene_regions(cameras, self.regions, seed=self.seed)
-        before, clock = peak_memory(), StageClock(report)
+        own = [_own_memory()]  # before the build, then at every report
+
+        def watch(stage: str, done: int, total: int) -> None:
+            own.append(_own_memory())
+            report(stage, done, total)
+
+        clock = StageClock(watch)
         settings = build_settings(self.preset, n_atoms=self.n_atoms, epochs=self.epochs, seed=self.seed)
         with torch_threads(self.threads):
             started = time.perf_counter()
@@ -83,8 +90,8 @@ class LerfSized(Study):
                 "total_s": total,
                 "coded_gaussians": int(field.coded().sum()),
                 "coding": field.info.provenance["coding"],
-                "peak_memory_bytes": peak_memory(),
-                "peak_memory_before_build_bytes": before,
+                "scene_memory_bytes": own[0],
+                "own_memory_bytes": max(own),
                 "machine_rates": machine_rates(self.threads),
                 "least": least_work(gaussians, cameras, regions, settings),
             },
@@ -105,8 +112,8 @@ class LerfSized(Study):
             for name, seconds in stages.items()
         ]
         rows.append([f"all, {threads} threads, of a minute", f"{total / 60:.2f}", "", "", "", ""])
-        if record["peak_memory_bytes"] is not None:
-            rows.append(["peak memory, GB", f"{record['peak_memory_bytes'] / 1e9:.2f}", "", "", "", ""])
+        for said, key in (("the scene", "scene_memory_bytes"), ("at the most", "own_memory_bytes")):
+            rows.append([f"own memory, {said}, GB", f"{record[key] / 1e9:.2f}", "", "", "", ""])
         head = ["stage", "share of the time", "GB moved", "by copying", "GFLOP", "by multiplying"]
         return markdown(head, rows)
 
@@ -124,11 +131,6 @@ def _bounds(record: Record, stage: str, seconds: float) -> list[str]:
     ]
 
 
-def peak_memory() -> int | None:
-    """Return the most resident memory of this process so far, in bytes; None where the system does not say."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else most * 1024
+def _own_memory() -> int:
+    """This process's own memory in bytes, without what is mapped of files; 0 where the system does not say."""
+    return memory_of(os.getpid()).get("RssAnon", 0)

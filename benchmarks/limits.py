@@ -43,7 +43,7 @@ def run_limited(command: Sequence[str], most_bytes: int, environment: dict[str, 
 
         def watch() -> None:
             while not stop.wait(_EVERY):
-                for name, value in _memory(process.pid).items():
+                for name, value in memory_of(process.pid).items():
                     peaks[name] = max(peaks[name], value)
 
         watcher = threading.Thread(target=watch, daemon=True)
@@ -56,7 +56,8 @@ def run_limited(command: Sequence[str], most_bytes: int, environment: dict[str, 
     return Watched(output, peaks["RssAnon"], peaks["VmHWM"], group is not None)
 
 
-def _memory(process: int) -> dict[str, int]:
+def memory_of(process: int) -> dict[str, int]:
+    """Return a process's own memory now (RssAnon) and its most resident memory (VmHWM), bytes; {} if unknown."""
     try:
         lines = Path(f"/proc/{process}/status").read_text().splitlines()
     except OSError:

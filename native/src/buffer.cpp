@@ -61,6 +61,11 @@ class Kept {
         return true;
     }
 
+    void clear() noexcept {
+        const Lock lock(busy_);
+        while (lock.taken && count_ > 0) system_free(remove(count_ - 1).data);
+    }
+
   private:
     struct Lock {
         explicit Lock(std::atomic_flag& flag) noexcept : busy(flag), taken(!flag.test_and_set(std::memory_order_acquire)) {}
@@ -112,5 +117,7 @@ void give_back(const Block& block) noexcept {
     if (block.bytes >= kLarge && kept.give(block)) return;
     system_free(block.data);
 }
+
+void release_kept() noexcept { kept.clear(); }
 
 }  // namespace scoup

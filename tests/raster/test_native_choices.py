@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 import torch
@@ -33,6 +34,25 @@ def restore_threads():
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)
+
+
+def _resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="the system does not say what a process has"
+)
+def test_memory_of_views_is_given_back():
+    def project():
+        return raster.project(raster.prepare_gaussians(gaussians, "native"), make_camera(640, 480), "inria")
+
+    gaussians = random_gaussians(200_000, seed=1)
+    project()  # 12.8 MB of projected Gaussians at least, kept for the next view
+    before = _resident_bytes()
+    require_core().release_memory()
+    assert _resident_bytes() < before - 10e6
+    assert project().n_gaussians == 200_000  # and taken anew
 
 
 def everything(projection, count: int, labels, dim: int = 24, dtype: torch.dtype = torch.float32) -> dict:

@@ -18,6 +18,7 @@ from scoup.base.arguments import check_arguments
 from scoup.base.atomic import remove
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.base.native import native_core
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
@@ -137,6 +138,8 @@ def add_views(
             progress(STAGE, done, len(cameras))
         if written is not None:
             written.result()
+    if prepared is not None and (core := native_core()) is not None:
+        core.release_memory()
 
 
 def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
