@@ -96,7 +96,7 @@ def _agglomerate(
         regions, parts = (np.concatenate(both) for both in zip(near[one], near[other], strict=True))
         total = np.bincount(cluster[regions], parts, count)
         total[one] = 0
-        others = np.flatnonzero(total)
+        others = np.flatnonzero(total).astype(np.int64)
         shared = total[others]
         near[one] = others, shared
         unions = reach[others] @ seen_in[one] + seen_in[others] @ reach[one] - shared
