@@ -96,8 +96,8 @@ def _agglomerate(
         regions, parts = (np.concatenate(both) for both in zip(near[one], near[other], strict=True))
         total = np.bincount(cluster[regions], parts, count)
         total[one] = 0
-        others = np.flatnonzero(total).astype(np.int64)
-        shared = total[others]
+        others = np.flatnonzero(total)
+        shared = total[others].astype(np.float64)
         near[one] = others, shared
         unions = reach[others] @ seen_in[one] + seen_in[others] @ reach[one] - shared
         ious = shared / np.maximum(unions, 1)
