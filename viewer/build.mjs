@@ -21,7 +21,8 @@ const result = await build({
 });
 copyFileSync(join(here, "index.html"), join(out, "index.html"));
 copyFileSync(join(here, "style.css"), join(out, "viewer.css"));
-writeFileSync(join(out, "licences.txt"), licences(Object.keys(result.metafile.inputs)));
+const inputs = Object.keys(result.metafile.inputs);
+writeFileSync(join(out, "licences.txt"), `${licences(inputs)}\n${"-".repeat(80)}\n\n${wasmLicences(inputs)}`);
 
 /** The licence texts of the packages in the bundle: those its files are from, and what these depend on, which they may hold inlined. */
 function licences(files) {
@@ -39,4 +40,18 @@ function licences(files) {
     return `${name} ${version} (${license})\n\n${readFileSync(join(folder, file), "utf8").trim()}\n`;
   });
   return `The page of scoup view contains these packages.\n\n${texts.join(`\n${"-".repeat(80)}\n\n`)}`;
+}
+
+/** The licence texts of what WebAssembly in the bundle is compiled from. No package has them: they are collected by hand. */
+function wasmLicences(files) {
+  const texts = readFileSync(join(here, "wasm_licences.txt"), "utf8");
+  for (const file of files) {
+    for (const [encoded] of readFileSync(join(here, file), "utf8").matchAll(/AGFzbQ[A-Za-z0-9+/=]+/g)) {
+      // Rust keeps the paths of sources for its messages.
+      for (const [, crate] of Buffer.from(encoded, "base64").toString("latin1").matchAll(/([a-z][\w-]*-\d+\.\d+\.\d+)\/src\//g)) {
+        if (!texts.includes(crate)) throw new Error(`${file} contains ${crate}, which wasm_licences.txt does not name`);
+      }
+    }
+  }
+  return texts;
 }

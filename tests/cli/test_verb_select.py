@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json
+from scoup.cli.query_options import absence_message
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, read_ply_table, save_gaussians, write_ply_table
 from scoup.query.reshape import Reshaping
@@ -42,6 +44,15 @@ def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
     assert chosen["written"] + rest["written"] == chosen["gaussians"] == 150
     assert sorted(rows("a.ply") + rows("b.ply")) == sorted(rows("scene/point_cloud.ply"))
     assert read_ply_table("a.ply").rows.dtype == read_ply_table("scene/point_cloud.ply").rows.dtype
+
+
+def test_an_absent_text_says_what_is_lacking():
+    assert absence_message("scene", 1.2, 1.4) == "not in this scene (z-score 1.20, threshold 1.4)"
+    assert (
+        absence_message("scene", -math.inf, 1.4)
+        == "not in this scene (fewer than 10 Gaussians, threshold 1.4)"
+    )
+    assert absence_message("view", None, 1.4) == "not in this view (nothing found, threshold 1.4)"
 
 
 def test_a_thing_is_removed_and_the_field_stays():

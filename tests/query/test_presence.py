@@ -18,6 +18,7 @@ from scoup.query.presence import (
     other_words,
     scene_z_scores,
     view_z_scores,
+    with_evidence,
     z_scores,
 )
 from scoup.query.segment import segment
@@ -54,6 +55,11 @@ def test_words_that_fit_better_take_what_was_found() -> None:
     lag = (0.5 - 0.9) / length / (np.array([0.9, 0.9, *[0.0] * 21]) / length).std()
     assert float(beside) == pytest.approx(1.645 + lag, abs=1e-4)
     assert float(beside) < PRESENT_FROM < float(lone)
+
+
+def test_fewer_than_ten_gaussians_are_no_evidence() -> None:
+    assert with_evidence(2.0, torch.arange(30) < 10) == 2.0
+    assert with_evidence(2.0, torch.arange(30) < 9) == -np.inf
 
 
 def test_large_tables_judge_as_small_ones_do() -> None:

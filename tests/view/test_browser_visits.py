@@ -95,7 +95,7 @@ def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch: pyt
         assert difference(visit.picture(), wanted) < ALIKE
 
 
-def test_slow_browsers_draw_fewer_gaussians_while_the_camera_moves(
+def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(
     browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 60)
@@ -109,7 +109,8 @@ def test_slow_browsers_draw_fewer_gaussians_while_the_camera_moves(
         visit.page.evaluate("performance.now = () => (window.ticks = (window.ticks ?? 0) + 1000)")
         visit.page.locator("#canvas").focus()
         key = itertools.cycle(["ArrowLeft", "ArrowRight"])
-        while visit.state()["drawing"] > 60:
+        width = "document.querySelector('#canvas').width"
+        while visit.state()["drawing"] > 60 or visit.page.evaluate(width) > rest.shape[1] / 2:
             visit.page.keyboard.press(next(key))
         if next(key) == "ArrowRight":
             visit.page.keyboard.press("ArrowRight")

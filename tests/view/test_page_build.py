@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import graphlib
 import importlib
 import json
@@ -290,7 +291,20 @@ def test_licences_are_in_the_page(built: Path):
         packages |= inlined(VIEWER / "node_modules" / package)
     for package in packages:
         assert re.search(rf"^\W*{re.escape(package)}\b", licences, re.MULTILINE), package
-    assert licences.count("Permission is hereby granted, free of charge") == len(packages)
+    assert (
+        licences.count("Permission is hereby granted, free of charge") == len(packages) + 1
+    )  # that of the crates
+
+
+def test_licences_of_what_wasm_is_compiled_from_are_in_the_page(built: Path):
+    program = (built / "viewer.js").read_text(encoding="utf-8")
+    wasm = b"".join(base64.b64decode(each) for each in re.findall(r"AGFzbQ[\w+/]+=*", program))
+    crates = set(re.findall(rb"([a-z][\w-]*-\d+\.\d+\.\d+)/src/", wasm))
+    assert {b"wasm-bindgen", b"zip"} <= {crate.rpartition(b"-")[0] for crate in crates}
+    licences = (built / "licences.txt").read_text(encoding="utf-8")
+    assert [crate for crate in crates if crate.decode() not in licences] == []
+    for sentence in ("Apache License", "Permission is hereby granted", "provided 'as-is'"):
+        assert sentence in licences
 
 
 def test_the_page_loads_nothing_from_elsewhere(built: Path):

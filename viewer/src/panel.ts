@@ -143,7 +143,7 @@ export class Panel {
   private facts(query: Query): [string, string][] {
     const { answer } = query;
     const zScore = answer.z_score === null ? "" : `z-score ${answer.z_score.toFixed(2)}`;
-    if (!answer.present) return [["not in this scene", ""], [zScore || "nothing found", zScore && Z_TITLE]];
+    if (!answer.present) return [["not in this scene", ""], [zScore || "fewer than 10 Gaussians", zScore && Z_TITLE]];
     const level = this.state.level ?? answer.level;
     const isOwn = this.state.level === null && (this.state.threshold === null || answer.chosen_things === null);
     const best = isOwn ? answer.score : this.bestOf(query, level);

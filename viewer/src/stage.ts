@@ -21,8 +21,9 @@ export interface Stage {
 }
 
 const REST_SECONDS = 0.25;
-/** If two frames in a row take longer while the camera moves, the coarse scene is drawn until it rests. */
+/** If two frames in a row take longer while the camera moves, pictures are small and coarse until it rests. */
 const SLOW_SECONDS = 0.2;
+const MOVING_SCALE = 0.5;
 
 /** Pictures a second are bounded by the screen; none is drawn without need. */
 export class SplatStage implements Stage {
@@ -66,7 +67,7 @@ export class SplatStage implements Stage {
 
   /** How many Gaussians the next frame has. */
   get drawing(): number {
-    return (this.isCoarse ? this.coarse : this.splat)?.count ?? 0;
+    return this.seen?.count ?? 0;
   }
 
   update(): void {
@@ -95,15 +96,19 @@ export class SplatStage implements Stage {
     });
   }
 
-  /** Find whether frames are too slow for all Gaussians; that lasts, as the browser stays the same. */
+  /** Find whether frames are too slow for whole pictures; that lasts, as the browser stays the same. */
   private pace(): void {
     const now = performance.now() / 1000;
     if (this.begun && this.slowFrames < 2) this.slowFrames = now - this.begun > SLOW_SECONDS ? this.slowFrames + 1 : 0;
     this.begun = now;
   }
 
-  private get isCoarse(): boolean {
-    return this.moving !== 0 && this.slowFrames >= 2 && this.coarse !== null;
+  private get isHasty(): boolean {
+    return this.moving !== 0 && this.slowFrames >= 2;
+  }
+
+  private get seen(): Splat | null {
+    return (this.isHasty && this.coarse) || this.splat;
   }
 
   async drawn(): Promise<void> {
@@ -125,20 +130,17 @@ export class SplatStage implements Stage {
 
   private draw(): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const ratio = Math.min(window.devicePixelRatio, 2);
+    const ratio = Math.min(window.devicePixelRatio, 2) * (this.isHasty ? MOVING_SCALE : 1);
     const size = this.renderer.getSize(new THREE.Vector2());
     if (size.x !== width || size.y !== height || this.renderer.getPixelRatio() !== ratio) {
       this.renderer.setPixelRatio(ratio);
       this.renderer.setSize(width, height, false);
       this.eye.resize(width, height);
     }
-    if (this.splat) this.splat.mesh.visible = !this.isCoarse;
-    if (this.coarse) this.coarse.mesh.visible = this.isCoarse;
+    for (const splat of [this.splat, this.coarse]) if (splat) splat.mesh.visible = splat === this.seen;
     this.renderer.render(this.world, this.eye.camera);
   }
 }
-
-const MOVING_SCALE = 0.5;
 
 /** Pictures of the server, one after another: small while the camera moves, whole when it rests. */
 export class RemoteStage implements Stage {
