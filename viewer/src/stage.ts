@@ -78,12 +78,17 @@ export class SplatStage implements Stage {
   }
 
   redraw(): void {
+    this.move();
+    this.soon();
+  }
+
+  /** The camera rests a while after its last movement, and after the last frame of it. */
+  private move(): void {
     clearTimeout(this.moving);
     this.moving = window.setTimeout(() => {
       this.moving = this.begun = 0;
       this.soon();
     }, REST_SECONDS * 1000);
-    this.soon();
   }
 
   private soon(): void {
@@ -101,6 +106,7 @@ export class SplatStage implements Stage {
     const now = performance.now() / 1000;
     if (this.begun && this.slowFrames < 2) this.slowFrames = now - this.begun > SLOW_SECONDS ? this.slowFrames + 1 : 0;
     this.begun = now;
+    this.move();
   }
 
   private get isHasty(): boolean {

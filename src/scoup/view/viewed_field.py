@@ -130,9 +130,13 @@ class ViewedField:
 
     def metadata(self, exported: bool = False) -> dict[str, Any]:
         """Return the metadata of the field for a page (``scene_metadata``); an exported page names no missing file."""
+        without_words = exported and self.words_problem is not None
+        return {**self._metadata, **({"words_problem": NO_WORDS} if without_words else {})}
+
+    @cached_property
+    def _metadata(self) -> dict[str, Any]:
         present_from = None if self.words_problem is not None else self.question(self._probe).present_from
-        problem = NO_WORDS if exported and self.words_problem is not None else self.words_problem
-        return scene_metadata(self.field, self.name, problem, present_from)
+        return scene_metadata(self.field, self.name, self.words_problem, present_from)
 
     def scene(self, effort: int = 1, exported: bool = False, coarse: bool = False) -> bytes:
         """Return the file that the page loads (``scene_data``).
