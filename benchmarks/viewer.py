@@ -115,7 +115,9 @@ def page_seconds(path: Path) -> dict[str, float]:
         first = time.perf_counter() - started
         page.evaluate("scoupViewer.whole")
         whole = time.perf_counter() - started
-        page.evaluate("window.clock = performance.now.bind(performance); performance.now = () => window.clock() / 100")
+        page.evaluate(
+            "window.clock = performance.now.bind(performance); performance.now = () => window.clock() / 100"
+        )
         slow = frames_per_second(page, PLACE)  # by this clock, no frame is slow
         page.evaluate("performance.now = window.clock")
         frames_per_second(page, PLACE)  # finds that they are

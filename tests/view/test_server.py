@@ -35,6 +35,15 @@ def client(viewed: ViewedField) -> TestClient:
     return TestClient(application(viewed, PAGE, Guard.of("127.0.0.1")), LOCAL)
 
 
+def test_the_first_picture_is_packed_before_anybody_asks(
+    viewed: ViewedField, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed = threading.Event()
+    monkeypatch.setattr(viewed, "scene", lambda coarse: packed.set() if coarse else None)
+    application(viewed, PAGE, Guard.of("127.0.0.1"))
+    assert packed.wait(60)
+
+
 def test_the_page_gets_its_settings_and_its_files(client: TestClient) -> None:
     index = client.get("/")
     settings = json.loads(index.text.split('type="application/json">')[1].split("</script>")[0])

@@ -107,13 +107,14 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     Up is as the cameras were held (``upwards``). The point is the one nearest to all view axes. Without cameras, or if
     their axes are parallel, it is the median of the means, and the distance twice the median distance from it.
     """
-    finite = gaussians.means[gaussians.finite()].double().cpu()
-    middle = finite.median(0).values if len(finite) else torch.zeros(3, dtype=torch.float64)
-    around = float((finite - middle).norm(dim=1).median()) if len(finite) else 1.0
+    rows = gaussians.finite()
+    finite, scales = gaussians.means[rows].cpu(), gaussians.scales[rows].cpu()
+    middle = finite.median(0).values.double() if len(finite) else torch.zeros(3, dtype=torch.float64)
+    around = float((finite - middle.float()).norm(dim=1).median()) if len(finite) else 1.0
     # Cameras that turn on the spot are hardly apart, and a single Gaussian is around nothing.
     least = max(
         0.1 * around,
-        float(gaussians.scales[gaussians.finite()].amax(1).median()) if len(finite) else 0.0,
+        float(scales.amax(1).median()) if len(finite) else 0.0,
         1e-6,
     )
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

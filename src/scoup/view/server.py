@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -73,15 +72,15 @@ class _Answers:
         self.work = Work()
         self._scenes: dict[bool, bytes] = {}  # by whether they are coarse
         self._thumbnails: dict[int, bytes] = {}
+        if mode != "remote":  # packed while a browser is opened
+            self.work.begin(partial(self._packed, coarse=True))
 
     def by_name(self) -> dict[str, Answer]:
         return {"query": self.query, "render": self.render, "point": self.point, "select": self.select}
 
     async def index(self, request: Request) -> Response:
         html = self.page.with_settings(self.viewed.settings(self.mode))
-        # Packed while the browser loads the program.
-        first = None if self.mode == "remote" else BackgroundTask(self._prepare)
-        return Response(html, media_type="text/html", background=first)
+        return Response(html, media_type="text/html")
 
     async def program(self, request: Request) -> Response:
         if "gzip" not in request.headers.get("accept-encoding", ""):
@@ -102,17 +101,13 @@ class _Answers:
         data = await self._packed_scene(coarse=request.url.query == "coarse")
         return Response(data, media_type="application/octet-stream")
 
-    async def _prepare(self) -> None:
-        with suppress(BusyError):
-            await self._packed_scene(coarse=True)
-
     async def _packed_scene(self, coarse: bool) -> bytes:
-        def packed() -> bytes:
-            if coarse not in self._scenes:
-                self._scenes[coarse] = self.viewed.scene(coarse=coarse)
-            return self._scenes[coarse]
+        return self._scenes.get(coarse) or await self.work.run(partial(self._packed, coarse))
 
-        return self._scenes.get(coarse) or await self.work.run(packed)
+    def _packed(self, coarse: bool) -> bytes:
+        if coarse not in self._scenes:
+            self._scenes[coarse] = self.viewed.scene(coarse=coarse)
+        return self._scenes[coarse]
 
     async def metadata(self, request: Request) -> Response:
         return JSONResponse(await self.work.run(self.viewed.metadata))

@@ -50,13 +50,15 @@ def shown_gaussians(gaussians: Gaussians, most: int = MOST_GAUSSIANS, owners: Te
     drawn = gaussians.select(rows)
     drawn = replace(drawn, sh=drawn.sh[:, :1])
     if len(rows) > most:
-        drawn, members = _merged(drawn, _groups(drawn, None if owners is None else owners[rows], most), most)
+        weight = cover(drawn)
+        group = _groups(drawn, weight, None if owners is None else owners[rows], most)
+        drawn, members = _merged(drawn, weight, group, most)
         rows = rows[members]
     order = morton_codes(drawn.means)[0].argsort(stable=True)
     return Shown(drawn.select(order), rows[order])
 
 
-def _groups(drawn: Gaussians, owners: Tensor | None, most: int) -> Tensor:
+def _groups(drawn: Gaussians, weight: Tensor, owners: Tensor | None, most: int) -> Tensor:
     """Return [N] int64 numbers from 0 of the groups to merge, at most so many unless the coarsest cells hold more."""
     code, unit = morton_codes(drawn.means)
     shades = ((SH_C0 * drawn.sh[:, 0].double() + 0.5).clamp(0, 1) * _SHADES).long().clamp(max=_SHADES - 1)
@@ -64,7 +66,7 @@ def _groups(drawn: Gaussians, owners: Tensor | None, most: int) -> Tensor:
     if owners is not None:
         kinds += _SHADES**3 * owners.long()
     order = torch.from_numpy(np.lexsort((code.numpy(), kinds.numpy())))
-    code, kinds, largest = code[order], kinds[order], drawn.scales.double().amax(1)[order]
+    code, kinds, largest = code[order], kinds[order], drawn.scales.amax(1)[order].double()
 
     def cells(level: int) -> tuple[Tensor, int]:
         """Return the numbers of the groups in this order, and how many there are."""
@@ -84,7 +86,7 @@ def _groups(drawn: Gaussians, owners: Tensor | None, most: int) -> Tensor:
     group, count = cells(level)
     if level > 0 and count <= most:
         finer, n_finer = cells(level - 1)
-        heaviest = group.bincount(cover(drawn)[order], count).argsort(descending=True, stable=True)
+        heaviest = group.bincount(weight[order], count).argsort(descending=True, stable=True)
         group = _halved(group, finer, n_finer, heaviest, most)
     return restored(group, order)
 
@@ -103,9 +105,9 @@ def _halved(group: Tensor, finer: Tensor, n_finer: int, heaviest: Tensor, most: 
     return (used.cumsum(0) - 1)[chosen]
 
 
-def _merged(drawn: Gaussians, group: Tensor, most: int) -> tuple[Gaussians, Tensor]:
+def _merged(drawn: Gaussians, weight: Tensor, group: Tensor, most: int) -> tuple[Gaussians, Tensor]:
     """Return the merged Gaussians of the heaviest groups, and [M] the heaviest member of each."""
-    sizes, weight = group.bincount(), cover(drawn)
+    sizes = group.bincount()
     count, total = len(sizes), group.bincount(weight)
     heaviest = torch.zeros(count, dtype=torch.float64).scatter_reduce(0, group, weight, "amax")
     first = (weight == heaviest[group]).nonzero()[:, 0]
@@ -143,5 +145,6 @@ def _merged(drawn: Gaussians, group: Tensor, most: int) -> tuple[Gaussians, Tens
 
 def cover(gaussians: Gaussians) -> Tensor:
     """Return [N] float64: opacity times area, how much a Gaussian can cover."""
-    area = gaussians.scales.double().sort(1).values[:, 1:].prod(1)
+    first, second, third = gaussians.scales.double().unbind(1)
+    area = torch.maximum(first * second, torch.maximum(first, second) * third)
     return (gaussians.opacities.double().clamp(max=1) * area).clamp(min=torch.finfo(torch.float64).tiny)

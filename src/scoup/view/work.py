@@ -37,6 +37,10 @@ class Work:
         self._newest: OrderedDict[str, int] = OrderedDict()
         self._count = 0
 
+    def begin(self, function: Callable[[], object]) -> None:
+        """Run a function before all others, with nobody to wait for it; what it raises is lost."""
+        self._thread.submit(function)
+
     async def run(self, function: Callable[[], Result]) -> Result:
         """Return the result of a function.
 
