@@ -47,9 +47,10 @@ def test_the_folder_of_the_demo_can_be_built_and_queried(
     demo: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     scene, field = demo[0] / "scene", tmp_path / "again.scoup"
-    assert run("build", scene, "--out", field)[0] == 0
-    found = run_json("query", field, "teapot", "--text", scene / "text.npz", "--out", tmp_path / "q")
-    assert found["answers"][0]["text"] == "teapot"
+    assert run("build", scene, "--model", scene / "text.npz", "--out", field)[0] == 0
+    for built in (field, demo[0] / "demo.scoup"):  # both find the table by themselves
+        found = run_json("query", built, "teapot", "--out", tmp_path / "q", "--overwrite")
+        assert found["answers"][0]["text"] == "teapot"
 
 
 def test_without_its_page_the_demo_says_how_to_get_it(

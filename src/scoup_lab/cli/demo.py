@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 
 FIELD, SHEET, SCORES, PAGE = "demo.scoup", "queries.png", "scores.json", "demo.html"
-WORDS = Path("scene") / "text.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,9 +71,9 @@ class Demo(WritesCommon):
         page = no_page or f"{self.out / PAGE} (open it in a browser; it needs no server)"
         console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
         console.say(f"field:    {self.out / FIELD}\npage:     {page}")
-        words, thing = self.out / WORDS, result.scene.layout.favourites[0]
-        console.say(f'query it: scoup query {result.field_path} "{thing}" --text {words} --camera all')
-        console.say(f"look at it, and type a word: scoup view {result.field_path} --text {words}")
+        thing = result.scene.layout.favourites[0]
+        console.say(f'query it: scoup query {result.field_path} "{thing}" --camera all')
+        console.say(f"look at it, and type a word: scoup view {result.field_path}")
         console.result(record)
 
 
@@ -95,7 +94,7 @@ def _write_page(result: DemoResult, folder: Path) -> None:
     from scoup.view.export import export_page
     from scoup.view.viewed_field import ViewedField
 
-    export_page(ViewedField(result.field, folder / WORDS), folder / PAGE)
+    export_page(ViewedField(result.field), folder / PAGE)
 
 
 def _record(result: DemoResult, out: Path) -> dict[str, Any]:

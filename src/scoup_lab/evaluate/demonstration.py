@@ -34,7 +34,7 @@ from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.table import TABLE
 from scoup_lab.synthetic.folder import write_demo_scene
-from scoup_lab.synthetic.scene import EMBEDDING_MODEL, LABELLED_LEVELS, DemoScene, make_demo_scene
+from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
 from scoup_lab.synthetic.words import CANONICAL
 
 METHOD, VOTES = "things and votes", "sparse, top-K vote"
@@ -110,7 +110,7 @@ def run_demo(
             cameras,
             regions,
             settings=build_settings,
-            embedding_model=EMBEDDING_MODEL,
+            embedding_model=(folder / "text.npz").relative_to(out).as_posix(),
             geometry_path=splat,
             sums=sums,
             progress=progress,

@@ -35,8 +35,8 @@ held_out/            views without regions: images/, transforms.json (nerfstudio
                      label/ with the truth as LERF-OVS label files
 
 Build and query:
-    scoup build . --out field.scoup
-    scoup query field.scoup "{name}" --text text.npz
+    scoup build . --model text.npz --out field.scoup
+    scoup query field.scoup "{name}"
 """
 
 
