@@ -67,6 +67,16 @@ def needs_triton() -> None:
         pytest.skip("triton is not installed")
 
 
+@pytest.fixture
+def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras of a splat alone are chosen among few."""
+    for name, few in (
+        ("view_candidates.AZIMUTHS", 4), ("view_candidates.PLACES", 2), ("view_candidates.PARTS", 2),
+        ("view_candidates.DISTANCES", (0.65, 1.0)), ("own_views.PARENTS", 4),
+    ):  # fmt: skip
+        monkeypatch.setattr(f"scoup.extract.{name}", few)
+
+
 @pytest.fixture(scope="session")
 def preloaded_python() -> Iterator[str]:
     """A program like ``sys.executable`` that has imported torch already (tests/preloaded.py); elsewhere than on Linux,

@@ -20,6 +20,7 @@ def methods_of_fields() -> list[object]:
     return [getattr(scoup.LanguageField, name) for name in ANSWERS]
 
 
+@pytest.mark.usefixtures("few_candidates")
 @pytest.mark.parametrize("name", NAMES)
 def test_an_example_runs(here: Path, name: str) -> None:
     """In a folder with a scene and its field, as the examples have it."""

@@ -53,8 +53,9 @@ def test_a_whole_build(backend: str) -> None:
     assert found["coded_gaussians"] > 0
 
 
+@pytest.mark.usefixtures("quick_python")
 def test_what_it_costs_to_ask() -> None:
-    least = ran(Query(n_gaussians=200, n_atoms=8, repeats=2, **SMALL))["least"]
+    least = ran(Query(n_gaussians=200, n_atoms=8, repeats=2, verb_repeats=1, **SMALL))["least"]
     assert set(least) == set(STAGES)
     parts = ("project", "first relevancy", "place and mask")
     assert least["query, new camera"] == pytest.approx(sum(least[part] for part in parts))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -84,8 +85,10 @@ def test_rows_of_the_study() -> None:
     assert "| procedural | own" in Views.table(record)
 
 
+@pytest.mark.usefixtures("few_candidates")
 def test_views_of_a_splat_in_several_formats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(splats, "FORMATS", (".ply", ".splat"))
+    monkeypatch.setattr(splats, "choose_cameras", partial(scoup.choose_cameras, width=64, height=48))
     (tmp_path / "guitar").mkdir()
     save_gaussians(random_gaussians(200, seed=1), tmp_path / "guitar" / "guitar.ply")
     study = splats.Splats(copies=2, data=tmp_path)

@@ -22,13 +22,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cameras of a splat alone are chosen among few."""
-    for name, few in (
-        ("view_candidates.AZIMUTHS", 4), ("view_candidates.PLACES", 2), ("view_candidates.PARTS", 2),
-        ("view_candidates.DISTANCES", (0.65, 1.0)), ("own_views.PARENTS", 4),
-    ):  # fmt: skip
-        monkeypatch.setattr(f"scoup.extract.{name}", few)
+def _few_candidates(few_candidates: None) -> None: ...
 
 
 @pytest.fixture

@@ -332,6 +332,7 @@ def test_every_text_can_be_read(browser: Browser, live: str, camera: Camera, sch
     assert {"Keys and gestures", "kettle, wooden table", "closed", "Heat", "Something went wrong."} <= seen
 
 
+@pytest.mark.usefixtures("few_candidates")
 def test_cameras_that_were_chosen_for_a_splat_are_bookmarks(
     browser: Browser, saved: Path, tmp_path: Path
 ) -> None:
