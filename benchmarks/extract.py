@@ -80,7 +80,7 @@ class Extraction(Study):
                 like = automatic_masks(image, sam, WAYS[ALL_POINTS])
             for name in rows:
                 model, settings = ways[name]
-                timed = _Timed(model)
+                timed = Timed(model)
                 start = time.process_time()
                 found = automatic_masks(image, timed, settings)
                 seconds = time.process_time() - start
@@ -125,7 +125,7 @@ class Extraction(Study):
 
 
 @dataclass
-class _Timed:
+class Timed:
     """A model that counts points, and the seconds in encoder and decoder."""
 
     model: PointModel
@@ -148,7 +148,7 @@ class _Timed:
 @dataclass(frozen=True)
 class _TimedImage:
     encoded: EncodedImage
-    timed: _Timed
+    timed: Timed
 
     def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
         start = time.process_time()

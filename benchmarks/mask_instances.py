@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import scoup
-from benchmarks.extract import overlaps
 from benchmarks.study import Record
 from scoup import raster
 from scoup.scene.cameras import Camera
@@ -51,9 +49,11 @@ def instances(
             for (f, _), v in zip(frames, views, strict=True)
             if name in f.masks
         ]
-        ious = np.stack([overlaps(truth[None], masks)[0] for _, truth, masks in mine])  # [V, T]
+        ious = np.stack([_overlaps(truth, masks) for _, truth, masks in mine])  # [V, T]
         best = int(ious.mean(0).argmax())
-        union = _grow([masks[best] for _, _, masks in mine], mine)
+        touching = ious.any(0)
+        near = [(truth, masks[touching]) for _, truth, masks in mine]
+        union = _grow([masks[best] for _, _, masks in mine], near)
         for (frame, *_), thing, together in zip(mine, ious[:, best], union, strict=True):
             found[frame][name] = [float(thing), float(together)]
     return {"things": len(table.levels), "ious": found}
@@ -70,15 +70,27 @@ def _thing_masks(gaussians: Gaussians, camera: Camera, owners: Tensor, count: in
     return np.concatenate(parts)
 
 
-def _grow(masks: list[NDArray[np.bool_]], views: list[tuple[str, Any, NDArray[np.bool_]]]) -> list[float]:
-    """Add things to masks, one per view, while the mean IoU grows; return the IoUs."""
-    ious = [float(overlaps(t[None], mask[None])[0, 0]) for mask, (_, t, _) in zip(masks, views, strict=True)]
+def _overlaps(truth: NDArray[np.bool_], masks: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return [T] the IoU of a mask [H, W] with masks [T, H, W]."""
+    shared = masks[:, truth].sum(1)
+    return shared / np.maximum(masks.sum((1, 2)) + truth.sum() - shared, 1)
+
+
+def _grow(
+    masks: list[NDArray[np.bool_]], views: list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]
+) -> list[float]:
+    """Add things to masks, one per view, while the mean IoU grows; return the IoUs.
+
+    ``views``: per view what is marked [H, W], and the things [T, H, W] that touch it in some view; others cannot help.
+    """
+    ious = [float(_overlaps(truth, mask[None])[0]) for mask, (truth, _) in zip(masks, views, strict=True)]
     while True:
-        tried = np.stack([
-            overlaps(truth[None], mask | things)[0] for mask, (_, truth, things) in zip(masks, views, strict=True)
-        ])  # fmt: skip
+        pairs = zip(masks, views, strict=True)
+        tried = np.stack([_overlaps(truth, mask | things) for mask, (truth, things) in pairs])
+        if not tried.size:
+            return ious
         best = int(tried.mean(0).argmax())
         if tried[:, best].mean() <= np.mean(ious) + 1e-6:
             return ious
         ious = tried[:, best].tolist()
-        masks = [mask | things[best] for mask, (_, _, things) in zip(masks, views, strict=True)]
+        masks = [mask | things[best] for mask, (_, things) in zip(masks, views, strict=True)]

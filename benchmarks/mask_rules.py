@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 import scoup
 from benchmarks.data import data_folder
+from benchmarks.decoded import Decoded
 from benchmarks.extract import FOUND, read_pixels
 from benchmarks.mask_instances import Labels, instances
+from benchmarks.mask_variants import BASE, MOBILE, RULES, SECOND, Rule
 from benchmarks.study import Record, Study
+from scoup.base.atomic import atomic_file
 from scoup.base.counts import spread
 from scoup.base.errors import InputError
-from scoup.extract import Masks, MaskSettings, mask_settings, paint
+from scoup.extract import paint
 from scoup.extract.automatic_masks import automatic_masks
-from scoup.extract.grids import point_grid
-from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
-from scoup.models.sam import EncodedImage, PointModel, open_sam
+from scoup.models.onnx_sam import open_onnx_sam
+from scoup.models.sam import PointModel, open_sam
 from scoup.scene.regions import LEVELS
 from scoup_lab.bench import markdown
 from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
@@ -32,69 +33,29 @@ from scoup_lab.evaluate.metrics import bootstrap_interval
 FATES = ("swallowed", "split", "missing", "mixed")
 """Of a thing without a region: most of it lies in one region that is mostly something else; most of it lies in regions
 that are mostly it; most of it lies in no region; anything else."""
-SIZES = (0.005, 0.04)  # shares of the image up to which a mask is of level s, of level m
-BASE = "fast"
 
-_FAST = mask_settings("fast")
-
-
-@dataclass(frozen=True)
-class Rule:
-    """A variant of the preset ``fast``."""
-
-    settings: MaskSettings = _FAST
-    arrange: Callable[[dict[str, Masks], MaskSettings], dict[str, Masks]] = lambda found, _: found
-    with_default: bool = False
-    best_of_point: bool = False  # all three masks of a point pass if the best of them does
-
-
-def by_size(found: dict[str, Masks], settings: MaskSettings) -> dict[str, Masks]:
-    """Assign levels by area, and suppress duplicates again."""
-    size = next(iter(found.values())).size
-    masks = Masks.concatenate(size, list(found.values()))
-    level = np.searchsorted(np.array(SIZES) * size[0] * size[1], masks.areas())
-    result = {}
-    for number, name in enumerate(LEVELS):
-        mine = masks.select(level == number)
-        mine = mine.select(keep_by_boxes(mine.corners(), mine.predicted_iou, settings.box_overlap))
-        scores = mine.stability.astype(np.float64) * mine.predicted_iou
-        rule = (settings.mask_overlap, settings.least_score, settings.inside, settings.covered)
-        result[name] = mine.select(keep_by_masks(mine, scores, *rule))
-    return result
-
-
-def small_on_top(found: dict[str, Masks], _: MaskSettings) -> dict[str, Masks]:
-    """Paint small masks over large ones."""
-    return {name: masks.select(np.argsort(-masks.areas(), kind="stable")) for name, masks in found.items()}
-
-
-RULES = {
-    BASE: Rule(),
-    "all points": Rule(replace(_FAST, skip_covered=False)),
-    "with default": Rule(with_default=True),
-    "overlaps up to 0.5": Rule(replace(_FAST, box_overlap=0.5, mask_overlap=0.5)),
-    "overlaps up to 0.9": Rule(replace(_FAST, box_overlap=0.9, mask_overlap=0.9)),
-    "three masks per point": Rule(
-        replace(_FAST, stability=0.0, least_score=0.0), best_of_point=True
-    ),
-    "parts kept, on top": Rule(replace(_FAST, inside=2.0), small_on_top),
-    "level by size": Rule(arrange=by_size),
-}  # fmt: skip
+Cut = tuple[dict[str, Labels], dict[str, float]]
+"""Level -> region of each pixel, and what it took."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaskRules(Study):
-    """Try variants of the rules over MobileSAM's masks on the real scene desk.
+    """Try variants of the rules over the masks of MobileSAM and SAM 2 tiny on the real scene desk.
 
-    Every photograph is decoded once, at all 32 x 32 points; each variant chooses among these masks. Regions are those
-    that a build reads: painted, one per pixel and level. Variants are chosen on every second labelled photograph, the
-    others are held out. Instances are merged from regions alone, without embeddings: for each name the thing, or the
-    union of things, that fits the marked object best over all views, which no query can know.
+    Every point of a photograph is decoded once; each variant chooses among these masks. Seconds are of the processor,
+    as if each variant had decoded its points itself. Regions are those that a build reads: painted, one per pixel and
+    level. Variants are chosen on every second labelled photograph, the others are held out; SAM 2 tiny cuts the latter.
+    Instances are merged from MobileSAM's regions, without embeddings: for each name the thing, or the union of things,
+    that fits the marked object best over all views, at half the size of the photographs. No query can know it.
     """
 
     weights: Path
     """MobileSAM's checkpoint."""
-    further: int = 4
+    onnx: Path | None = None
+    """Folder of SAM 2 tiny as ONNX; left out if not given."""
+    kept: Path | None = None
+    """Folder that keeps the regions of each photograph; a run continues from it. Not for other weights."""
+    further: int = 2
     """Photographs without labels, for instances."""
 
     def check(self) -> None:
@@ -102,66 +63,88 @@ class MaskRules(Study):
             raise InputError(f"{data_folder() / 'desk'}: there is no such scene; set SCOUP_TEST_DATA")
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        folder, sam = data_folder() / "desk", open_sam(str(self.weights))
+        folder = data_folder() / "desk"
         cameras = scoup.load_cameras(folder)
         labels = {frame.name: frame for frame in read_labels(folder / "label")}
         paths = sorted((folder / "images_2").glob("*.jpg"))
         further = spread([path for path in paths if path.stem not in labels], self.further)
-        maps: dict[str, dict[str, dict[str, Labels]]] = {name: {} for name in RULES}
+        models: dict[str, PointModel] = {MOBILE: open_sam(str(self.weights))}
+        if self.onnx is not None:
+            models[SECOND] = open_onnx_sam(f"onnx:{self.onnx}")
+        maps: dict[str, dict[str, dict[str, Labels]]] = {}
+        held_out = _halves(list(labels))["held out"]
         for path in sorted([*(path for path in paths if path.stem in labels), *further]):
-            image = read_pixels(path)
-            decoded = Decoded(sam, image)
-            for name, rule in RULES.items():
-                painted, points = cut(image, decoded, rule)
-                maps[name][cameras[path.stem].name] = painted
+            of_path = {
+                name: model for name, model in models.items() if name == MOBILE or path.stem in held_out
+            }
+            for name, (painted, figures) in self._cuts(path, of_path).items():
+                if RULES[name].model == MOBILE:
+                    maps.setdefault(name, {})[cameras[path.stem].name] = painted
                 if path.stem in labels:
-                    yield (
-                        f"{name}/{path.stem}",
-                        {
-                            "points": points,
-                            "regions": {level: int(of.max()) + 1 for level, of in painted.items()},
-                            "things": fates(painted, labels[path.stem]),
-                        },
-                    )
+                    regions = {level: int(of.max()) + 1 for level, of in painted.items()}
+                    things = fates(painted, labels[path.stem])
+                    yield f"{name}/{path.stem}", {**figures, "regions": regions, "things": things}
         gaussians = scoup.load_gaussians(folder / "point_cloud.splat")
         frames = [
             (frame.resized(camera.width, camera.height), camera)
-            for frame, camera in match_frames(list(labels.values()), cameras)
+            for frame, camera in match_frames(list(labels.values()), cameras.scaled(0.5))
         ]
         for name, of_views in maps.items():
-            yield f"{name}/instances", instances(gaussians, cameras, of_views, frames)
+            if f"{name}/instances" not in known:
+                yield f"{name}/instances", instances(gaussians, cameras, of_views, frames)
+
+    def _cuts(self, path: Path, models: Mapping[str, PointModel]) -> dict[str, Cut]:
+        """Return by rule what is made of a photograph; what is kept is not made again."""
+        found, image = {}, read_pixels(path)
+        for model in models:
+            decoded = None
+            for name in (name for name, rule in RULES.items() if rule.model == model):
+                file = None if self.kept is None else self.kept / f"{path.stem}, {name}.npz"
+                if file is not None and file.exists():
+                    found[name] = read_cut(file)
+                    continue
+                decoded = decoded or Decoded(models[model], image)
+                found[name] = cut(image, decoded, RULES[name])
+                if file is not None:
+                    write_cut(found[name], file)
+        return found
 
     def record(self, rows: dict[str, Any]) -> Record:
-        frames = sorted({key.split("/")[1] for key in rows} - {"instances"})
-        halves = {"chosen on": frames[::2], "held out": frames[1::2]}
+        halves = _halves({key.split("/")[1] for key in rows} - {"instances"})
         return {
             "photographs": halves,
             "rows": [
                 {"rule": rule, "half": half, **_summary(rows, rule, names)}
                 for half, names in halves.items()
                 for rule in RULES
+                if all(f"{rule}/{name}" in rows for name in names)
             ],
         }
 
     @staticmethod
     def table(record: Record) -> str:
         """Return one row per rule, of the photographs that are held out."""
-        body = []
+        body, fast = [], 1.0
         for row in record["rows"]:
             if row["half"] == "held out":
+                fast = row["seconds"] if row["rule"] == BASE else fast
                 cells = [
                     " / ".join(f"{row[key][level]:.2f}" for level in LEVELS) for key in ("found", *FATES[:3])
                 ]
                 signed = [
-                    "{:+.3f} [{:+.3f}, {:+.3f}]".format(*row["differences"][key]) for key in ("best", "thing")
+                    "{:+.3f} [{:+.3f}, {:+.3f}]".format(*row["differences"][key]) if key in row else ""
+                    for key in ("best", "thing")
                 ]
+                instances = [f"{row[key]:.3f}" if key in row else "" for key in ("thing", "union")]
                 body.append([
-                    row["rule"], f"{row['points']:.0f}", f"{row['regions']:.0f}", f"{row['any']:.3f}",
-                    f"{row['best']:.3f}", *cells, f"{row['thing']:.3f}", f"{row['union']:.3f}", *signed,
+                    row["rule"], f"{row['points']:.0f}", f"{row['seconds'] / fast:.2f}", f"{row['regions']:.0f}",
+                    f"{row['any']:.3f}", f"{row['best']:.3f}", *cells,
+                    *instances, *signed,
                 ])  # fmt: skip
         head = [
             "rule",
             "points",
+            "CPU seconds / fast",
             "regions",
             "things with a region",
             "IoU of the best",
@@ -171,52 +154,36 @@ class MaskRules(Study):
         return markdown(head, body)
 
 
-class Decoded:
-    """A ``PointModel`` of one image that answers points of the grid from memory."""
+def cut(image: NDArray[np.uint8], decoded: Decoded, rule: Rule) -> Cut:
+    """Return level -> region of each pixel, -1 for none, as an extraction writes it; and points and CPU seconds."""
+    decoded.changed = rule.changed
 
-    def __init__(self, model: PointModel, image: NDArray[np.uint8]) -> None:
-        self.model, self.best_of_point, self.asked = model, False, 0  # ``asked``: points
-        self.encoded: EncodedImage = model.encode(image)
-        grid = point_grid(_FAST.points_per_side)
-        size = torch.tensor([image.shape[1], image.shape[0]])
-        parts = [self.encoded.predict(part * size) for part in torch.from_numpy(grid).split(64)]
-        self.logits, self.iou = (torch.cat(each) for each in zip(*parts, strict=True))
-        self.size = size
+    def regions() -> dict[str, NDArray[Any]]:
+        found = automatic_masks(image, decoded, rule.settings, rule.with_default)
+        found = rule.arrange(found, rule.settings)
+        return {level: paint(found[level]) for level in (*LEVELS, *(found.keys() - set(LEVELS)))}
 
-    def record(self) -> dict[str, Any]:
-        return self.model.record()
-
-    def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
-        return self
-
-    def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        side = _FAST.points_per_side
-        columns, rows = (points / self.size * side).long().T
-        chosen = rows * side + columns
-        self.asked += len(chosen)
-        iou = self.iou[chosen]
-        if self.best_of_point:
-            iou = iou.amax(1, keepdim=True).expand_as(iou)
-        return self.logits[chosen], iou
-
-    def without_padding(self, logits: Tensor) -> Tensor:
-        return self.encoded.without_padding(logits)
-
-    def upscale(self, logits: Tensor) -> Tensor:
-        return self.encoded.upscale(logits)
+    labels, points, seconds = decoded.costs(regions)
+    painted = {
+        level: (np.unique(np.append(-1, of), return_inverse=True)[1][1:] - 1)
+        .reshape(of.shape)
+        .astype(np.int16)
+        for level, of in labels.items()
+    }
+    return painted, {"points": points, "seconds": seconds}
 
 
-def cut(image: NDArray[np.uint8], decoded: Decoded, rule: Rule) -> tuple[dict[str, Labels], int]:
-    """Return level -> region of each pixel, -1 for none, as an extraction writes it; and the points asked."""
-    decoded.asked, decoded.best_of_point = 0, rule.best_of_point
-    found = rule.arrange(automatic_masks(image, decoded, rule.settings, rule.with_default), rule.settings)
-    painted = {}
-    for level in (*LEVELS, *(found.keys() - set(LEVELS))):
-        numbers = paint(found[level])
-        painted[level] = (np.unique(np.append(-1, numbers), return_inverse=True)[1][1:] - 1).reshape(
-            numbers.shape
-        )
-    return {level: numbers.astype(np.int16) for level, numbers in painted.items()}, decoded.asked
+def write_cut(found: Cut, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    painted, figures = found
+    with atomic_file(path, overwrite=True) as file:
+        np.savez_compressed(file, allow_pickle=False, figures=np.array(json.dumps(figures)), **painted)
+
+
+def read_cut(path: Path) -> Cut:
+    with np.load(path) as file:
+        figures = json.loads(str(file["figures"]))
+        return {name: file[name] for name in file.files if name != "figures"}, figures
 
 
 def fates(painted: Mapping[str, Labels], frame: LabelledFrame) -> Record:
@@ -260,6 +227,7 @@ def _summary(rows: dict[str, Any], rule: str, frames: list[str]) -> Record:
     }
     return {
         "points": float(np.mean([row["points"] for row in of])),
+        "seconds": float(np.mean([row["seconds"] for row in of])),
         "regions": float(np.mean([sum(row["regions"].values()) for row in of])),
         "any": float(np.mean(pairs["best"] >= FOUND)),
         **{key: float(values.mean()) for key, values in pairs.items()},
@@ -273,10 +241,15 @@ def _summary(rows: dict[str, Any], rule: str, frames: list[str]) -> Record:
 
 
 def _pairs(rows: dict[str, Any], rule: str, frames: list[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the IoU of each pair of photograph and name: best region of any level, best thing, best union."""
+    """Return the IoU of each pair of photograph and name: best region of any level; best thing and union, if any."""
     values = []
     for frame in frames:
-        ious = rows[f"{rule}/instances"]["ious"][frame]
+        ious = rows.get(f"{rule}/instances", {"ious": {}})["ious"].get(frame, {})
         for name, thing in rows[f"{rule}/{frame}"]["things"].items():
-            values.append([max(iou for iou, _ in thing.values()), *ious[name]])
-    return dict(zip(("best", "thing", "union"), np.array(values).T, strict=True))
+            values.append([max(iou for iou, _ in thing.values()), *ious.get(name, [])])
+    return dict(zip(("best", "thing", "union"), np.array(values).T, strict=False))
+
+
+def _halves(frames: Collection[str]) -> dict[str, list[str]]:
+    """Return the labelled photographs on which variants are chosen, and those held out."""
+    return {"chosen on": sorted(frames)[::2], "held out": sorted(frames)[1::2]}

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from benchmarks.decoded import Decoded
 from benchmarks.mask_instances import instances
-from benchmarks.mask_rules import Decoded, Rule, by_size, cut, fates
+from benchmarks.mask_rules import cut, fates, read_cut, write_cut
+from benchmarks.mask_variants import Rule, best_of_point, by_size, smallest_first
 
 from mask_samples import smooth_image
 from scoup.extract.masks import Masks
@@ -57,22 +59,63 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return saved(tiny_sam(), tmp_path_factory.mktemp("sam"))
 
 
-def test_points_are_answered_as_by_the_model(tiny: Path) -> None:
+def test_each_point_of_a_photograph_is_decoded_once(tiny: Path) -> None:
     image, sam = smooth_image(40, 60), open_sam(str(tiny))
     decoded = Decoded(sam, image)
-    points = torch.tensor(
-        [[(5.5) / 32 * 60, 9.5 / 32 * 40], [31.5 / 32 * 60, 0.5 / 32 * 40]], dtype=torch.float64
-    )
+    points = torch.tensor([[10.3, 11.9], [59.1, 0.6], [10.3, 11.9]], dtype=torch.float64)
     wanted = sam.encode(image).predict(points)
-    for found, each in zip(decoded.predict(points), wanted, strict=True):
-        torch.testing.assert_close(found, each, atol=1e-4, rtol=1e-4)
+    for chosen in ([0], [0, 1, 2]):
+        for found, each in zip(decoded.encode(image).predict(points[chosen]), wanted, strict=True):
+            torch.testing.assert_close(found, each[chosen], atol=1e-4, rtol=1e-4)
+    assert (decoded.asked, decoded.model.points) == (4, 2)
+    assert (decoded.encoded, decoded.images_encoded) == (2, 1)
+    decoded.encode(image[:30])
+    decoded.encode(image[:30])
+    assert decoded.images_encoded == 3
+
+
+def test_masks_of_a_point_are_changed(tiny: Path) -> None:
+    decoded = Decoded(open_sam(str(tiny)), image := smooth_image(40, 60))
+    points = torch.rand(8, 2, dtype=torch.float64) * 40
+    logits, iou = decoded.encode(image).predict(points)
+    decoded.changed = best_of_point
+    assert torch.equal(decoded.encode(image).predict(points)[1], iou.amax(1, keepdim=True).expand(8, 3))
+    decoded.changed = smallest_first
+    areas = (logits > 0).sum((2, 3))
+    for point, (mask, score) in enumerate(zip(*decoded.encode(image).predict(points), strict=True)):
+        order = sorted(range(3), key=lambda channel: int(areas[point, channel]))
+        assert torch.equal(mask, logits[point, order])
+        assert torch.equal(score, iou[point, order])
+
+
+def test_costs_are_those_of_a_run_that_knows_nothing(tiny: Path) -> None:
+    image = smooth_image(40, 60)
+    decoded = Decoded(open_sam(str(tiny)), image)
+    points = torch.rand(64, 2, dtype=torch.float64) * 40
+    first, second = (decoded.costs(lambda: decoded.encode(image).predict(points)) for _ in range(2))
+    assert first[1] == second[1] == 64
+    assert torch.equal(first[0][0], second[0][0])
+    of_model = sum(decoded.model.seconds.values())
+    assert first[2] >= of_model > 0
+    assert second[2] >= of_model  # though nothing was run
+
+
+def test_rules_ask_their_own_points(tiny: Path, tmp_path: Path) -> None:
+    image = smooth_image(40, 60)
+    decoded = Decoded(open_sam(str(tiny)), image)
     loose = replace(mask_settings("fast"), predicted_iou=0.0, stability=0.0, least_score=0.0)
-    painted, asked = cut(image, decoded, Rule(replace(loose, skip_covered=False)))
-    assert asked == 1024
+    found = cut(image, decoded, Rule(replace(loose, skip_covered=False)))
+    painted, figures = found
+    assert figures["points"] == 1024
     assert tuple(painted) == LEVELS
     assert all(set(np.unique(of)) - {-1} == set(range(int(of.max()) + 1)) for of in painted.values())
-    assert cut(image, decoded, Rule(loose))[1] < 1024
+    assert cut(image, decoded, Rule(loose))[1]["points"] < 1024
+    assert cut(image, decoded, Rule(replace(loose, points_per_side=4, crop_layers=1)))[1]["points"] <= 5 * 16
     assert tuple(cut(image, decoded, Rule(with_default=True))[0]) == (*LEVELS, "default")
+    write_cut(found, tmp_path / "view, rule.npz")
+    again, same = read_cut(tmp_path / "view, rule.npz")
+    assert same == figures
+    assert all((again[level] == painted[level]).all() for level in LEVELS)
 
 
 def test_things_of_true_regions_fit_what_is_marked() -> None:
