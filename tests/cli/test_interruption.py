@@ -82,7 +82,7 @@ def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word:
     assert names() - before == {"a.scoup.partial"}  # neither lock nor temporary files
     code, out, err = run(*BUILD)
     assert (code, err) == (0, "")
-    assert "continues an interrupted build: 2 of 4 views are there" in out
+    assert "resumes an interrupted build: 2 of 4 views are done" in out
     assert names() - before == {"a.scoup"}
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
 
@@ -96,7 +96,7 @@ def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
     assert names() - before == {"a.scoup.partial", "a.scoup.lock", ".a.0123456789ab.scoup"}
     code, out, err = run(*BUILD)
     assert (code, err) == (0, "")
-    assert "continues an interrupted build: 2 of 4 views are there" in out
+    assert "resumes an interrupted build: 2 of 4 views are done" in out
     assert names() - before == {"a.scoup"}
 
 
@@ -142,7 +142,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
     ]  # fmt: skip
     code, out, err = run(*EXTRACT)
     assert (code, err) == (0, "")
-    assert "regions: continues: 3 of 4 views are there\n" in out
+    assert "regions: resumes: 3 of 4 views are done\n" in out
     assert "1 view made, 3 already there" in out
 
 

@@ -152,7 +152,7 @@ def test_none_gives_up_its_views_before_the_field_is_there() -> None:
     for number in (1, 2):
         assert len(RegionSums.open(Path(f"g.scoup.{number}-of-2.sums"))) == 2
     for done in built(2):
-        assert "2 of 2 views are there" in done.stdout
+        assert "2 of 2 views are done" in done.stdout
     assert is_whole()
 
 

@@ -205,7 +205,7 @@ def check_refused(
     kept = sorted(set(left) - set(before))
     assert all(Path(path).parts[0].endswith(".partial") for path in kept), kept
     assert {path: content for path, content in left.items() if path not in kept} == before
-    return "continues an interrupted" if kept else ""
+    return "resumes an interrupted" if kept else ""
 
 
 @pytest.mark.parametrize("name", ["build", "build --shard", "update --add"])

@@ -194,7 +194,7 @@ def test_codes_are_kept_where_no_view_is_yet(monkeypatch):
     monkeypatch.setattr(region_codes, "fit_codes", interrupt)
     code, out, err = run(*build, "a.scoup")
     assert code == 0, err
-    assert "continues an interrupted build: 0 of 4 views are there, the codes" in " ".join(out.split())
+    assert "resumes an interrupted build: 0 of 4 views are done, the codes" in " ".join(out.split())
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
 
 

@@ -89,7 +89,7 @@ def test_interrupted_views_continue(beside: tuple[str, ...], monkeypatch: pytest
         patch.setattr("scoup.extract.own_views.render_colors", lambda *those: made.clear() or render(*those))
         code, said, _ = run(*views, "own")
     assert code == 0
-    assert f"own: continues: {there + 2} of {there + 3} views are there" in said
+    assert f"own: resumes: {there + 2} of {there + 3} views are done" in said
     assert len(made) == 1
     assert snapshot(Path("own")) == snapshot(Path("whole"))
     assert not list(Path().glob("*.partial*"))
@@ -165,7 +165,7 @@ def test_a_build_of_a_splat_alone_continues() -> None:
     kept = snapshot(Path("alone_views"))
     code, said, _ = run("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup", "--overwrite")
     assert code == 0
-    assert "the views that are there are used" in said
+    assert "uses the existing views" in said
     assert "already there" in said
     assert snapshot(Path("alone_views")) == kept
 

@@ -184,7 +184,7 @@ def _at_work(console: Console, out: Path, share: Share) -> Iterator[Progress]:
     def report(stage: str, done: int, total: int) -> None:
         nonlocal started
         if not started and 0 < done < total:
-            console.say(f"{out}: continues: {done} of {total} views are there")
+            console.say(f"{out}: resumes: {done} of {total} views are done")
         started = True
         console.kept = lambda: kept(done, total, "views", otherwise=before)
         progress(stage, done, total)

@@ -244,5 +244,5 @@ def _announce(console: Console, copied: UpdateCopy, out: Path) -> None:
     """Report what is resumed, and what an interruption leaves."""
     total = len(copied.add)
     if copied.n_added:
-        console.say(f"{out}: continues an interrupted update: {copied.n_added} of {total} views are there")
+        console.say(f"{out}: resumes an interrupted update: {copied.n_added} of {total} views are done")
     console.kept = lambda: kept(copied.n_added, total, "views")

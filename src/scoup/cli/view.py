@@ -118,7 +118,7 @@ class View(TextOptions):
                         "and download its Gaussians; the connection is not encrypted"
                     )
                 record: dict[str, Any] = {"address": viewer.address, "field": self.field}
-                console.say(f"{self.field}: {viewer.address}\nCtrl-C ends it")
+                console.say(f"{self.field}: {viewer.address}\npress Ctrl-C to stop")
                 console.result(record)
                 if self.open_browser:
                     import webbrowser

@@ -97,7 +97,7 @@ def _say_what_is_kept(console: Console, out: Path, work: ViewWork, n_beside: int
         return kept(work.done, total, "views", "cameras" * bool(work.cameras), before)
 
     if work.cameras:
-        console.say(f"{out}: continues: {work.done} of {n_beside + len(work.cameras)} views are there")
+        console.say(f"{out}: resumes: {work.done} of {n_beside + len(work.cameras)} views are done")
     console.kept = report
 
 
@@ -119,7 +119,7 @@ def make_scene(console: Console, splat: Path, folder: Path, extract: Extract, ov
     from scoup.extract.own_views import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():
-        console.say(f"{folder}: the views that are there are used; for others: scoup views --overwrite")
+        console.say(f"{folder}: uses the existing views; to replace them: scoup views --overwrite")
     else:
         MakeViews(splat=splat, out=folder, overwrite=overwrite).make(console)
     console.kept = lambda: kept(0, 0, "", "views")

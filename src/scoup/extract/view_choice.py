@@ -222,7 +222,7 @@ def choose_views(
         fronts: [V, M] bool, whether a view sees the front of a Gaussian.
         most: views to choose; fewer where no other gains anything.
         least_gain: share of what the best view gains alone that each must gain.
-        n_there: the first views are there already; others are chosen beside them.
+        n_there: the first views exist already; others are chosen beside them.
     """
     worth = scores.worth(n_there) * fronts * not_from_behind(scores.shown.float(), fronts, n_there)[:, None]
     n_sectors = int(scores.direction.max()) + 1

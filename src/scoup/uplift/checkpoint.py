@@ -74,7 +74,7 @@ def resume_message(sums: RegionSums, views: int) -> str | None:
     if not sums.writable or not (len(sums) or sums.codes is not None):
         return None
     codes = "the codes are kept" if sums.codes is not None else "codes are learned again"
-    return f"{sums.path}: continues an interrupted build: {len(sums)} of {views} views are there, {codes}"
+    return f"{sums.path}: resumes an interrupted build: {len(sums)} of {views} views are done, {codes}"
 
 
 def resume_shard(output: Path) -> None:
