@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 import torch
@@ -28,6 +28,9 @@ from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.bench import markdown, random_scene_gaussians
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 SIZE = (1280, 720)
 PLACE = (SIZE[0] // 3, SIZE[1] // 2)  # where the pointer drags
@@ -108,11 +111,19 @@ class Editors(Study):
                     *(f"{row[what] / 1e6:.2f}" for what in ("program, bytes", "scene, bytes")),
                     f"{row['first picture, s']:.1f} / {row['whole picture, s']:.1f}",
                     f"{row['browser, MB']:,.0f}{server}",
+                    f"{row['browser until the whole picture, CPU s']:.1f}",
+                    f"{row['a frame while moving, CPU s']:.2f}",
                     f"{row['frames per second while moving']:.2f}",
                 ]
             )
         heading = ["scene", "page", "program, MB", "scene, MB", "first / whole picture, s"]
-        return markdown([*heading, "browser (+ server), MB", "frames per second while moving"], body)
+        heading += [
+            "browser (+ server), MB",
+            "loading, CPU s",
+            "a moving frame, CPU s",
+            "moving frames per second",
+        ]
+        return markdown(heading, body)
 
 
 def camera_in_front(gaussians: Gaussians) -> Camera:
@@ -169,12 +180,15 @@ def page_costs(address: str, count: int, moved: str = "") -> dict[str, float]:
         first = seconds_until_drawn(page, min(0.3 * count, 40_000), PATIENCE)
         page.evaluate("window.scoupViewer?.whole")
         whole = seconds_until_drawn(page, 0.3 * count, PATIENCE)
+        loading = processor_seconds(browser)
         page.evaluate(moved)
         page.wait_for_timeout(1000)
         frames_per_second(page, PLACE)  # pages may find that frames are slow, and draw less from then on
+        before, drawn = processor_seconds(browser), page.evaluate("drawing.frames")
         frames = frames_per_second(page, PLACE)
-        processes = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
-        memory = sum(proportional_bytes(process["id"]) for process in processes)
+        spent = processor_seconds(browser) - before
+        drawn = page.evaluate("drawing.frames") - drawn
+        memory = sum(proportional_bytes(process["id"]) for process in processes(browser))
     files = [url for url in dict.fromkeys(asked) if url.startswith("http") and "/api/" not in url]
     scenes = [url for url in files if re.search(r"scene\.(bin|ply)(\?|$)", url)]
     return {
@@ -183,8 +197,20 @@ def page_costs(address: str, count: int, moved: str = "") -> dict[str, float]:
         "first picture, s": first,
         "whole picture, s": whole,
         "browser, MB": memory / 1e6,
+        "browser until the whole picture, CPU s": loading,
         "frames per second while moving": frames,
+        "a frame while moving, CPU s": spent / max(1, drawn),
     }
+
+
+def processes(browser: Browser) -> list[dict[str, Any]]:
+    """Return the processes of a browser, each with its `id` and its `cpuTime` in seconds."""
+    return browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
+
+
+def processor_seconds(browser: Browser) -> float:
+    """Return the CPU seconds that a browser has used."""
+    return sum(process["cpuTime"] for process in processes(browser))
 
 
 def _read(url: str) -> bytes:
