@@ -25,6 +25,7 @@ from benchmarks.city import Cities
 from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
 from benchmarks.documents_summaries import ablations, answers, baselines, damaged
+from benchmarks.editors import Editors
 from benchmarks.embed import Embedding
 from benchmarks.endurance import Endurance
 from benchmarks.extract import Extraction
@@ -181,6 +182,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "likeness": (Likeness, "likeness"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
+    "editors": (Editors, "editors"),
     "city": (Cities, "city"),
     "endurance": (Endurance, "endurance"),
     "power loss": (PowerLoss, "power_loss"),

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import torch
 from browser_support import (
+    A_THING,
     ALIKE,
     THINGS,
     Visit,
@@ -93,6 +94,31 @@ def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch: pyt
         assert "more are loading" not in visit.page.inner_text("#facts")
         visit.ask("kettle")
         assert difference(visit.picture(), wanted) < ALIKE
+
+
+def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> None:
+    field = things_field()
+    gaussians = field.gaussians.select(torch.arange(len(field)))
+    gaussians.opacities[:A_THING:2] = 0.08  # of the kettle, haze
+    gaussians.scales[1:A_THING:2] = torch.tensor([0.12, 0.01, 0.01])  # and needles
+    gaussians.scales[A_THING : 2 * A_THING] = torch.tensor([0.06, 0.06, 0.004])  # the mug's are flat
+    with (
+        opened(ViewedField(field.with_gaussians(gaussians), table())) as viewer,
+        visiting(browser, viewer.address) as visit,
+    ):
+        for text, stays in (("kettle", False), ("mug", True)):
+            visit.ask(text)
+            visit.choose("Only the selection")
+            whole = visit.picture()
+            assert whole.max() > 50
+            visit.tab("View")
+            visit.page.get_by_label("clean up haze and needles of the selection").check()
+            visit.settle()
+            clean = visit.picture()
+            assert difference(clean, whole) < ALIKE if stays else clean.max() < 20
+            visit.page.get_by_label("clean up haze and needles of the selection").uncheck()
+            visit.tab("Answers")
+            visit.page.get_by_role("button", name=f"Remove {text}").click()
 
 
 def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(

@@ -34,6 +34,7 @@ export class Panel {
   private readonly automatic = byId<HTMLInputElement>("threshold-auto");
   private readonly opacity = byId<HTMLInputElement>("opacity");
   private readonly absent = byId<HTMLInputElement>("absent");
+  private readonly clean = byId<HTMLInputElement>("clean");
 
   constructor(
     private readonly state: State,
@@ -57,6 +58,7 @@ export class Panel {
       state.set({ threshold: this.automatic.checked ? null : Number(this.threshold.value) }));
     this.opacity.addEventListener("input", () => state.set({ opacity: Number(this.opacity.value) }));
     this.absent.addEventListener("change", () => state.set({ absent: this.absent.checked }));
+    this.clean.addEventListener("change", () => state.set({ clean: this.clean.checked }));
   }
 
   update(): void {
@@ -72,6 +74,7 @@ export class Panel {
     this.opacity.value = String(state.opacity);
     byId("opacity-value").textContent = state.opacity.toFixed(2);
     this.absent.checked = state.absent;
+    this.clean.checked = state.clean;
     this.updateQueries();
     this.updateLegend();
   }

@@ -6,6 +6,9 @@ export const MOST_QUERIES = 8;
 /** Width of textures that hold something for each Gaussian. */
 export const WIDTH = 4096;
 
+/** Of what is cleaned up: opacity of haze below, and longest by middle axis of needles above. */
+const [HAZE, NEEDLE] = ["0.1", "10.0"];
+
 /** In the place of a threshold: things answer, not relevancy. */
 export const BY_THINGS = -1;
 
@@ -110,6 +113,7 @@ export interface Inputs {
   level: string;
   opacity: string;
   anySelected: string;
+  clean: string;
 }
 
 /** The colour of one Gaussian; `out` is the Gaussian to be written. */
@@ -156,6 +160,10 @@ if (${inputs.mode} == 0) {
 } else if (${inputs.mode} == 2) {
   // What clicks select goes before what texts select.
   if (${inputs.anySelected} != 0 ? !clicked : asked && !selected) ${out}.rgba.a = 0.0;
+  vec3 sizes = ${out}.scales;
+  float longest = max(sizes.x, max(sizes.y, sizes.z));
+  float middle = max(min(sizes.x, sizes.y), min(max(sizes.x, sizes.y), sizes.z));
+  if (${inputs.clean} != 0 && (${out}.rgba.a < ${HAZE} || longest > ${NEEDLE} * middle)) ${out}.rgba.a = 0.0;
 } else if (${inputs.mode} == 3) {
   if (${inputs.anySelected} != 0 ? clicked : selected) ${out}.rgba.a = 0.0;
 } else if (${inputs.mode} == 4) {

@@ -32,6 +32,8 @@ export interface Look {
   /** Numbers of things. */
   selected: number[];
   hidden: Iterable<number>;
+  /** Leave haze and needles out of what is shown alone. */
+  clean: boolean;
 }
 
 /** A scene that is drawn; `update` changes only small textures and numbers. */
@@ -46,6 +48,7 @@ export class Splat {
   private readonly level = dyno.dynoInt(0);
   private readonly opacity = dyno.dynoFloat(1);
   private readonly anySelected = dyno.dynoInt(0);
+  private readonly clean = dyno.dynoInt(0);
 
   private constructor(scene: Scene, splats: ExtSplats) {
     this.scene = scene;
@@ -55,7 +58,7 @@ export class Splat {
     this.things = integers(new Uint16Array(WIDTH * rows), rows, THREE.UnsignedShortType, "R16UI");
     this.mesh = new SplatMesh({ extSplats: splats });
     this.mesh.objectModifier = this.modifier();
-    this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hidden: [] });
+    this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hidden: [], clean: false });
   }
 
   /** Build it, with progress. */
@@ -120,6 +123,7 @@ export class Splat {
     for (const thing of look.selected) things[thing] |= MARKS.selected;
     for (const thing of look.hidden) things[thing] |= MARKS.hidden;
     this.anySelected.value = look.selected.length;
+    this.clean.value = Number(look.clean);
     this.scores.needsUpdate = this.queries.needsUpdate = this.things.needsUpdate = true;
     this.mode.value = MODES.indexOf(look.mode);
     this.level.value = look.level;
@@ -148,6 +152,7 @@ export class Splat {
       level: this.level,
       opacity: this.opacity,
       anySelected: this.anySelected,
+      clean: this.clean,
     };
     const inTypes = {
       gsplat: dyno.Gsplat,
@@ -165,6 +170,7 @@ export class Splat {
       level: "int",
       opacity: "float",
       anySelected: "int",
+      clean: "int",
     } as const;
     return dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
       const colored = new dyno.Dyno({

@@ -21,7 +21,7 @@ export interface Stage {
 }
 
 const REST_SECONDS = 0.25;
-/** If two frames in a row take longer while the camera moves, pictures are small and coarse until it rests. */
+/** If two frames in a row take longer while the camera moves, or one five times as long, pictures are small and coarse until it rests. */
 const SLOW_SECONDS = 0.2;
 const MOVING_SCALE = 0.5;
 
@@ -104,7 +104,8 @@ export class SplatStage implements Stage {
   /** Find whether frames are too slow for whole pictures; that lasts, as the browser stays the same. */
   private pace(): void {
     const now = performance.now() / 1000;
-    if (this.begun && this.slowFrames < 2) this.slowFrames = now - this.begun > SLOW_SECONDS ? this.slowFrames + 1 : 0;
+    const slow = this.begun ? (now - this.begun) / SLOW_SECONDS : 0;
+    if (this.slowFrames < 2) this.slowFrames = slow > 5 ? 2 : slow > 1 ? this.slowFrames + 1 : 0;
     this.begun = now;
     this.move();
   }

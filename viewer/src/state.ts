@@ -29,6 +29,8 @@ export class State {
   opacity = 0.6;
   /** Whether texts count that are not in the scene. */
   absent = false;
+  /** Whether haze and needles are left out of the selection alone. */
+  clean = false;
   onChange: () => void = () => {};
   /** Null where the field has none, and in pages that get no Gaussians. */
   things: Things | null = null;
@@ -64,7 +66,7 @@ export class State {
     this.onChange();
   }
 
-  set(change: Partial<Pick<State, "chosenMode" | "level" | "threshold" | "opacity" | "absent">>): void {
+  set(change: Partial<Pick<State, "chosenMode" | "level" | "threshold" | "opacity" | "absent" | "clean">>): void {
     Object.assign(this, change);
     this.onChange();
   }
@@ -107,7 +109,7 @@ export class State {
     const first = this.visible()[0];
     const level = this.level ?? first?.answer.level ?? this.clickLevel;
     const { selected = [], hidden = [] } = this.things ?? {};
-    return { mode: this.mode, level, opacity: this.opacity, selected, hidden };
+    return { mode: this.mode, level, opacity: this.opacity, clean: this.clean, selected, hidden };
   }
 
   /** What is saved: the things that are selected, or else what the texts select. */
