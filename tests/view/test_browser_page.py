@@ -107,7 +107,7 @@ def test_a_high_picture_shows_all_that_the_camera_sees(browser: Browser, live: s
         picture = visit.picture()
         height, width = picture.shape[:2]
         assert height > width
-        assert not visit.page.get_by_role("tab", name="View").is_visible()
+        visit.page.get_by_role("tab", name="View").wait_for(state="hidden")
         assert viewed.field.cameras is not None
         seen = viewed.field.cameras[0].resized(width, width * 3 // 4)
         above = (height - seen.height) // 2
@@ -345,7 +345,7 @@ def test_cameras_that_were_chosen_for_a_splat_are_bookmarks(
     with Viewer(viewed, port=0) as viewer, visiting(browser, viewer.address) as visit:
         visit.tab("View")
         for camera in cameras:
-            assert visit.page.get_by_role("button", name=camera.name).is_visible()
+            visit.page.get_by_role("button", name=camera.name).wait_for()
         visit.page.get_by_role("button", name="own_002.png").click()
         visit.until("window.scoupViewer.state().camera === 'own_002.png'")
         visit.settle()

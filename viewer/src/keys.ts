@@ -5,7 +5,7 @@ import { MODE_NAMES } from "./panel";
 import type { State } from "./state";
 
 const HELP: [string, string][] = [
-  ["drag", "turn around what is in the middle"],
+  ["drag", "orbit the centre"],
   ["right drag, two fingers", "move sideways"],
   ["wheel, pinch", "closer, farther"],
   ["click, tap", "select the thing there; again: its group (without things: what is there?)"],

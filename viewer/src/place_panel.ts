@@ -9,7 +9,7 @@ export function showPlace(place: Place): void {
   close.addEventListener("click", hidePlace);
   const heading = element("div", { class: "row" }, element("h2", { style: "flex:1" }, "Here is"), close);
   if (place.position === null) {
-    panel.replaceChildren(heading, "nothing: no Gaussian paints this point.");
+    panel.replaceChildren(heading, "nothing: no Gaussian contributes to this point.");
     panel.scrollIntoView({ block: "nearest" });
     return;
   }

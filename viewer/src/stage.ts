@@ -47,7 +47,7 @@ export class SplatStage implements Stage {
     private readonly state: State,
     onError: (sentence: string) => void,
   ) {
-    canvas.addEventListener("webglcontextlost", () => onError("The browser has lost the picture on its GPU: reload the page."));
+    canvas.addEventListener("webglcontextlost", () => onError("The browser has lost its GPU context: reload the page."));
     // Without antialias, as Spark advises.
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
     this.renderer.setClearColor(0x000000, 1);
