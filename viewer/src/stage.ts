@@ -21,7 +21,7 @@ export interface Stage {
 }
 
 const REST_SECONDS = 0.25;
-/** If two frames in a row take longer while the camera moves, or one five times as long, pictures are small and coarse until it rests. */
+/** If two frames in a row take longer, pictures are small and coarse while the camera moves. */
 const SLOW_SECONDS = 0.2;
 const MOVING_SCALE = 0.5;
 
@@ -37,9 +37,10 @@ export class SplatStage implements Stage {
   private wanted = false;
   /** The timer that ends a movement of the camera; 0 while it rests. */
   private moving = 0;
-  /** When the last frame of this movement began; 0 before the first. */
-  private begun = 0;
+  /** In a row; two are slow enough. */
   private slowFrames = 0;
+  /** Whether a frame is being timed. */
+  private clocked = false;
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
@@ -86,7 +87,7 @@ export class SplatStage implements Stage {
   private move(): void {
     clearTimeout(this.moving);
     this.moving = window.setTimeout(() => {
-      this.moving = this.begun = 0;
+      this.moving = 0;
       this.soon();
     }, REST_SECONDS * 1000);
   }
@@ -96,18 +97,26 @@ export class SplatStage implements Stage {
     this.wanted = true;
     requestAnimationFrame(() => {
       this.wanted = false;
-      if (this.moving) this.pace();
+      if (this.moving) this.move();
       this.draw();
+      void this.clock();
     });
   }
 
   /** Find whether frames are too slow for whole pictures; that lasts, as the browser stays the same. */
-  private pace(): void {
-    const now = performance.now() / 1000;
-    const slow = this.begun ? (now - this.begun) / SLOW_SECONDS : 0;
-    if (this.slowFrames < 2) this.slowFrames = slow > 5 ? 2 : slow > 1 ? this.slowFrames + 1 : 0;
-    this.begun = now;
-    this.move();
+  private async clock(): Promise<void> {
+    if (this.clocked || this.slowFrames >= 2) return;
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    if (!fence) return;
+    gl.flush();
+    this.clocked = true;
+    const begun = performance.now();
+    while (gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.UNSIGNALED) await pause(0.02);
+    gl.deleteSync(fence);
+    this.clocked = false;
+    // The first frame alone may wait for programs and textures.
+    this.slowFrames = performance.now() - begun > SLOW_SECONDS * 1000 ? this.slowFrames + 1 : 0;
   }
 
   private get isHasty(): boolean {
