@@ -83,7 +83,7 @@ export class SplatStage implements Stage {
     this.soon();
   }
 
-  /** The camera rests a while after its last movement, and after the last frame of it. */
+  /** The camera rests a while after its last movement; frames do not count, for sorting causes some. */
   private move(): void {
     clearTimeout(this.moving);
     this.moving = window.setTimeout(() => {
@@ -97,7 +97,6 @@ export class SplatStage implements Stage {
     this.wanted = true;
     requestAnimationFrame(() => {
       this.wanted = false;
-      if (this.moving) this.move();
       this.draw();
       void this.clock();
     });
