@@ -59,7 +59,7 @@ def test_arrays_and_single_vectors() -> None:
         (torch.ones(0, 5), r"\[0, 5\]"),
         (torch.ones(2, 2, 5), r"\[2, 2, 5\]"),
         (torch.ones(2, 5, dtype=torch.int64), "int64"),
-        (torch.tensor([[1.0, 2, 3, 4, torch.nan]]), "1 of 1 queries hold values that are not finite"),
+        (torch.tensor([[1.0, 2, 3, 4, torch.nan]]), "1 of 1 queries have values that are not finite"),
         (torch.tensor([[1.0, 2, 3, 4, 5], [0, 0, 0, 0, 0]]), "row 1 is zero"),
     ],
 )
