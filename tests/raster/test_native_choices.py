@@ -47,12 +47,12 @@ def test_memory_of_views_is_given_back():
     def project():
         return raster.project(raster.prepare_gaussians(gaussians, "native"), make_camera(640, 480), "inria")
 
-    gaussians = random_gaussians(200_000, seed=1)
-    project()  # 12.8 MB of projected Gaussians at least, kept for the next view
+    gaussians = random_gaussians(600_000, seed=1)
+    project()  # 38 MB of projected Gaussians, kept for the next view: malloc returns blocks above 32 MB at once
     before = _resident_bytes()
     require_core().release_memory()
-    assert _resident_bytes() < before - 10e6
-    assert project().n_gaussians == 200_000  # and taken anew
+    assert _resident_bytes() < before - 20e6
+    assert project().n_gaussians == 600_000  # and taken anew
 
 
 def everything(projection, count: int, labels, dim: int = 24, dtype: torch.dtype = torch.float32) -> dict:
