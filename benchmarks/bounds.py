@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import torch
 
 from benchmarks.study import Record
@@ -14,7 +11,9 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.bench import Stopwatch, torch_threads
 
+REPEATS = 5  # of which the fastest counts
 SAMPLED = 4  # views that are counted; all others count alike
 PREPARED, PROJECTED, PAIR, LABEL, ENTRY = 48, 64, 4, 4, 12
 """Bytes of a prepared and of a projected Gaussian, of its entry in a tile's list, of a pixel's label at one level, and
@@ -28,13 +27,12 @@ def machine_rates(threads: int) -> Record:
     """Return bytes a second of a copy that no cache holds, and float32 operations a second of a matrix product."""
     source, target = torch.ones(1 << 27), torch.empty(1 << 27)
     square = torch.ones(2048, 2048)
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
-        copied = _least(lambda: target.copy_(source))
-        multiplied = _least(lambda: square @ square)
-    finally:
-        torch.set_num_threads(before)
+    clock = Stopwatch()
+    with torch_threads(threads):
+        for _ in range(REPEATS):
+            clock("copied", target.copy_, source)
+            clock("multiplied", torch.matmul, square, square)
+    copied, multiplied = (min(clock.seconds[name]) for name in ("copied", "multiplied"))
     return {"bytes_per_s": 2 * source.nbytes / copied, "flops_per_s": 2 * 2048**3 / multiplied}
 
 
@@ -74,12 +72,3 @@ def least_work(
         "things": {"bytes": n_entries * ENTRY + n_rows * dim * 4, "flops": 2 * n_entries},
         "vote": {"bytes": n_entries * ENTRY + codes, "flops": 2 * n_entries * settings.k},
     }
-
-
-def _least(work: Callable[[], object], repeats: int = 5) -> float:
-    times = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - started)
-    return min(times)
