@@ -131,7 +131,7 @@ export class SplatStage implements Stage {
     this.soon();
     const { spark } = this;
     while (this.wanted || this.moving || spark.sorting || spark.sortDirty || spark.dirty) {
-      await new Promise((resolve) => setTimeout(resolve, 10));
+      await pause(0.01);
     }
   }
 
