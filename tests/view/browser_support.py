@@ -33,6 +33,9 @@ from support import unit
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
 
+    from scoup.view.viewed_field import ViewedField
+    from scoup.view.viewer import Viewer
+
 DIM = 48
 THINGS = {  # name: place, colour
     "kettle": ((-0.8, 0.0, 0.6), (0.8, 0.2, 0.2)),
@@ -418,3 +421,10 @@ CONTRASTS = """() => {
   return found;
 }"""
 """The contrast of every visible text with what is behind it, as WCAG counts it, and what AA demands."""
+
+
+def opened(viewed: ViewedField, **options: Any) -> Viewer:
+    """A viewer at any port."""
+    from scoup.view.viewer import Viewer
+
+    return Viewer(viewed, **{"port": 0, **options})

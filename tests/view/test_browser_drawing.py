@@ -1,0 +1,142 @@
+"""What the page draws: coarse scenes first and while the camera moves, cleaned selections, relevancy on the GPU."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+from browser_support import (
+    A_THING,
+    ALIKE,
+    THINGS,
+    coded,
+    difference,
+    opened,
+    splat,
+    table,
+    things_field,
+    visiting,
+)
+
+from scoup.scene.cameras import Camera, Cameras
+from scoup.view.viewed_field import ViewedField
+from support import HANGS
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytest.importorskip("uvicorn")
+pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
+
+
+def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+    viewed = ViewedField(things_field(), table())
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        assert visit.state()["gaussians"] == len(viewed.field)
+        visit.ask("kettle")
+        wanted = visit.picture()
+    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 60)
+    held = threading.Event()
+    monkeypatch.setattr(viewed, "scene", partial(_whole_when, held, viewed.scene))
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        assert 0 < visit.state()["gaussians"] <= 60
+        assert "more are loading" in visit.page.inner_text("#facts")
+        held.set()
+        visit.page.evaluate("window.scoupViewer.whole")
+        assert visit.state()["gaussians"] == len(viewed.field)
+        assert "more are loading" not in visit.page.inner_text("#facts")
+        visit.ask("kettle")
+        assert difference(visit.picture(), wanted) < ALIKE
+
+
+def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> None:
+    field = things_field()
+    gaussians = field.gaussians.select(torch.arange(len(field)))
+    gaussians.opacities[:A_THING:2] = 0.08  # of the kettle, haze
+    gaussians.scales[1:A_THING:2] = torch.tensor([0.12, 0.01, 0.01])  # and needles
+    gaussians.scales[A_THING : 2 * A_THING] = torch.tensor([0.06, 0.06, 0.004])  # the mug's are flat
+    with (
+        opened(ViewedField(field.with_gaussians(gaussians), table())) as viewer,
+        visiting(browser, viewer.address) as visit,
+    ):
+        for text, stays in (("kettle", False), ("mug", True)):
+            visit.ask(text)
+            visit.choose("Only the selection")
+            whole = visit.picture()
+            assert whole.max() > 50
+            visit.tab("View")
+            visit.page.get_by_label("clean up haze and needles of the selection").check()
+            visit.settle()
+            clean = visit.picture()
+            assert difference(clean, whole) < ALIKE if stays else clean.max() < 20
+            visit.page.get_by_label("clean up haze and needles of the selection").uncheck()
+            visit.tab("Answers")
+            visit.page.get_by_role("button", name=f"Remove {text}").click()
+
+
+def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 60)
+    viewed = ViewedField(things_field(), table())
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        visit.page.evaluate("window.scoupViewer.whole")
+        visit.ask("kettle")
+        rest = visit.picture()
+        assert visit.state()["drawing"] == len(viewed.field)
+        # A clock by which every frame takes a second.
+        visit.page.evaluate("performance.now = () => (window.ticks = (window.ticks ?? 0) + 1000)")
+        visit.page.locator("#canvas").focus()
+        key = itertools.cycle(["ArrowLeft", "ArrowRight"])
+        width = "document.querySelector('#canvas').width"
+        while visit.state()["drawing"] > 60 or visit.page.evaluate(width) > rest.shape[1] / 2:
+            visit.page.keyboard.press(next(key))
+        if next(key) == "ArrowRight":
+            visit.page.keyboard.press("ArrowRight")
+        visit.settle()
+        assert visit.state()["drawing"] == len(viewed.field)
+        assert difference(visit.picture(), rest) < ALIKE
+
+
+def _whole_when(held: threading.Event, scene: Callable[..., bytes], coarse: bool) -> bytes:
+    """The file of a page; all of a scene only once it may be sent."""
+    assert coarse or held.wait(HANGS)
+    return scene(coarse=coarse)
+
+
+@pytest.mark.parametrize(("k", "n_others"), [(4, 10), (6, 300)])
+def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, k: int, n_others: int):
+    # Opaque Gaussians ten pixels apart; the codes fill several rows of the textures.
+    generator = torch.Generator().manual_seed(8)
+    across, down = torch.meshgrid(torch.arange(38), torch.arange(28), indexing="xy")
+    means = torch.stack([across.flatten() - 18.5, torch.zeros(38 * 28), 13.5 - down.flatten()], 1) * 0.2
+    count = len(means)
+    gaussians = splat(means, 0.03, torch.ones(count, 3), opacity=1.0)
+    camera = Camera.look_at((0, -8, 0), (0, 0, 0), "front.png", 400, 300, 400)
+    main = torch.randint(len(THINGS), (count, 3), generator=generator)
+    field = coded(gaussians, main, generator, Cameras([camera]), k, n_others)
+    field.code_weights = torch.rand(field.code_weights.shape, generator=generator).to(torch.float16)
+    field.code_weights[::7, 1] = 0  # without a code
+    viewed = ViewedField(field, table())
+    points = torch.cat([means, torch.ones(count, 1)], 1).double() @ (camera.viewmat[:3].T @ camera.K.T)
+    columns, rows = (points[:, :2] / points[:, 2:]).floor().int().numpy().T
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        white = visit.picture()
+        assert difference(white, viewed.picture(camera)) < ALIKE
+        for text in ("kettle", "dishes"):
+            visit.page.evaluate("texts => window.scoupViewer.ask(texts)", [text])
+            vectors = viewed.question([text])
+            relevancy = field.gaussian_relevancy(vectors.queries, vectors.canonical)[:, 0]
+            assert float(relevancy.max() - relevancy.min()) > 0.5
+            for level in range(3):
+                visit.page.evaluate("level => window.scoupViewer.set({mode: 'relevancy', level})", level)
+                visit.settle()
+                found = visit.picture()[rows, columns].mean(1) / white[rows, columns].mean(1)
+                np.testing.assert_allclose(found, relevancy[level].numpy(), atol=0.01)
+            visit.page.get_by_role("button", name=f"Remove {text}").click()
