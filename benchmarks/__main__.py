@@ -30,7 +30,6 @@ STUDIES = Family(
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "extract": "benchmarks.extract:Extraction",
         "embed": "benchmarks.embed:Embedding",
-        "mask-rules": "benchmarks.mask_rules:MaskRules",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "editors": "benchmarks.editors:Editors",

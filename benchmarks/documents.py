@@ -33,7 +33,6 @@ from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.likeness import Likeness
 from benchmarks.locate import Locate
-from benchmarks.mask_rules import MaskRules
 from benchmarks.power_loss import PowerLoss
 from benchmarks.query import Query
 from benchmarks.selection import Selections
@@ -178,7 +177,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "coding, compared": (Coding, "coding"),
     "extract": (Extraction, "extract"),
     "embed": (Embedding, "embed"),
-    "mask rules": (MaskRules, "mask_rules"),
     "likeness": (Likeness, "likeness"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
@@ -217,7 +215,6 @@ HIDDEN = {
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|mean count error|AP at IoU 0.75|(right of|behind|under): .*|ms .*|of it.*",
     "ablations": "level by peak|two rounds, no top-K|every 2nd pixel|none without a code in blending",
-    "mask rules": "points|regions|with one at s / m / l|best union of things",
     "views": "coverage",
     "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)|colours / query|scoup view /.*|(scene|exported page), bytes",
     "city": "(load|coding|save), s",
