@@ -36,7 +36,6 @@ STUDIES = Family(
         "city": "benchmarks.city:Cities",
         "endurance": "benchmarks.endurance:Endurance",
         "power-loss": "benchmarks.power_loss:PowerLoss",
-        "server-load": "benchmarks.server_load:ServerLoad",
         "hostile": "benchmarks.hostile.study:Hostile",
         "hostile-detection": "benchmarks.hostile.study:Detection",
     },

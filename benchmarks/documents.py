@@ -36,7 +36,6 @@ from benchmarks.locate import Locate
 from benchmarks.power_loss import PowerLoss
 from benchmarks.query import Query
 from benchmarks.selection import Selections
-from benchmarks.server_load import ServerLoad
 from benchmarks.splats import Splats
 from benchmarks.study import Study
 from benchmarks.things import Things
@@ -184,7 +183,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "city": (Cities, "city"),
     "endurance": (Endurance, "endurance"),
     "power loss": (PowerLoss, "power_loss"),
-    "server load": (ServerLoad, "server_load"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
