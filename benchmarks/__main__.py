@@ -37,7 +37,6 @@ STUDIES = Family(
         "endurance": "benchmarks.endurance:Endurance",
         "power-loss": "benchmarks.power_loss:PowerLoss",
         "hostile": "benchmarks.hostile.study:Hostile",
-        "hostile-detection": "benchmarks.hostile.study:Detection",
     },
 )
 

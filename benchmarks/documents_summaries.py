@@ -68,20 +68,13 @@ FAMILIES = {
 
 
 def damaged(record: Records) -> str:
-    """Return what became of damaged files, and which random damage is refused, by what is read."""
+    """Return what became of damaged files, by what is read."""
     found = {row["reader"]: row for row in record("hostile")["readers"]}
-    detected = record("hostile_detection")["readers"]
     rows = []
     for title, names in FAMILIES.items():
         of = [found.pop(name) for name in names.split("; ")]
         files, accepted, refused = (sum(row[key] for row in of) for key in ("files", "accepted", "refused"))
-        shares = [
-            [one[kind]["refused"] / one[kind]["files"] for row in of if (one := detected.get(row["reader"]))]
-            for kind in ("flip", "cut")
-        ]
         counts = (f"{count:,}" for count in (files, accepted, refused, files - accepted - refused))
-        ends = (f"{min(each):.0%} to {max(each):.0%}" for each in shares)
-        rows.append([title, str(len(of)), *counts, *ends])
+        rows.append([title, str(len(of)), *counts])
     assert not found
-    heads = ["files", "readers", "damaged", "accepted", "refused", "failures", "one bit flipped: refused"]
-    return markdown([*heads, "cut short: refused"], rows)
+    return markdown(["files", "readers", "damaged", "accepted", "refused", "failures"], rows)

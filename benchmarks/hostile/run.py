@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
-from benchmarks.hostile.worker import BROKEN, VALID, Job, Outcome, Result, Way, damaged_file, work
+from benchmarks.hostile.worker import BROKEN, VALID, Job, Outcome, Result, damaged_file, work
 from scoup.base.errors import InputError
 
 FAILURES = tuple(outcome for outcome in get_args(Outcome) if outcome not in ("accepted", "refused"))
@@ -69,15 +69,14 @@ def try_reader(
     readers: str = READERS,
     limits: Limits | None = None,
     failures: Path | None = None,
-    way: Way = "any",
 ) -> Trial:
     """Give a reader ``count`` damaged files.
 
-    ``name``, ``readers``, ``way``: see ``worker.Job``.
+    ``name``, ``readers``: see ``worker.Job``.
     """
     trial, limits = Trial(name), limits or Limits()
     while trial.files < count:
-        job = Job(readers, name, samples, seed, range(trial.files, count), limits.processor, way)
+        job = Job(readers, name, samples, seed, range(trial.files, count), limits.processor)
         for result in _results(job, limits):
             trial.add(result)
             if failures is not None and result.outcome in FAILURES:

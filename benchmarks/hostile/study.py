@@ -1,4 +1,4 @@
-"""Damaged files for every reader, as two studies: damage of every kind, and what is noticed of plain damage."""
+"""Damaged files for every reader, as a study."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from benchmarks.hostile.readers import READERS
 from benchmarks.hostile.run import FAILURES, Limits, try_reader
 from benchmarks.hostile.samples import write_samples
-from benchmarks.hostile.worker import Way
 from benchmarks.study import Record, Study
 from scoup.base.errors import looked_up
 from scoup_lab.bench import markdown
@@ -91,47 +90,3 @@ class Hostile(Study):
             most = [f"{of['most_grown_bytes'] / 2**20:.1f}", f"{of['most_times_the_file']:.1f}"]
             rows.append([of["reader"], *counts, of["allowed"], *most])
         return markdown(heads, rows)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Detection(Study):
-    """Count what readers notice of plain damage: one flipped bit anywhere in a valid file, and files cut short.
-
-    Formats with checksums notice all of it; of others a share of the bits are numbers, which become others.
-    """
-
-    files: int = 500
-    """Files of each kind of damage for each reader."""
-    seed: int = 0
-    """Of the damage."""
-    readers: tuple[str, ...] = ()
-    """Some readers only, by name."""
-
-    rows_depend_on: ClassVar[tuple[str, ...]] = ("files", "seed")
-
-    def check(self) -> None:
-        for name in self.readers:
-            looked_up("reader", name, READERS)
-
-    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        ways: tuple[Way, ...] = ("flip", "cut")
-        with tempfile.TemporaryDirectory(prefix="hostile-") as name:
-            samples = Path(name)
-            write_samples(samples)
-            for reader, of in READERS.items():
-                if reader in (self.readers or READERS) and reader not in known:
-                    count = max(20, round(self.files * of.share))
-                    trials = {way: try_reader(reader, samples, count, self.seed, way=way) for way in ways}
-                    yield reader, {way: trial.record() for way, trial in trials.items()}
-
-    def record(self, rows: dict[str, Any]) -> Record:
-        return {"readers": rows}
-
-    @staticmethod
-    def table(record: Record) -> str:
-        """Return one line per reader: shares of the files that are refused."""
-        rows = [
-            [reader, *(f"{of[way]['refused'] / of[way]['files']:.0%}" for way in ("flip", "cut"))]
-            for reader, of in record["readers"].items()
-        ]
-        return markdown(["reader", "one bit flipped: refused", "cut short: refused"], rows)

@@ -39,8 +39,6 @@ _REFUSED_MEMORY = (
 
 
 VALID, BROKEN = -1, -2
-Way = Literal["any", "flip", "cut"]
-"""Of damage: all that ``mutation`` has and containers, one flipped bit of the file, or its beginning alone."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,6 @@ class Job:
     seed: int  # of the damage
     numbers: range  # of the damaged files
     seconds: float  # of the processor that one file may take
-    way: Way = "any"  # of the damage
 
     @property
     def reader(self) -> Reader:
@@ -82,12 +79,6 @@ def damaged_file(job: Job, number: int) -> bytes:
     reader = job.reader
     others = [(job.samples / name).read_bytes() for name in (reader.file, *reader.more)]
     data = random.choice(others)
-    if job.way == "flip":
-        place = random.randrange(8 * len(data))
-        flipped = data[place // 8] ^ 1 << place % 8
-        return data[: place // 8] + bytes([flipped]) + data[place // 8 + 1 :]
-    if job.way == "cut":
-        return data[: random.randrange(len(data))]
     if random.random() < 0.1:
         return cut(random, data)
     if not reader.containers or random.random() < 0.35:
