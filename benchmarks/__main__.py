@@ -12,8 +12,6 @@ STUDIES = Family(
     """Measure what the documents say. Each study prints a table and, with --out FILE.json, writes its figures with the
     machine and the commit; docs/benchmarks has those that the documents cite, `python -m benchmarks.documents` makes
     their tables.
-
-    A program of its own: `python -m benchmarks.gpu` (parity and times on a GPU).
     """,
     {
         "answers": "benchmarks.answers:Answers",
@@ -28,6 +26,7 @@ STUDIES = Family(
         "coding": "benchmarks.coding:Coding",
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
+        "gpu": "benchmarks.gpu:Gpu",
         "extract": "benchmarks.extract:Extraction",
         "embed": "benchmarks.embed:Embedding",
         "query": "benchmarks.query:Query",

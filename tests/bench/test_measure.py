@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from scoup_lab.bench import measure
-from scoup_lab.bench.measure import DeviceClock, StageClock, Task, Timing, Watch, time_tasks, torch_threads
+from scoup_lab.bench.measure import StageClock, Task, Timing, time_tasks, torch_threads
 
 
 def test_tasks_take_turns_under_their_threads():
@@ -77,41 +77,6 @@ def test_the_clock_of_stages(monkeypatch: pytest.MonkeyPatch):
     assert reported == ["coding 0/2", "coding 1/2", "coding 2/2", "uplift 0/1", "uplift 1/1"]
 
 
-def test_what_fails_or_may_not_run_is_left_out() -> None:
-    ran: list[str] = []
-
-    class Careful(Watch[str]):
-        def __init__(self) -> None:
-            self.failures: dict[str, str] = {}
-            self.rounds: list[dict[str, int]] = []
-
-        def may_run(self, key: str) -> bool:
-            return key != "forbidden"
-
-        def failed(self, key: str, error: Exception) -> None:
-            self.failures[key] = str(error)
-
-        def round_done(self, timings: dict[str, Timing]) -> None:
-            self.rounds.append({key: len(timing.seconds) for key, timing in timings.items()})
-
-    def fail_in_the_third_run() -> None:
-        ran.append("late")
-        if ran.count("late") > 2:
-            raise ValueError("too often")
-
-    def fail() -> None:
-        raise KeyError("at once")
-
-    runs = {"good": lambda: ran.append("good"), "late": fail_in_the_third_run, "bad": fail, "forbidden": fail}
-    watch = Careful()
-    timings = time_tasks({key: Task(run, None, 3) for key, run in runs.items()}, watch=watch)
-    assert {key: len(timing.seconds) for key, timing in timings.items()} == {"good": 3}
-    assert watch.failures == {"bad": "'at once'", "late": "too often"}
-    assert watch.rounds == [{"good": 1, "late": 1}, {"good": 2}, {"good": 3}]
-    with pytest.raises(KeyError, match="at once"):
-        time_tasks({"bad": Task(fail)})
-
-
 def test_short_runs_are_repeated_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(measure.time, "perf_counter", lambda: now[0])
@@ -128,11 +93,3 @@ def test_short_runs_are_repeated_in_a_row(monkeypatch: pytest.MonkeyPatch) -> No
     timings = time_tasks(tasks, least_seconds=1.0)
     assert [ran.count(seconds) for seconds in tasks] == [1 + 4, 1 + 1, 1 + measure.MOST_IN_A_ROW]
     assert all(timings[seconds].median == pytest.approx(seconds, rel=1e-3) for seconds in tasks)
-
-
-def test_a_clock_of_a_cpu_knows_no_memory() -> None:
-    ran: list[int] = []
-    clock = DeviceClock()
-    assert clock.peak_bytes(lambda: ran.append(1)) == {"peak_bytes": None, "working_bytes": None}
-    assert clock.seconds(lambda: ran.append(1), 3) >= 0
-    assert len(ran) == 4

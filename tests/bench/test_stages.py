@@ -7,8 +7,7 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
-from scoup_lab.bench.stages import STAGES, make_workload, random_workload, stage_runs, usable_backends
-from scoup_lab.synthetic.random_scene import random_scene_cameras, random_scene_gaussians
+from scoup_lab.bench.stages import STAGES, random_workload, stage_runs, usable_backends
 
 BACKENDS = usable_backends()[0]
 
@@ -54,14 +53,6 @@ def test_stages_in_the_order_wanted(work):
     assert list(stage_runs(work, "reference", ["vote", "project"])) == ["vote", "project"]
     with pytest.raises(InputError, match="no stage 'paint'; stages: project, alpha"):
         stage_runs(work, "reference", ["paint"])
-
-
-def test_a_workload_of_any_scene():
-    room, camera = random_scene_gaussians(100), random_scene_cameras(1, 20, 10)[0]
-    labels = torch.full((2, 10, 20), -1, dtype=torch.int32)
-    work = make_workload("own", room, camera, labels, n_atoms=8, k=2, dim=16, n_queries=3).to("cpu")
-    assert (work.name, work.codebook.shape, work.queries.shape) == ("own", (2, 8, 16), (3, 16))
-    assert stage_runs(work, "reference", ["cosines"])["cosines"]().shape == (2, 3, 10, 20)
 
 
 def test_backends_that_do_not_work_are_named(monkeypatch: pytest.MonkeyPatch):

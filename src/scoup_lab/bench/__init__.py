@@ -4,12 +4,10 @@
 """
 
 from scoup_lab.bench.environment import describe_environment as describe_environment
-from scoup_lab.bench.measure import DeviceClock as DeviceClock
 from scoup_lab.bench.measure import StageClock as StageClock
 from scoup_lab.bench.measure import Stopwatch as Stopwatch
 from scoup_lab.bench.measure import Task as Task
 from scoup_lab.bench.measure import Timing as Timing
-from scoup_lab.bench.measure import Watch as Watch
 from scoup_lab.bench.measure import time_tasks as time_tasks
 from scoup_lab.bench.measure import torch_threads as torch_threads
 from scoup_lab.bench.report import Row as Row
@@ -19,7 +17,6 @@ from scoup_lab.bench.report import stage_table as stage_table
 from scoup_lab.bench.report import write_json as write_json
 from scoup_lab.bench.stages import STAGES as STAGES
 from scoup_lab.bench.stages import Workload as Workload
-from scoup_lab.bench.stages import make_workload as make_workload
 from scoup_lab.bench.stages import random_workload as random_workload
 from scoup_lab.bench.stages import stage_runs as stage_runs
 from scoup_lab.bench.stages import time_stages as time_stages

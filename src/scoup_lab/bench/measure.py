@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import torch
 
@@ -67,21 +67,6 @@ class DeviceClock:
         self.settle()
         return first.elapsed_time(last) / 1e3 / runs
 
-    def peak_bytes(self, run: Callable[[], object]) -> dict[str, int | None]:
-        """Return the most bytes that torch allocated on the device during a run, and how many of them were not
-        allocated before; None on a CPU.
-        """
-        if not self.on_gpu:
-            run()
-            return {"peak_bytes": None, "working_bytes": None}
-        self.settle()
-        torch.cuda.reset_peak_memory_stats(self.device)
-        before = torch.cuda.memory_allocated(self.device)
-        run()
-        self.settle()
-        peak = torch.cuda.max_memory_allocated(self.device)
-        return {"peak_bytes": peak, "working_bytes": peak - before}
-
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -112,27 +97,11 @@ class Timing:
         }
 
 
-class Watch(Generic[Key]):
-    """Hooks around the runs of ``time_tasks``. The base lets everything run and raises errors."""
-
-    def may_run(self, key: Key) -> bool:
-        """Decide before each run. A task that may not run is left out from then on."""
-        return True
-
-    def failed(self, key: Key, error: Exception) -> None:
-        """Handle the error of a task. If this returns, the task is left out from then on."""
-        raise error
-
-    def round_done(self, timings: dict[Key, Timing]) -> None:
-        """Take the timings so far, after each round."""
-
-
 def time_tasks(
     tasks: Mapping[Key, Task],
     device: str = "cpu",
     progress: Progress = no_progress,
     least_seconds: float = 0.0,
-    watch: Watch[Key] | None = None,
 ) -> dict[Key, Timing]:
     """Time tasks interleaved: every round runs each task once, so that a change of the machine meets all of them.
 
@@ -143,46 +112,31 @@ def time_tasks(
         device: whose clock is read.
         progress: called after each run.
         least_seconds: a repetition that would be shorter is several runs in a row, at most 50.
-        watch: see ``Watch``.
 
     Returns:
-        Timings under the same keys, without the tasks that ``watch`` left out before they were timed.
+        Timings under the same keys.
     """
-    clock, watch = DeviceClock(device), watch or Watch()
-    left, seconds = dict(tasks), {key: list[float]() for key in tasks}
+    clock, seconds = DeviceClock(device), {key: list[float]() for key in tasks}
     in_a_row = dict.fromkeys(tasks, 1)
     rounds = max((task.repeats for task in tasks.values()), default=0)
     total, done = sum(task.repeats + 1 for task in tasks.values()), 0
 
-    def timings() -> dict[Key, Timing]:
-        return {key: Timing(tuple(values)) for key, values in seconds.items() if values}
-
     progress("measure", 0, total)
     for number in range(rounds + 1):  # round 0 warms up
-        order = list(left.items())
+        order = list(tasks.items())
         for key, task in order if number % 2 else reversed(order):
             if number > task.repeats:
                 continue
-            if not watch.may_run(key):
-                del left[key]
-                continue
-            try:
-                with torch_threads(task.threads):
-                    _wake()
-                    spent = clock.seconds(task.run, in_a_row[key])
-            except Exception as error:
-                watch.failed(key, error)
-                del left[key], seconds[key]
-                continue
+            with torch_threads(task.threads):
+                _wake()
+                spent = clock.seconds(task.run, in_a_row[key])
             if number:
                 seconds[key].append(spent)
             elif spent < least_seconds:
                 in_a_row[key] = min(MOST_IN_A_ROW, math.ceil(least_seconds / max(spent, 1e-9)))
             done += 1
             progress("measure", done, total)
-        if number:
-            watch.round_done(timings())
-    return timings()
+    return {key: Timing(tuple(values)) for key, values in seconds.items()}
 
 
 def _wake() -> None:

@@ -43,6 +43,7 @@ STAGES = {
     "vote": "from region sums to codes of the Gaussians, one round",
 }
 
+_K, _D = 4, 512
 Run: TypeAlias = Callable[[], Any]
 
 
@@ -71,51 +72,42 @@ class Workload:
         return replace(self, gaussians=self.gaussians.to(device), codes=codes, **moved)
 
 
-def make_workload(
-    name: str,
-    gaussians: Gaussians,
-    camera: Camera,
-    labels: Tensor,
+def random_workload(
+    n_gaussians: int,
+    width: int = WIDTH,
+    height: int = HEIGHT,
+    regions: Sequence[int] = REGIONS,
     n_atoms: int = 64,
-    k: int = 4,
-    dim: int = 512,
     n_queries: int = 1,
 ) -> Workload:
-    """Return random codes, codebook and queries for a scene and its label maps [S, H, W]."""
-    levels = len(labels)
-    generator = torch.Generator().manual_seed(0)
-    codes = [
-        SparseCodes.from_dense(torch.rand(max(0, int(level.max())) + 1, n_atoms, generator=generator), k)
-        for level in labels
-    ]
-    indices, weights = random_scene_codes(gaussians.means, levels, n_atoms, k)
-    return Workload(
-        name,
-        gaussians,
-        camera,
-        labels,
-        codes,
-        indices,
-        weights,
-        codebook=clip_like(levels * n_atoms, dim).view(levels, n_atoms, dim),
-        queries=clip_like(n_queries, dim, 1),
-        values=raster.view_colors(gaussians, camera),
-    )
-
-
-def random_workload(
-    n_gaussians: int, width: int = WIDTH, height: int = HEIGHT, regions: Sequence[int] = REGIONS
-) -> Workload:
-    """Return the first view of the random scene of ``scoup_lab.synthetic.random_scene``.
+    """Return the first view of the random scene of ``scoup_lab.synthetic.random_scene``, with random codes of four
+    atoms, codebook and queries of 512 numbers.
 
     Args:
         n_gaussians: N.
         width, height: of the view, in pixels.
         regions: how many there are at each level.
+        n_atoms, n_queries: L and Q.
     """
     labels = voronoi_labels(regions, width, height)
     (camera,) = random_scene_cameras(1, width, height)
-    return make_workload("room", random_scene_gaussians(n_gaussians), camera, labels)
+    gaussians, levels = random_scene_gaussians(n_gaussians), len(labels)
+    generator = torch.Generator().manual_seed(0)
+    codes = [
+        SparseCodes.from_dense(torch.rand(max(0, int(level.max())) + 1, n_atoms, generator=generator), _K)
+        for level in labels
+    ]
+    return Workload(
+        "room",
+        gaussians,
+        camera,
+        labels,
+        codes,
+        *random_scene_codes(gaussians.means, levels, n_atoms, _K),
+        codebook=clip_like(levels * n_atoms, _D).view(levels, n_atoms, _D),
+        queries=clip_like(n_queries, _D, 1),
+        values=raster.view_colors(gaussians, camera),
+    )
 
 
 def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES)) -> dict[str, Run]:

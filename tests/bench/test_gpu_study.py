@@ -1,0 +1,113 @@
+"""The study of one view on a GPU, on a CPU by the reference, with a stand-in for gsplat."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from benchmarks import gpu
+from benchmarks.gpu import Gpu
+from benchmarks.study import run
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup_lab.bench import random_workload
+
+TINY = Gpu(n_gaussians=60, width=30, height=20, n_atoms=(8,), repeats=1)
+
+
+def stand_in(work: Any) -> Any:
+    """gsplat's module: it renders with the reference."""
+    projection = raster.project(work.gaussians, work.camera, "gsplat", "reference")
+
+    def rasterization(colors: torch.Tensor, **_: object) -> tuple[torch.Tensor]:
+        return (raster.render_channels(projection, colors)[0][None],)
+
+    return SimpleNamespace(rasterization=rasterization)
+
+
+@pytest.fixture
+def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Gpu, "device", "cpu")
+    monkeypatch.setattr(Gpu, "backend", "reference")
+    monkeypatch.setattr(gpu, "LEAST_SECONDS", 0.0)
+
+
+@pytest.mark.usefixtures("_on_a_cpu")
+def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
+    rows = run(TINY, "gpu")["rows"]
+    assert len(rows) == 3 + 3 + 4 + 1
+    assert rows.pop(gpu.DIFFERENCE)["value"] < 1e-6
+    assert all(row["median_s"] > 0 for row in rows.values())
+    assert "| gsplat: RGB " in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("_on_a_cpu")
+def test_what_fails_is_a_row_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    rows = dict(TINY.measure({}))
+    assert rows[gpu.THEIRS]["reason"].startswith("ModuleNotFoundError")
+    assert rows["RGB"]["median_s"] > 0
+    left = dict(TINY.measure({name: of for name, of in rows.items() if name != "RGB"}))
+    assert list(left) == ["RGB"]
+    assert gpu.THEIRS in Gpu.table({"rows": rows})
+
+
+@pytest.mark.usefixtures("_on_a_cpu")
+def test_a_lost_device_ends_the_command_after_its_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_: object, **__: object) -> None:
+        raise RuntimeError("an illegal memory access was encountered")
+
+    rows = TINY.measure({})
+    monkeypatch.setattr(raster, "render_cosines", lost)
+    monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
+    assert next(rows) == (
+        "relevancy of a query, L = 8",
+        {"reason": "RuntimeError: an illegal memory access was encountered"},
+    )
+    monkeypatch.setattr(torch, "zeros", lost)
+    with pytest.raises(InputError, match="no longer answers"):
+        next(rows)
+
+
+def test_without_a_gpu_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match="finds no GPU"):
+        run(TINY, "gpu")
+
+
+def test_gsplat_takes_our_arguments() -> None:
+    module = pytest.importorskip("gsplat")
+    given: dict[str, Any] = {}
+
+    def rasterization(**arguments: Any) -> tuple[torch.Tensor]:
+        given.update(arguments)
+        return (torch.zeros(1, 10, 20, 3),)
+
+    work = random_workload(5, 20, 10, regions=(2, 2, 1))
+    gpu.render(SimpleNamespace(rasterization=rasterization), work, torch.rand(5, 3))
+    bound = inspect.signature(module.rasterization).bind(**given)
+    assert bound.arguments["viewmats"].shape == (1, 4, 4)
+
+
+@pytest.mark.parametrize("chunk", [7, 3])
+def test_dense_uplift_by_gradients(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu, "CHUNK", chunk)
+    work = random_workload(60, 30, 20, regions=(4, 3, 2))
+    embeddings = [torch.randn(len(codes), 7) for codes in work.codes]
+    blending = gpu.render(stand_in(work), work, torch.eye(60))  # e_i(p)
+    expected = torch.stack(
+        [
+            torch.einsum("hwn,hwd->nd", blending, rows[work.labels[level].long()])
+            for level, rows in enumerate(embeddings)
+        ]
+    )
+    assert expected.abs().max() > 1
+    out = torch.zeros(3, 60, 7)
+    gpu.dense_uplift(stand_in(work), work, embeddings, out)
+    torch.testing.assert_close(out, expected, atol=1e-4, rtol=1e-4)
