@@ -22,7 +22,6 @@ STUDIES = Family(
         "locate": "benchmarks.locate:Locate",
         "things": "benchmarks.things:Things",
         "views": "benchmarks.views:Views",
-        "splats": "benchmarks.splats:Splats",
         "coding": "benchmarks.coding:Coding",
         "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
@@ -34,7 +33,6 @@ STUDIES = Family(
         "editors": "benchmarks.editors:Editors",
         "city": "benchmarks.city:Cities",
         "endurance": "benchmarks.endurance:Endurance",
-        "power-loss": "benchmarks.power_loss:PowerLoss",
         "hostile": "benchmarks.hostile.study:Hostile",
     },
 )

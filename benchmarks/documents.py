@@ -33,10 +33,8 @@ from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.likeness import Likeness
 from benchmarks.locate import Locate
-from benchmarks.power_loss import PowerLoss
 from benchmarks.query import Query
 from benchmarks.selection import Selections
-from benchmarks.splats import Splats
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
@@ -170,7 +168,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "locate": (Locate, "locate"),
     "things": (Things, "things"),
     "views": (Views, "views"),
-    "splats": (Splats, "splats"),
     "absence": (Absence, "absence"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "coding, compared": (Coding, "coding"),
@@ -182,7 +179,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "editors": (Editors, "editors"),
     "city": (Cities, "city"),
     "endurance": (Endurance, "endurance"),
-    "power loss": (PowerLoss, "power_loss"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
@@ -211,13 +207,12 @@ HIDDEN = {
     "likeness": r"desk-all|5 %|sd|border error|mixed|things with a region",
     "coding, compared": r"least, ms|of|20,000",
     "bench": "100,000",
-    "things": r"table-4|shelves-2|kitchen-22|mean count error|AP at IoU 0.75|(right of|behind|under): .*|ms .*|of it.*",
+    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "ablations": "level by peak|two rounds, no top-K|every 2nd pixel|none without a code in blending",
     "views": "coverage",
     "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)|colours / query|scoup view /.*|(scene|exported page), bytes",
     "city": "(load|coding|save), s",
     "endurance": "too late|start|codes|views|vote|outputs|end|done again, most",
-    "power loss": "changes of files|flushes|ms per flush",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import mean, median
+from statistics import median
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,12 +19,11 @@ from benchmarks.desk import Desk
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study
-from benchmarks.things_room import bytes_per_gaussian, of_room
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
+from scoup.field.part_sizes import part_sizes
 from scoup.query.frame import Frame
 from scoup.query.phrases import is_plain_text
 from scoup_lab.bench import markdown, torch_threads
-from scoup_lab.synthetic.random_scene import HEIGHT, WIDTH
 
 PAIRS = ("left of", "right of", "in front of", "behind", "on", "above", "under", "near", "inside")
 FREE_OF_SCALE = tuple(name for name in PAIRS if name not in ("on", "inside"))
@@ -58,7 +58,6 @@ class Things(Study):
     their boxes, as many of one as of the other where there are; a phrase counts as found if any thing answers. The
     truth is the meshes; in draws of the kitchen it is the Gaussians labelled by hand, along the field's own directions.
     Desk: facts listed by hand, and their converses, which nothing may answer.
-    Room: what things cost in a scene of LERF's size (benchmarks.things_room).
     """
 
     scenes: tuple[str, ...] = ("table-4", "shelves-2", "hall-3", "yard-3", "kitchen-21", "kitchen-22")
@@ -69,12 +68,6 @@ class Things(Study):
     """True and false phrases of each relation that are asked at most."""
     desk: bool = True
     """Ask the real scene too."""
-    room: tuple[int, int] = (1_000_000, 200)
-    """Gaussians and views of the random room; 0 Gaussians omit it."""
-    room_size: tuple[int, int] = (WIDTH, HEIGHT)
-    """Of its views, in pixels."""
-    threads: int = 2
-    """Of its build; texts are asked with one."""
     data: Path = field(default_factory=data_folder)
     """Folder that contains desk/, kitchen/ and clip/."""
 
@@ -88,8 +81,6 @@ class Things(Study):
                     yield name, of_layout(name, self.n_gaussians, self.most)
         if self.desk and "desk" not in known:
             yield "desk", of_desk(self.data)
-        if self.room[0] and "room" not in known:
-            yield "room", of_room(*self.room, self.room_size, self.threads)
 
     def record(self, rows: dict[str, Any]) -> Record:
         return {"rows": [{"scene": name, **figures} for name, figures in rows.items()]}
@@ -107,24 +98,14 @@ class Things(Study):
             ),
             ("names counted right, one instance", lambda row: _share(row["counts"]["one"])),
             ("names counted right, several", lambda row: _share(row["counts"]["several"])),
-            ("mean count error", lambda row: f"{row['counts']['error']:.2f}"),
             *(
                 (f"{name}: precision / recall", lambda row, name=name: _quality(row["relations"][name]))
                 for name in (*PAIRS, "between")
             ),
             ("true facts found", lambda row: _share(row["facts"])),
             ("false converses found", lambda row: _share(row["converses"])),
-            ("things", lambda row: f"{row['things']:,}"),
-            ("build, s", lambda row: f"{row['build_s']:.0f}"),
-            ("of it things, s", lambda row: f"{row['things_s']:.1f}"),
-            (
-                "memory of the build beyond its inputs, GB",
-                lambda row: f"{row['peak_memory_bytes'] / 1e9:.2f}",
-            ),
             ("bytes per Gaussian: file / of things", lambda row: "{:.0f} / {:.0f}".format(*row["bytes"])),
-            ("ms to compare all things with a text", lambda row: f"{row['fits_ms']:.2f}"),
             ("median ms per text", lambda row: f"{row['text_ms']:.0f}"),
-            ("ms for all things", lambda row: f"{row['all_ms']:.0f}"),
         ]
         body = []
         for title, cell in lines:
@@ -132,7 +113,7 @@ class Things(Study):
             for row in rows:
                 try:
                     cells.append(cell(row))
-                except (KeyError, TypeError):  # memory is not known on every system
+                except KeyError:
                     cells.append("")
             if any(cells):
                 body.append([title, *cells])
@@ -166,12 +147,11 @@ def of_scene(truth: Instances, built: scoup.LanguageField, frame: Frame, cases: 
     """Return all figures of a scene whose truth is known."""
     names = [name for name in dict.fromkeys(truth.names) if name and truth.counts[name]]
     found, times = _asked(built, [f'"{name}"' for name in names])
-    errors = {name: abs(number - truth.counts[name]) for name, number in zip(names, found, strict=True)}
+    right = {name: number == truth.counts[name] for name, number in zip(names, found, strict=True)}
     several = [name for name in names if truth.counts[name] > 1]
     exact = {
-        "one": [sum(not errors[name] for name in names if name not in several), len(names) - len(several)],
-        "several": [sum(not errors[name] for name in several), len(several)],
-        "error": mean(errors.values()),
+        "one": [sum(right[name] for name in names if name not in several), len(names) - len(several)],
+        "several": [sum(right[name] for name in several), len(several)],
     }
     return {
         **instances(built, truth),
@@ -179,7 +159,6 @@ def of_scene(truth: Instances, built: scoup.LanguageField, frame: Frame, cases: 
         "relations": relations(built, frame, cases, most),
         "bytes": bytes_per_gaussian(built),
         "text_ms": 1e3 * median(times),
-        "all_ms": _all_ms(built),
     }
 
 
@@ -276,7 +255,6 @@ def of_desk(data: Path) -> Record:
         "wrong": wrong,
         "bytes": bytes_per_gaussian(built),
         "text_ms": 1e3 * median(times),
-        "all_ms": _all_ms(built),
     }
 
 
@@ -291,11 +269,12 @@ def _asked(built: scoup.LanguageField, texts: Sequence[str]) -> tuple[list[int],
     return counts, times
 
 
-def _all_ms(built: scoup.LanguageField) -> float:
-    fresh = built[np.arange(len(built))]  # which keeps no answers
-    started = time.perf_counter()
-    fresh.things()
-    return 1e3 * (time.perf_counter() - started)
+def bytes_per_gaussian(built: scoup.LanguageField) -> list[float]:
+    """Return the size of a field's file without geometry, and of the numbers of things in it, over the Gaussians."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "field.scoup"
+        built.save(path)
+        return [path.stat().st_size / len(built), part_sizes(path).owners / len(built)]
 
 
 def _share(of: list[int]) -> str:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from benchmarks import splats
 from benchmarks.answer_scenes import SceneSize
 from benchmarks.study import run
 from benchmarks.view_scenes import REGIONS, NotObserved, make_view_scene, observe_desk, observe_procedural
@@ -17,9 +15,8 @@ from benchmarks.views import Views, given_half, ring
 
 import scoup
 from scoup.base.errors import InputError
-from scoup.io import save_gaussians, save_regions
+from scoup.io import save_regions
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
-from support import random_gaussians
 from synthetic.small_scenes import one_light
 
 SIZE = SceneSize(4000, 160, 120, 6, 2)
@@ -83,19 +80,3 @@ def test_rows_of_the_study() -> None:
     found = record["differences"]["procedural"]["own - given"]["always"][0]
     assert found == pytest.approx(means["own"]["always"] - means["given"]["always"], abs=1e-3)
     assert "| procedural | own" in Views.table(record)
-
-
-@pytest.mark.usefixtures("few_candidates")
-def test_views_of_a_splat_in_several_formats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(splats, "FORMATS", (".ply", ".splat"))
-    monkeypatch.setattr(splats, "choose_cameras", partial(scoup.choose_cameras, width=64, height=48))
-    (tmp_path / "guitar").mkdir()
-    save_gaussians(random_gaussians(200, seed=1), tmp_path / "guitar" / "guitar.ply")
-    study = splats.Splats(copies=2, data=tmp_path)
-    with one_light():
-        record = run(study, "splats")
-    rows = record["rows"]
-    assert [rows[name]["gaussians"] for name in (".ply", ".splat", "2 in a row")] == [200, 200, 400]
-    assert rows[".splat"]["bytes"] == 200 * 32
-    assert all(0 < row["once"] <= 1 and row["views"] > 0 and row["choice"] > 0 for row in rows.values())
-    assert study.table(record).count("\n") == 4

@@ -1,4 +1,4 @@
-"""Verbs that are killed, or lose power, and run again, by the functions of ``benchmarks.endurance`` and ``power_loss``.
+"""Verbs that are killed and run again, by the functions of ``benchmarks.endurance``.
 
 Kills come at points of the work that a seed chooses, not of the clock. A kill after the end of a run counts as too
 late, and fails nothing.
@@ -6,15 +6,12 @@ late, and fails nothing.
 
 from __future__ import annotations
 
-import random
 import shutil
-import sys
 
 import pytest
 from benchmarks.endurance import endure, run_undisturbed
 from benchmarks.endurance_runs import Run, snapshot
 from benchmarks.endurance_verbs import VERBS, Scene, make_scene
-from benchmarks.power_loss import failure_of_next_run, is_whole, recorded
 
 from cli_support import run
 
@@ -74,18 +71,3 @@ def test_killed_between_field_and_sums(name: str, scene: Scene, monkeypatch: pyt
         after = snapshot(scene.work)
         assert {file: content for file, content in after.items() if not file.startswith("b.")} == plain.files
         assert ("b.scoup.sums/scene.safetensors" in after) == (code == 0)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the simulation reads /proc")
-@pytest.mark.parametrize("name", ["build --keep-sums", "build --shard", "update --add", "extract"])
-def test_power_cuts_leave_whole_outputs(name: str, scene: Scene) -> None:
-    verb = VERBS[name]
-    plain = run_undisturbed(verb, scene)
-    left = recorded(verb, scene)
-    assert len(left.flushes) > 3
-    assert all(plain.files.items() <= folder.items() for folder in left.at_end)
-    assert all(is_whole(verb, plain, folder) for folder in left.folders)
-    without_flushing = recorded(verb, scene, flush=False)
-    assert not all(is_whole(verb, plain, folder) for folder in without_flushing.folders)
-    for folder in random.Random(0).sample(left.folders, 2):
-        assert not failure_of_next_run(verb, scene, plain, folder)
