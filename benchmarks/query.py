@@ -106,5 +106,5 @@ class Query(Study):
         gaussians = random_scene_gaussians(self.n_gaussians)
         indices, weights = random_scene_codes(gaussians.means, 3, self.n_atoms, self.k)
         codebook = clip_like(3 * self.n_atoms).view(3, self.n_atoms, -1)
-        info = FieldInfo(("s", "m", "l"), "words.npz", gaussians.fingerprint(), len(gaussians))
+        info = FieldInfo(("s", "m", "l"), "simulated", gaussians.fingerprint(), len(gaussians))
         return LanguageField(indices, weights, codebook, info, gaussians)

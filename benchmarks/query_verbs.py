@@ -41,7 +41,9 @@ def _write_files(field: LanguageField, cameras: Cameras, folder: Path) -> None:
     gaussians = scoup.load_gaussians(folder / "room.ply")
     words = list(dict.fromkeys([*CANONICAL_PHRASES, WORD, *EVERYDAY_WORDS]))
     save_table(folder / "words.npz", words, clip_like(len(words), seed=3), model="simulated")
-    info = FieldInfo(field.levels, "words.npz", gaussians.fingerprint(), len(gaussians))
+    info = FieldInfo(
+        field.levels, "simulated", gaussians.fingerprint(), len(gaussians), words=folder / "words.npz"
+    )
     codes = field.code_indices, field.code_weights, field.codebook
     LanguageField(*codes, info, gaussians, folder / "room.ply", cameras).save(folder / "room.scoup")
 

@@ -134,9 +134,10 @@ def write_field(folder: Path, gaussians: Gaussians, cameras: Cameras) -> Path:
     path = folder / "scene.scoup"
     indices, weights = random_scene_codes(gaussians.means, 3, ATOMS, KEEP)
     codebook = clip_like(3 * ATOMS).view(3, ATOMS, -1)
-    info = FieldInfo(("s", "m", "l"), "words.npz", gaussians.fingerprint(), len(gaussians))
+    table = folder / "words.npz"
+    info = FieldInfo(("s", "m", "l"), "simulated", gaussians.fingerprint(), len(gaussians), words=table)
     words = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
-    save_table(folder / "words.npz", words, clip_like(len(words), seed=3), model="simulated", overwrite=True)
+    save_table(table, words, clip_like(len(words), seed=3), model="simulated", overwrite=True)
     LanguageField(indices, weights, codebook, info, gaussians, cameras=cameras).save(path)
     return path
 

@@ -2,8 +2,8 @@
 
     python examples/01_build_and_query.py demo/scene demo/scene/text.npz teapot
 
-Arguments: a scene folder with a splat, cameras and language_features (`make demo` writes one), a word table or a CLIP
-model, and the query.
+Arguments: a scene folder with a splat, cameras and language_features (`make demo` writes one), a word table, and the
+query.
 """
 
 import sys
@@ -15,7 +15,7 @@ scene, words, thing = sys.argv[1:4]
 gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)
 regions = scoup.load_regions(scene, cameras)
-field = scoup.build(gaussians, cameras, regions, embedding_model=words)
+field = scoup.build(gaussians, cameras, regions, words=words)
 
 for camera in cameras[:3]:
     answer = field.answer(thing, camera)

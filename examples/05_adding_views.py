@@ -17,7 +17,7 @@ regions = scoup.load_regions(scene, cameras)
 half = max(1, len(cameras) // 2)
 
 sums = scoup.region_sums(gaussians, cameras[:half], regions)
-field = scoup.build(gaussians, cameras[:half], regions, embedding_model=words, sums=sums)
+field = scoup.build(gaussians, cameras[:half], regions, words=words, sums=sums)
 print(f"{half} views: {field.location(thing)}")
 for camera in cameras[half:]:
     field = scoup.update(field, sums, add=[camera], regions=regions, new_atoms=4)

@@ -33,9 +33,7 @@ def frame(number):
 first = [frame(number) for number in range(window)]
 known = scoup.Regions.from_maps({camera.name: maps for camera, maps in first})
 sums = scoup.RegionSums.empty(gaussians, known.levels)
-field = scoup.build(
-    gaussians, scoup.Cameras(camera for camera, _ in first), known, embedding_model=words, sums=sums
-)
+field = scoup.build(gaussians, scoup.Cameras(camera for camera, _ in first), known, words=words, sums=sums)
 
 updates, answers, memory = [], [], []
 for number in range(window, n_frames):

@@ -66,6 +66,7 @@ INNER = {
     *(
         "uplift.build_settings",
         "uplift.checkpoint",
+        "uplift.provenance",
         "uplift.rasterise",
         "uplift.region_codes",
         "uplift.region_sums",

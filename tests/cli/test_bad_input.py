@@ -216,9 +216,7 @@ def test_words_for_a_field_of_another_model(here):
     names = [*WORDS, *CANONICAL_PHRASES]
     save_table("wide.npz", names, np.random.default_rng(0).normal(size=(len(names), 512)))
     wide = ("--text", "wide.npz")
-    assert "the field was built for the table scene/words.npz: pass that, or a word table of 16" in refused(
-        *ASK["query"], *wide
-    )
+    assert "scene/words.npz: pass that, or a word table of 16" in refused(*ASK["query"], *wide)
     # Features that do not name their model, and that the usual one cannot have made: none is guessed.
     assert run(*BUILD)[0] == 0
     ask = ("query", "a.scoup", "kettle", "--out", "answers")

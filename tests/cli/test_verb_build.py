@@ -14,6 +14,7 @@ import scoup
 from cli_support import QUICK, refused, run, run_json, snapshot
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, save_png, write_colmap
+from scoup.models.word_table import load_table, save_table
 from scoup.scene.cameras import Cameras
 from scoup.uplift.storage.paths import folder_bytes
 
@@ -163,8 +164,27 @@ def test_distorted_cameras_on_request():
 def test_a_table_is_named_relative_to_the_field():
     Path("deep").mkdir()
     run_json("build", "scene", *QUICK, "--out", "deep/a.scoup", "--model", "scene/words.npz")
-    assert LanguageField.load("deep/a.scoup").info.embedding_model == "../scene/words.npz"
+    record = run_json("info", "deep/a.scoup")
+    assert (record["embedding_model"], record["words"]) == ("", str(Path("scene/words.npz").absolute()))
     assert run_json("query", "deep/a.scoup", "kettle")["answers"]
+    Path("deep").rename("elsewhere")  # beside the scene, as before
+    assert run_json("query", "elsewhere/a.scoup", "kettle", "--overwrite")["answers"]
+
+
+def test_a_table_leaves_the_model_that_its_features_or_it_names():
+    table = load_table("scene/words.npz")
+    save_table("named.npz", table.names, table.vectors, model="a/model")
+    run_json("build", "scene", *QUICK, "--out", "a.scoup", "--model", "named.npz")
+    assert LanguageField.load("a.scoup").info.embedding_model == "a/model"
+    run_json("convert", "scene", "compact", "--bits", "32", "--model", "the/maker")
+    Path("scene/language_features").rename("others")
+    run_json("build", "scene", *QUICK, "--out", "b.scoup", "--features", "compact", "--model", "named.npz")
+    field = LanguageField.load("b.scoup")
+    assert field.info.embedding_model == "the/maker"
+    assert field.info.words == Path("named.npz").absolute()
+    code, _, err = run("query", "b.scoup", "kettle", "--out", "answers")
+    assert code == 0
+    assert "its vectors come from a/model, the field's embeddings from the/maker" in err
 
 
 def test_nothing_is_replaced_unasked():

@@ -24,7 +24,7 @@ def test_a_field():
         "dim": 16,
     }
     assert {key: record[key] for key in expected} == expected
-    assert record["embedding_model"] == "scene/words.npz"
+    assert (record["embedding_model"], record["words"]) == ("", str(Path("scene/words.npz").absolute()))
     assert record["cameras"] == 4
     assert record["region_sums"] is None
     assert record["geometry"] == str(Path("scene/point_cloud.ply").absolute())

@@ -93,7 +93,7 @@ def test_info_of_shards_and_sums():
     path = shards(3)[0]
     record = run_json("info", path)
     assert (record["kind"], record["views"], record["of_views"]) == ("shard", 2, 4)
-    assert record["embedding_model"] == "scene/words.npz"
+    assert (record["embedding_model"], record["words"]) == ("", str(Path("scene/words.npz").absolute()))
     assert run("build", *SCENE, *QUICK, "--keep-sums", "--out", "alone.scoup")[0] == 0
     record = run_json("info", "alone.scoup.sums")
     assert (record["kind"], record["views"], record["codes"]) == ("region sums", 4, "kept")

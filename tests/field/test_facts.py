@@ -94,7 +94,7 @@ def changes(draw: st.DrawFn) -> tuple[str, str, int, Any]:
     value = draw(
         st.sampled_from([torch.uint8, torch.float16, torch.float32, torch.int32] if how == "kind" else ODD)
     )
-    header = ["levels", "cameras", "geometry", "provenance", "embedding_model"]
+    header = ["levels", "cameras", "geometry", "provenance", "embedding_model", "words"]
     what = draw(st.sampled_from(header)) if how == "header" else ""
     return how, what, draw(st.integers(0, 10_000)), value
 

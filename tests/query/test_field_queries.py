@@ -169,7 +169,7 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     save_table(tmp_path / "scene" / "words.npz", list(table), torch.stack(list(table.values())))
     named = LanguageField(
         field.code_indices, field.code_weights, field.codebook,
-        replace(field.info, embedding_model="words.npz"), field.gaussians, cameras=field.cameras,
+        replace(field.info, words=tmp_path / "scene" / "words.npz"), field.gaussians, cameras=field.cameras,
         thing_table=field.thing_table,
     )  # fmt: skip
     named.save(tmp_path / "scene" / "f.scoup")
@@ -181,6 +181,10 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     assert loaded.text_encoder() is loaded.text_encoder()
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
     assert part.answer("word 5").view == queried.camera.name
+    loaded.save(tmp_path / "saved.scoup")
+    again = LanguageField.load(tmp_path / "saved.scoup").answer("word 5")
+    assert isinstance(again, Answer)
+    assert_same_answer(again, other)
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
     with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*encoder="):
         LanguageField.load(moved).answer("word 5")

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -173,7 +174,7 @@ def coded(
     little = 0.25 * torch.rand(count, levels, k - 1, generator=generator)
     weights = torch.cat([torch.ones(count, levels, 1), little], -1)
     weights /= weights.sum(-1, keepdim=True)
-    info = FieldInfo(("s", "m", "l")[:levels], "words.npz", gaussians.fingerprint(), count)
+    info = FieldInfo(("s", "m", "l")[:levels], "", gaussians.fingerprint(), count)
     codebook = atoms.expand(levels, -1, -1).clone()
     indices = torch.cat([main[..., None], drawn], -1).to(index_dtype(len(atoms)))
     return LanguageField(indices, weights, codebook, info, gaussians, cameras=cameras)
@@ -191,8 +192,11 @@ def saved_field(folder: Path) -> Path:
     """The field of things as a file with its geometry, and ``words.npz`` beside it."""
     from scoup.models.word_table import save_table
 
-    save_table(folder / "words.npz", list(table()), torch.stack(list(table().values())).numpy())
-    things_field().save(folder / "things.scoup", embed_geometry=True)
+    words = folder / "words.npz"
+    save_table(words, list(table()), torch.stack(list(table().values())).numpy())
+    field = things_field()
+    field.info = replace(field.info, words=words)
+    field.save(folder / "things.scoup", embed_geometry=True)
     return folder / "things.scoup"
 
 

@@ -111,7 +111,7 @@ def test_nothing_is_overwritten_unasked_or_left_half_written(
 
 def test_a_page_for_a_field_without_words(tmp_path: Path) -> None:
     field = random_field(cameras=False)
-    field.info = replace(field.info, embedding_model=str(tmp_path / "gone.npz"))
+    field.info = replace(field.info, words=tmp_path / "gone.npz")
     report = export_page(ViewedField(field), tmp_path / "scene.html")
     data = data_of((tmp_path / "scene.html").read_text(), "window.scoupData")
     assert isinstance(data, dict)
@@ -123,7 +123,7 @@ def test_a_page_for_a_field_without_words(tmp_path: Path) -> None:
 
 def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:
     field = random_field()
-    field.info = replace(field.info, embedding_model=str(tmp_path / "words.npz"))
+    field.info = replace(field.info, embedding_model=str(tmp_path / "clip"), words=tmp_path / "words.npz")
     field.save(tmp_path / "secret folder.scoup")
     viewed = ViewedField(field, table())
     export_page(viewed, tmp_path / "scene.html")
@@ -131,7 +131,7 @@ def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:
     assert str(tmp_path) not in text
     data = data_of(text, "window.scoupData")
     assert isinstance(data, dict)
-    assert unpacked(base64.b64decode(data["scene"]))[1]["embedding_model"] == "words.npz"
+    assert unpacked(base64.b64decode(data["scene"]))[1]["embedding_model"] == "clip"
     assert viewed.settings("live")["field"] == str(tmp_path / "secret folder.scoup")
     assert viewed.settings("exported")["open"] == "scoup view 'secret folder.scoup'"
 

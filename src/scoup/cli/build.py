@@ -38,6 +38,7 @@ class _Loaded:
     source: Path
     raster_preset: str
     model: str
+    words: Path | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +63,9 @@ class Build(BuildOptions, ViewOptions):
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
     model: OptionalText = None
-    """Model of the region embeddings: a CLIP model id or a word table. Queries use it too. Default: the one that the
-    features name, else, for embeddings of 512 dimensions, laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
+    """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
+    Default: the model that the features name, else, for embeddings of 512 dimensions,
+    laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     segmenter: OptionalText = None
@@ -96,7 +98,7 @@ class Build(BuildOptions, ViewOptions):
             return scene.run(console)
         share, device = Share.of_environment(), device_of_process(self.device)
         out = self._output(share)
-        loaded = self._load(console, device, out)
+        loaded = self._load(console, device)
         if self.shard is not None:
             return self._write_shard(console, out, loaded)
         if not share.is_everything:
@@ -107,7 +109,7 @@ class Build(BuildOptions, ViewOptions):
             with console.progress() as progress:
                 field = build(
                     loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
-                    embedding_model=loaded.model, geometry_path=loaded.source, sums=sums,
+                    embedding_model=loaded.model, words=loaded.words, geometry_path=loaded.source, sums=sums,
                     check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
             save_field(output, field, sums, self.keep_sums, self.embed_geometry, self.weight_bits)
@@ -168,7 +170,7 @@ class Build(BuildOptions, ViewOptions):
             self._announce(console, sums, len(share.of(range(len(loaded.regions)))))
             made = add_shard(
                 sums, loaded.gaussians, loaded.cameras, loaded.regions, share, embedding_model=loaded.model,
-                geometry_path=loaded.source, check_fit=check_fit, progress=progress,
+                words=loaded.words, geometry_path=loaded.source, check_fit=check_fit, progress=progress,
             )  # fmt: skip
             size = sums.bytes
             assert sums.path is not None
@@ -206,23 +208,25 @@ class Build(BuildOptions, ViewOptions):
                 remove(path)
         report_field(console, found.field, out, found.bytes_of_sums, device, time.perf_counter() - started)
 
-    def _load(self, console: Console, device: str, out: Path) -> _Loaded:
+    def _load(self, console: Console, device: str) -> _Loaded:
         """Read the scene."""
         from scoup.io import default_preset, load_gaussians
         from scoup.io.scene_parts import find_splat
-        from scoup.uplift.provenance import embedding_model_of
+        from scoup.uplift.provenance import embedding_source
 
         source = find_splat(self.scene, self.gaussians)
         raster_preset = default_preset(source) if self.raster_preset == "auto" else self.raster_preset
         self.settings(raster_preset)  # a mistake shows before the long work
         gaussians = load_gaussians(source).to(device)
         cameras, regions, features = self.load_views(self.scene)
-        model = embedding_model_of(features, regions, out, self.model) or _usual_model(regions)
+        model, words = embedding_source(features, regions, self.model)
+        if words is None:
+            model = model or _usual_model(regions)
         console.say(
             f"{counted(len(gaussians), 'Gaussian')}, {counted(len(regions), 'view')} with regions of "
             f"{counted(len(cameras), 'camera')}"
         )
-        return _Loaded(gaussians, cameras, regions, source, raster_preset, model)
+        return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words)
 
     def _output(self, share: Share) -> Path:
         """The field to write, after checking that what is written now may be written."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
@@ -148,7 +148,7 @@ class Convert(WritesCommon):
                 features,
                 self.n_atoms,
                 self.k,
-                embedding_model=self._model(),
+                **self._encoder(),
                 seed=self.seed,
                 raster_preset=default_preset(path),
                 progress=progress,
@@ -163,7 +163,7 @@ class Convert(WritesCommon):
         paths = langsplatv2_levels(self.source)
         for path in paths:
             console.say(f"{path}: read")
-        field = field_from_langsplatv2(paths, self.k, self._model())
+        field = field_from_langsplatv2(paths, self.k, **self._encoder())
         self._save(console, field, embed_geometry=True)
 
     def _check_field(self) -> None:
@@ -174,15 +174,13 @@ class Convert(WritesCommon):
             raise InputError(f"{self.target}: {self.source} becomes a field; use a name that ends in .scoup")
         check_output(self.target, self.overwrite)
 
-    def _model(self) -> str:
-        """The model that the field is to name; a table relative to the field."""
-        import os
-
-        from scoup.models.word_table import is_table
+    def _encoder(self) -> dict[str, Any]:
+        """The model and word table that the field is to name."""
+        from scoup.models.word_table import is_table, load_table
 
         if self.model is None or not is_table(self.model):
-            return self.model or ""
-        return Path(os.path.relpath(self.model, self.target.absolute().parent)).as_posix()
+            return {"embedding_model": self.model or ""}
+        return {"embedding_model": load_table(self.model).model, "words": self.model}
 
     def _save(self, console: Console, field: LanguageField, embed_geometry: bool) -> None:
         field.save(self.target, self.overwrite, embed_geometry=embed_geometry)

@@ -101,9 +101,14 @@ def _region_sums(path: Path) -> dict[str, Any]:
 
     sums = RegionSums.open(path)
     shard = None if sums.inputs is None else Shard.load(sums)
-    of_shard = (
-        {} if shard is None else {"of_views": shard.n_views, "embedding_model": shard.sources.embedding_model}
-    )
+    of_shard = {}
+    if shard is not None:
+        sources = shard.sources
+        of_shard = {
+            "of_views": shard.n_views,
+            "embedding_model": sources.embedding_model,
+            "words": sources.words,
+        }
     return {
         "kind": "region sums" if shard is None else "shard",
         "gaussians": sums.n_gaussians,
@@ -133,6 +138,7 @@ def _field(path: Path) -> dict[str, Any]:
         "k": facts.k,
         "dim": facts.dim,
         "embedding_model": facts.embedding_model,
+        "words": facts.words,
         "raster_preset": facts.raster_preset,
         "bytes": path.stat().st_size,
         "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),

@@ -105,8 +105,8 @@ def save_merged(
     shards = [RegionSums.open(path) for path in paths]
     with _kept(output.path, shards, keep_sums) as keep, console.progress() as progress:
         field = merge(
-            shards, options.settings("inria"), keep=keep, geometry_path=geometry, field_path=output.path,
-            device=device, progress=progress,
+            shards, options.settings("inria"), keep=keep, geometry_path=geometry, device=device,
+            progress=progress,
         )  # fmt: skip
         bytes_of_sums = None if keep is None else keep.bytes
         save_field(output, field, keep, True, options.embed_geometry, options.weight_bits)

@@ -162,7 +162,7 @@ class TextOptions(FieldOptions):
         """
         from scoup.base.errors import InputError, MissingFileError
 
-        if not self.text and not field.embedding_model:
+        if not (self.text or field.info.words or field.embedding_model):
             raise InputError(f"{self.field}: names no embedding model; pass a table or model with --text")
         try:
             encoder = self.text or field.encoder_source

@@ -20,8 +20,9 @@ from scoup.field.container import (
     VERSION,
     check_sums,
     field_damage_named,
-    geometry_place,
+    place_of,
     read_container,
+    relative_place,
 )
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
@@ -72,11 +73,12 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         "checksums": {name: tensor_checksum(tensor) for name, tensor in tensors.items()},
         "levels": list(parts.info.levels),
         "embedding_model": parts.info.embedding_model,
+        "words": relative_place(path, parts.info.words),
         "raster_preset": parts.info.raster_preset,
         "geometry": {
             "fingerprint": parts.info.fingerprint,
             "n_gaussians": parts.info.n_gaussians,
-            "path": None if parts.geometry_path is None else _relative(parts.geometry_path, path),
+            "path": relative_place(path, parts.geometry_path),
         },
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
         "provenance": parts.info.provenance,
@@ -113,6 +115,7 @@ def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[
         n_gaussians=int(geometry["n_gaussians"]),
         raster_preset=str(header["raster_preset"]),
         provenance=dict(header["provenance"]),
+        words=place_of(path, header["words"]),
     )
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:
@@ -128,7 +131,7 @@ def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[
         tensors["codebook"].float(),
         info,
         gaussians,
-        geometry_place(path, geometry["path"]),
+        place_of(path, geometry["path"]),
         _cameras(tensors, header["cameras"]),
         _things(tensors),
     )
@@ -197,10 +200,3 @@ def _cameras(tensors: dict[str, Tensor], names: list[str] | None) -> Cameras | N
         Camera(str(name), viewmat, K, int(size[0]), int(size[1]))
         for name, viewmat, K, size in zip(names, *parts, strict=True)
     )
-
-
-def _relative(target: Path, artefact: Path) -> str:
-    try:
-        return Path(os.path.relpath(target.absolute(), artefact.absolute().parent)).as_posix()
-    except ValueError:  # another drive on Windows
-        return target.absolute().as_posix()

@@ -51,8 +51,18 @@ def check_sums(path: Path, text: str, header: Mapping[str, Any], arrays: Mapping
             raise FileFormatError(path, f"is damaged (checksum of {name})", REBUILD)
 
 
-def geometry_place(path: Path, relative: Any) -> Path | None:
-    """Return where the geometry of a field's file is, from the path relative to its folder; None for None."""
+def relative_place(path: Path, target: Path | None) -> str | None:
+    """Return the path of a file that another one names, relative to the folder of that one; None for None."""
+    if target is None:
+        return None
+    try:
+        return Path(os.path.relpath(target.absolute(), path.absolute().parent)).as_posix()
+    except ValueError:  # another drive on Windows
+        return target.absolute().as_posix()
+
+
+def place_of(path: Path, relative: Any) -> Path | None:
+    """Return where a file is that another one names relative to its own folder; None for None."""
     return None if relative is None else Path(os.path.normpath(path.absolute().parent / str(relative)))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.errors import check_format_version
-from scoup.field.container import VERSION, check_sums, field_damage_named, geometry_place, read_container
+from scoup.field.container import VERSION, check_sums, field_damage_named, place_of, read_container
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -42,6 +42,7 @@ class FieldFacts:
         k: K.
         dim: D.
         embedding_model: whose embeddings were coded.
+        words: where the word table is that encodes texts, or None.
         raster_preset: the rasteriser's constants.
         cameras: how many.
         geometry: where the Gaussians are: "embedded", a path, or None.
@@ -56,6 +57,7 @@ class FieldFacts:
     k: int
     dim: int
     embedding_model: str
+    words: str | None
     raster_preset: str
     cameras: int
     geometry: str | None
@@ -74,6 +76,7 @@ class FieldFacts:
             k=field.code_indices.shape[2],
             dim=field.dim,
             embedding_model=field.embedding_model,
+            words=_said(field.info.words),
             raster_preset=field.raster_preset,
             cameras=0 if field.cameras is None else len(field.cameras),
             geometry="embedded" if field.has_geometry else _said(place),
@@ -109,16 +112,17 @@ def _facts(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[A
         k=k,
         dim=dim,
         embedding_model=header["embedding_model"],
+        words=_said(place_of(path, header["words"])),
         raster_preset=header["raster_preset"],
         cameras=len(header["cameras"] or ()),
-        geometry=_said(geometry_place(path, header["geometry"]["path"])),
+        geometry=_said(place_of(path, header["geometry"]["path"])),
         fingerprint=header["geometry"]["fingerprint"],
         provenance=header["provenance"],
     )
 
 
 def _said(place: Path | None) -> str | None:
-    """Return where the geometry of a field is, in words."""
+    """Return where a file is that the field names, in words."""
     return None if place is None else str(place) + ("" if place.exists() else " (not there)")
 
 
@@ -136,7 +140,7 @@ def _holds_together(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]
             "geometry.means" not in arrays
             and all(isinstance(text, str) for text in texts)
             and isinstance(header["provenance"], dict)
-            and isinstance(geometry["path"], (str, type(None)))
+            and all(isinstance(path, (str, type(None))) for path in (geometry["path"], header["words"]))
             and _codes_hold_together(arrays, geometry["n_gaussians"], len(header["levels"]))
             and _cameras_hold_together(arrays, header["cameras"])
             and _things_hold_together(arrays)

@@ -180,7 +180,6 @@ class LanguageField(FieldQueries):
         )
         write_field(parts, Path(path), overwrite, weight_bits)
         self.path = Path(path)
-        self.tables_folder = self.path.parent
 
     @classmethod
     def load(cls, path: str | Path, gaussians: Gaussians | None = None) -> LanguageField:
@@ -206,7 +205,7 @@ class LanguageField(FieldQueries):
                 "thing_table": parts.things,
             }
             loaded = cls(*codes, parts.info, **known)
-        loaded.path, loaded.tables_folder = path, path.parent
+        loaded.path = path
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")
         elif parts.gaussians is not None:

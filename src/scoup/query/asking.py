@@ -36,41 +36,35 @@ MOST_TEXTS = 16
 class AskedScene(CodedScene):
     """A scene with a text encoder, which makes questions."""
 
-    tables_folder: Path | None = None
-    """Where a word table that the field names is looked for: the folder of the field's file."""
     _encoder: TextEncoder | None = None
     _encoder_name: str = ""  # the argument that opened it; empty for a dict or an encoder
 
     @property
     def encoder_source(self) -> str:
-        """The model or table that encodes texts; a table is looked for beside the field's file.
+        """The word table or model that encodes texts.
 
         Raises:
             InputError: the field names none.
             MissingFileError: the table is missing.
         """
-        from scoup.models.word_table import is_table
-
-        name = self.embedding_model
-        if not name:
+        words = self.info.words
+        if words is not None:
+            if not words.is_file():
+                problem = "is missing, and the field names it as its word table"
+                raise MissingFileError(words, problem, "pass encoder=..., the place where it is now")
+            return str(words)
+        if not self.embedding_model:
             raise InputError(
                 f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
                 "or a dict of name -> vector"
             )
-        if not is_table(name):
-            return name
-        beside = Path(name) if self.tables_folder is None else self.tables_folder / name
-        table = next((place for place in (beside, Path(name)) if place.is_file()), None)
-        if table is None:
-            problem = "is missing, and the field names it as its word table"
-            raise MissingFileError(beside, problem, "pass encoder=..., the place where it is now")
-        return str(table)
+        return self.embedding_model
 
     def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
         """Return the encoder of this field's texts; opened at its first use and kept.
 
         Args:
-            encoder: used from now on; None for the last one, at first the model or table that the field names.
+            encoder: used from now on; None for the last one, at first the table or model that the field names.
 
         Raises:
             InputError: the field names none.
@@ -96,7 +90,6 @@ class AskedScene(CodedScene):
     def keep_encoder_of(self, other: AskedScene) -> None:
         """Use the encoder that another field has open, or would open."""
         self._encoder, self._encoder_name = other._encoder, other._encoder_name
-        self.tables_folder = other.tables_folder
 
     def question(  # noqa: PLR0913  the public face: each keyword is one choice of the user
         self,

@@ -15,7 +15,6 @@ from scoup.base.brief import brief
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
-from scoup.models.word_table import is_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.coded_scene import CodedScene
 
@@ -101,7 +100,7 @@ def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> 
 
 def _warn_of_another_model(given: str, wanted: str, source: str) -> None:
     """Warn of vectors of another model: they may have the same size, but cosines with them mean nothing."""
-    if given and wanted and not is_table(wanted) and _words_of(given) != _words_of(wanted):
+    if given and wanted and _words_of(given) != _words_of(wanted):
         warnings.warn(
             f"{source}: its vectors come from {given}, the field's embeddings from {wanted}; answers mean nothing "
             "unless both are one model by two names",
@@ -121,10 +120,10 @@ def _where_words_are(field: CodedScene, other: TextEncoder) -> str:
     if named == COLORS:
         return NO_WORDS_FOR_COLORS
     table = f"a word table of {field.dim} dimensions, made with the model that embedded its regions"
+    if field.info.words is not None:
+        return f"the field was built for the table {field.info.words}: pass that, or {table}"
     if not named:
         return f"the field does not name its model: pass {table}"
-    if is_table(named):
-        return f"the field was built for the table {named}: pass that, or {table}"
     if named == other.name:
         return f"so {named}, which the field names, did not embed its regions: pass {table}"
     return f"the field names the model {named}: pass that, or a table made with it"

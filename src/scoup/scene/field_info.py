@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -25,6 +26,7 @@ class FieldInfo:
     raster_preset: str = "inria"  # rasteriser constants the field was built with and is rendered with
     # software version, settings, source hashes, coding reports; plain JSON values
     provenance: dict[str, Any] = field(default_factory=dict)
+    words: Path | None = None  # the word table that encodes texts; None: ``embedding_model`` does
 
 
 def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo) -> None:

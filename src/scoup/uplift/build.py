@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -37,6 +38,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     settings: BuildSettings | str = "default",
     *,
     embedding_model: str = "",
+    words: str | Path | None = None,
     geometry_path: str | Path | None = None,
     backend: str | None = None,
     sums: RegionSums | None = None,
@@ -54,6 +56,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         regions: region maps and embeddings.
         settings: everything that decides the result, or the name of one of ``BUILD_PRESETS``.
         embedding_model: id of the model the embeddings come from, recorded in the field.
+        words: the word table that encodes texts in place of this model, recorded in the field.
         geometry_path: file of the Gaussians, recorded in the field.
         backend: name of the backend of rasteriser and vote.
         sums: region sums of these Gaussians to continue from and to keep: only views that they lack are rasterised,
@@ -97,8 +100,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         del embeddings  # the rest needs codes and rounded embeddings only
         add_views(sums, gaussians, views, regions, backend, progress)
         things = thing_table(sums, codes, progress)
-        path = None if geometry_path is None else Path(geometry_path)
-        sources = Sources(tuple(views), embedding_model, path, digest)
+        sources = Sources.of(views, embedding_model, words, geometry_path, digest)
         field = vote_field(sums, codes, things, sources, settings, device, backend, progress)
         field.attach(gaussians, known=True)
         return field
@@ -110,8 +112,22 @@ class Sources:
 
     views: tuple[Camera, ...]
     embedding_model: str = ""
+    words: Path | None = None  # the word table that encodes texts, if one does
     geometry_path: Path | None = None  # file of the Gaussians, if known
     digest: str = ""  # of everything the codes depend on, if known (``inputs_digest``)
+
+    @classmethod
+    def of(
+        cls,
+        views: Sequence[Camera],
+        embedding_model: str,
+        words: str | Path | None,
+        geometry_path: str | Path | None,
+        digest: str = "",
+    ) -> Sources:
+        """Return the origin of a field from the arguments of ``build``."""
+        table, geometry = (None if path is None else Path(path) for path in (words, geometry_path))
+        return cls(tuple(views), embedding_model, table, geometry, digest)
 
 
 def thing_table(sums: RegionSums, codes: RegionCodes, progress: Progress = no_progress) -> ThingTable | None:
@@ -140,7 +156,7 @@ def vote_field(
     fit.check_coded(found.weights)
     record = build_record(settings, sources.digest, sums, codes, found.sharpness)
     model, preset = sources.embedding_model, settings.raster_preset
-    info = FieldInfo(sums.levels, model, sums.fingerprint, sums.n_gaussians, preset, record)
+    info = FieldInfo(sums.levels, model, sums.fingerprint, sums.n_gaussians, preset, record, sources.words)
     origin = {"geometry_path": sources.geometry_path, "cameras": Cameras(sources.views)}
     return LanguageField(found.indices, found.weights, codes.codebook, info, thing_table=things, **origin).to(
         device

@@ -71,6 +71,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     k: int = 4,
     *,
     embedding_model: str = "",
+    words: str | Path | None = None,
     levels: Sequence[str] | None = None,
     seed: int = 0,
     raster_preset: str = "inria",
@@ -86,7 +87,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
         features: [N, D], or [N, S, D] of S levels from fine to coarse; a tensor or an array, also a mapped one.
         n_atoms: L, of each codebook.
         k: K, most atoms of a code.
-        embedding_model: id of the model, or file of the word table, for queries.
+        embedding_model, words: as for ``build``.
         levels: S names; by default "m", or s, m, l.
         seed: of the choice of rows and of the codebook.
         raster_preset: rasteriser constants.
@@ -112,7 +113,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
         books.append(atoms)
         cosines.append(cosine)
     provenance = {"mean_cosine": dict(zip(names, cosines, strict=True)), "seed": seed}
-    info = _info(names, embedding_model, gaussians, raster_preset, "features", provenance)
+    info = _info(names, (embedding_model, words), gaussians, raster_preset, "features", provenance)
     indices, weights = (
         torch.stack([getattr(part, name) for part in parts], 1) for name in ("indices", "weights")
     )
@@ -123,6 +124,7 @@ def field_from_langsplatv2(
     paths: Sequence[str | Path],
     k: int = TOP_K,
     embedding_model: str = "",
+    words: str | Path | None = None,
     levels: Sequence[str] | None = None,
 ) -> LanguageField:
     """Make a field of LangSplatV2's checkpoints: their codebooks, and the codes of their renderer.
@@ -133,7 +135,7 @@ def field_from_langsplatv2(
     Args:
         paths: one checkpoint per level, fine to coarse, of one splat.
         k: entries kept, as LangSplatV2's option topk in training.
-        embedding_model: as for ``field_from_features``; LangSplatV2 trains with open_clip's ViT-B-16.
+        embedding_model, words: as for ``build``; LangSplatV2 trains with open_clip's ViT-B-16.
         levels: names of the levels; by default "m", or s, m, l.
     """
     if not paths:
@@ -151,7 +153,7 @@ def field_from_langsplatv2(
     codes = [_top_codes(level, k) for level in read]
     books = torch.stack([torch.from_numpy(level.codebooks).flatten(0, 1) for level in read])
     provenance = {"files": [str(path) for path in paths], "k": k}
-    info = _info(names, embedding_model, first.gaussians, "inria", "LangSplatV2", provenance)
+    info = _info(names, (embedding_model, words), first.gaussians, "inria", "LangSplatV2", provenance)
     indices, weights = (torch.stack(parts, 1) for parts in zip(*codes, strict=True))
     return LanguageField(indices, weights, books, info, first.gaussians)
 
@@ -178,14 +180,16 @@ def _level_names(levels: Sequence[str] | None, count: int) -> tuple[str, ...]:
 
 def _info(
     levels: tuple[str, ...],
-    model: str,
+    encoder: tuple[str, str | Path | None],  # model and word table
     gaussians: Gaussians,
     preset: str,
     source: str,
     record: dict[str, Any],
 ) -> FieldInfo:
     provenance = {"version": VERSION, "converted_from": source, **record}
-    return FieldInfo(levels, model, gaussians.fingerprint(), len(gaussians), preset, provenance)
+    model, table = encoder
+    words = None if table is None else Path(table)
+    return FieldInfo(levels, model, gaussians.fingerprint(), len(gaussians), preset, provenance, words)
 
 
 def _unit(rows: Tensor | np.ndarray) -> Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -28,28 +27,29 @@ def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
 
 
-def embedding_model_of(features: Path, regions: Regions, field: Path, named: str | None = None) -> str:
-    """Return the embedding model for a field to record; "" if it is unknown.
+def embedding_source(features: Path, regions: Regions, named: str | None = None) -> tuple[str, Path | None]:
+    """Return the embedding model and the word table for a field to record; "" and None where unknown.
 
     Args:
         features: folder of the regions, whose manifest names the model.
         regions: those of the folder.
-        field: the file to be written; a word table is recorded relative to it.
-        named: a model or word table that takes precedence over the manifest.
+        named: a model that takes precedence over the manifest, or a word table.
     """
+    manifest = read_manifest(features)
+    made_by = manifest.embedding_model if manifest else ""
     if named is None:
-        manifest = read_manifest(features)
-        return manifest.embedding_model if manifest else ""
+        return made_by, None
     if not is_table(named):
-        return named
-    dim = load_table(named).vectors.shape[1]
+        return named, None
+    table = load_table(named)
+    dim = table.vectors.shape[1]
     wanted = regions.load_embeddings(regions.view_names[0], regions.levels[0]).shape[1]
     if dim != wanted:
         raise InputError(
             f"{named}: contains vectors of {dim} dimensions, but {features} contains embeddings of "
             f"{wanted}; use the table made with the same model"
         )
-    return Path(os.path.relpath(named, field.absolute().parent)).as_posix()
+    return made_by or table.model, Path(named)
 
 
 def build_record(

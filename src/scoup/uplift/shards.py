@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -25,8 +24,8 @@ from scoup.base.counts import counted, listed, verb
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
 from scoup.base.shares import Share
+from scoup.field.container import place_of, relative_place
 from scoup.field.language_field import LanguageField
-from scoup.models.word_table import is_table
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
@@ -61,6 +60,7 @@ class Shard:
             "scene": self.scene,
             "cameras": [_camera_record(camera) for camera in self.sources.views],
             "embedding_model": self.sources.embedding_model,
+            "words": relative_place(sums.path or Path("region sums"), self.sources.words),
             "geometry": None if geometry is None else str(geometry.absolute()),
             "ends": [[part.stop for part in rows.values()] for rows in self.embeddings.rows],
             "key": inputs_digest(sums.fingerprint, self.sources.views, self.embeddings, {}),
@@ -75,7 +75,7 @@ class Shard:
         if sums.inputs is None:
             raise FileFormatError(path, "is not a shard: it contains region sums only", _REMEDY)
         try:
-            shard = cls._of_record(sums.levels, sums.inputs["header"], sums.inputs["tensors"])
+            shard = cls._of_record(sums.levels, path, sums.inputs["header"], sums.inputs["tensors"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, InputError) as error:
             file = path if sums.path is None else path / f"{INPUTS}{ENDING}"
             raise FileFormatError(file, f"is not a valid shard ({error})", _REMEDY) from error
@@ -85,7 +85,9 @@ class Shard:
         return shard
 
     @classmethod
-    def _of_record(cls, levels: Sequence[str], header: dict[str, Any], tensors: dict[str, Tensor]) -> Shard:
+    def _of_record(
+        cls, levels: Sequence[str], path: Path, header: dict[str, Any], tensors: dict[str, Tensor]
+    ) -> Shard:
         views = tuple(_camera(record) for record in header["cameras"])
         names = [view.name for view in views]
         places, n_views = tuple(int(place) for place in header["places"]), int(header["n_views"])
@@ -99,8 +101,8 @@ class Shard:
             if part.dim() != 2 or bounds != sorted(bounds) or bounds[-1] != len(part):
                 raise ValueError("embeddings of other regions")
             rows.append({name: slice(*ends) for name, ends in zip(names, pairwise(bounds), strict=True)})
-        geometry = None if header["geometry"] is None else Path(header["geometry"])
-        sources = Sources(views, str(header["embedding_model"]), geometry)
+        words = place_of(path, header["words"])
+        sources = Sources.of(views, str(header["embedding_model"]), words, header["geometry"])
         scene = str(header["scene"])
         return cls(sources, places, n_views, scene, RegionEmbeddings(tuple(levels), of_levels, rows))
 
@@ -113,6 +115,7 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     share: Share,
     *,
     embedding_model: str = "",
+    words: str | Path | None = None,
     geometry_path: str | Path | None = None,
     backend: str | None = None,
     check_fit: bool = True,
@@ -124,7 +127,7 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
         sums: of these Gaussians, in a folder; only views that they lack are rasterised.
         gaussians, cameras, regions: as for ``build``; pass the same for all shares of a scene.
         share: which of the views with regions (``Share.of``).
-        embedding_model, geometry_path, backend, check_fit, progress: as for ``build``.
+        embedding_model, words, geometry_path, backend, check_fit, progress: as for ``build``.
 
     Raises, Warns:
         As ``build``.
@@ -137,9 +140,8 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     check_sums(sums, gaussians, regions, sums.raster_preset)
     everything = cameras_with_regions(cameras, regions)
     views = share.of(everything)
-    path = None if geometry_path is None else Path(geometry_path)
     shard = Shard(
-        Sources(tuple(views), embedding_model, path),
+        Sources.of(views, embedding_model, words, geometry_path),
         tuple(share.of(range(len(everything)))),
         len(everything),
         _digest(everything),
@@ -158,7 +160,6 @@ def merge(
     *,
     keep: RegionSums | None = None,
     geometry_path: str | Path | None = None,
-    field_path: Path | None = None,
     device: torch.device | str = "cpu",
     backend: str | None = None,
     progress: Progress = no_progress,
@@ -170,7 +171,6 @@ def merge(
         settings: as for ``build``; the rasteriser preset is that of the shards.
         keep: empty region sums (``RegionSums.empty_like``), to which the views and codes are added.
         geometry_path: file of the Gaussians; by default that of the first shard.
-        field_path: where the field will be saved, if not beside its shards; a word table is recorded relative to it.
         device, backend: of coding and vote.
         progress: as for ``build``.
 
@@ -188,8 +188,8 @@ def merge(
         [(parts[number].embeddings, name) for name, (number, _) in places.items()]
     )
     views = [parts[number].sources.views[place] for number, place in places.values()]
-    model = _relocate_model(parts[0].sources.embedding_model, shards[0].path, field_path)
-    path = parts[0].sources.geometry_path if geometry_path is None else Path(geometry_path)
+    first = parts[0].sources
+    geometry = first.geometry_path if geometry_path is None else geometry_path
 
     device = torch.device(device)
     codes = learn_region_codes(sums if keep is None else keep, embeddings, settings, device, progress)
@@ -199,15 +199,8 @@ def merge(
         for name in places:
             keep.append_record(name, sums.views[name])
     things = thing_table(sums, codes, progress)
-    sources = Sources(tuple(views), model, path, digest)
+    sources = Sources.of(views, first.embedding_model, first.words, geometry, digest)
     return vote_field(sums, codes, things, sources, settings, device, backend, progress)
-
-
-def _relocate_model(model: str, shard: Path | None, field: Path | None) -> str:
-    """Return the embedding model; a word table relative to the shard becomes relative to the field."""
-    if shard is None or field is None or not is_table(model):
-        return model
-    return Path(os.path.relpath(shard.absolute().parent / model, field.absolute().parent)).as_posix()
 
 
 def _find_views(shards: Sequence[RegionSums], parts: Sequence[Shard]) -> dict[str, tuple[int, int]]:

@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.models.word_table import is_table
 from scoup.pictures.colors import code_basis
 from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import placed_atoms
@@ -53,8 +52,8 @@ def scene_metadata(
         "up": up,
         "centre": centre,
         "radius": radius,
-        # Of a file only its name: a page may go where the folders of this machine mean nothing.
-        "embedding_model": Path(model).name if is_table(model) or Path(model).is_absolute() else model,
+        # Of a folder only its name: a page may go where the folders of this machine mean nothing.
+        "embedding_model": Path(model).name if Path(model).is_absolute() else model,
         "words_problem": words_problem,
         "present_from": present_from,
         "cameras": [_camera_record(camera) for camera in field.cameras or ()],

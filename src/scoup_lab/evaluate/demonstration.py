@@ -110,7 +110,7 @@ def run_demo(
             cameras,
             regions,
             settings=build_settings,
-            embedding_model=(folder / "text.npz").relative_to(out).as_posix(),
+            words=folder / "text.npz",
             geometry_path=splat,
             sums=sums,
             progress=progress,

@@ -17,6 +17,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.checkpoint import checkpoint, resume_message, save_field
+from scoup.uplift.provenance import embedding_source
 from scoup_lab.evaluate.report import SUFFIXES, Report
 from scoup_lab.evaluate.scenes import SceneFiles
 
@@ -62,7 +63,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
         self,
         scene: SceneFiles,
         path: Path,
-        model: str,
+        source: str,
         progress: Progress = no_progress,
         say: Say = say_nothing,
     ) -> LanguageField:
@@ -74,6 +75,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
         if path.is_file() and not self.rebuild:
             return _stored(path, gaussians, settings)
         regions = load_regions(scene.features, scene.cameras)
+        model, words = embedding_source(scene.features, regions, source)
         with locked_output(path, overwrite=True) as output:
             if path.is_file() and not self.rebuild:  # another process has built it meanwhile
                 return _stored(path, gaussians, settings)
@@ -86,6 +88,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
                     regions,
                     settings=settings,
                     embedding_model=model,
+                    words=words,
                     geometry_path=scene.splat,
                     sums=sums,
                     progress=progress,
