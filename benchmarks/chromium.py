@@ -36,7 +36,14 @@ COUNTER = """(() => {
       return own.apply(this, values);
     };
   }
-  state.finish = () => state.context?.readPixels(0, 0, 1, 1, 6408, 5121, new Uint8Array(4));
+  state.finish = () => {
+    const gl = state.context;
+    if (!gl) return;
+    const bound = gl.getParameter(gl.PIXEL_PACK_BUFFER_BINDING); // a page may be reading into it
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    gl.bindBuffer(gl.PIXEL_PACK_BUFFER, bound);
+  };
   const tick = () => {
     if (state.drawn) state.frames += 1;
     state.drawn = false;
@@ -78,18 +85,22 @@ def seconds_until_drawn(page: Page, count: float, patience: float) -> float:
     return page.evaluate("(drawing.finish(), performance.now() / 1000)")
 
 
-def frames_per_second(page: Page, place: tuple[int, int]) -> float:
-    """Return frames per second of a page with ``COUNTER`` while the pointer drags back and forth around a place."""
+def drag(page: Page, place: tuple[int, int]) -> tuple[int, float]:
+    """Drag the pointer back and forth around a place of a page with ``COUNTER``; return frames and seconds."""
     x, y = place
     page.mouse.move(x, y)
+    before, started, step = page.evaluate("(drawing.finish(), drawing.frames)"), time.monotonic(), 0
     page.mouse.down()
-    page.mouse.move(x + 10, y)
-    page.evaluate("drawing.finish()")
-    before, started, step = page.evaluate("drawing.frames"), time.monotonic(), 0
     while time.monotonic() - started < DRAG_SECONDS:
         step += 1
         page.mouse.move(x + DRAG * math.sin(step * math.pi / STEPS), y)
     frames = page.evaluate("(drawing.finish(), drawing.frames)") - before
     seconds = time.monotonic() - started
     page.mouse.up()
+    return frames, seconds
+
+
+def frames_per_second(page: Page, place: tuple[int, int]) -> float:
+    """Return frames per second during a ``drag``."""
+    frames, seconds = drag(page, place)
     return frames / seconds

@@ -20,7 +20,7 @@ from urllib.parse import urlencode
 import torch
 
 import scoup
-from benchmarks.chromium import COUNTER, chromium, frames_per_second, program, seconds_until_drawn
+from benchmarks.chromium import COUNTER, chromium, drag, program, seconds_until_drawn
 from benchmarks.data import data_folder
 from benchmarks.study import Record, Study
 from benchmarks.viewer import served, write_field
@@ -183,11 +183,10 @@ def page_costs(address: str, count: int, moved: str = "") -> dict[str, float]:
         loading = processor_seconds(browser)
         page.evaluate(moved)
         page.wait_for_timeout(1000)
-        frames_per_second(page, PLACE)  # pages may find that frames are slow, and draw less from then on
-        before, drawn = processor_seconds(browser), page.evaluate("drawing.frames")
-        frames = frames_per_second(page, PLACE)
+        drag(page, PLACE)  # pages may find that frames are slow, and draw less from then on
+        before = processor_seconds(browser)
+        frames, seconds = drag(page, PLACE)
         spent = processor_seconds(browser) - before
-        drawn = page.evaluate("drawing.frames") - drawn
         memory = sum(proportional_bytes(process["id"]) for process in processes(browser))
     files = [url for url in dict.fromkeys(asked) if url.startswith("http") and "/api/" not in url]
     scenes = [url for url in files if re.search(r"scene\.(bin|ply)(\?|$)", url)]
@@ -198,8 +197,8 @@ def page_costs(address: str, count: int, moved: str = "") -> dict[str, float]:
         "whole picture, s": whole,
         "browser, MB": memory / 1e6,
         "browser until the whole picture, CPU s": loading,
-        "frames per second while moving": frames,
-        "a frame while moving, CPU s": spent / max(1, drawn),
+        "frames per second while moving": frames / seconds,
+        "a frame while moving, CPU s": spent / max(1, frames),
     }
 
 

@@ -1,6 +1,7 @@
 // The method's own picture of the current camera, rendered by the server, over the page's.
 import type { Server } from "./answers";
 import type { Eye } from "./camera";
+import { pause } from "./pause";
 import { NotNow } from "./server";
 import type { State } from "./state";
 
@@ -71,7 +72,7 @@ export class ExactPicture {
         } catch (error) {
           if (number !== this.number) continue;
           if (error instanceof NotNow) {
-            await new Promise((resolve) => setTimeout(resolve, BUSY_SECONDS * 1000));
+            await pause(BUSY_SECONDS);
             number = -1;
             continue;
           }

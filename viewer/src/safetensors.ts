@@ -94,8 +94,3 @@ export async function download(response: Response, progress: Progress): Promise<
   if (done !== total) throw new Error("the scene was cut short; reload the page");
   return bytes;
 }
-
-/** Lets the browser draw and answer before a long loop goes on. */
-export function breathe(): Promise<void> {
-  return new Promise((resolve) => setTimeout(resolve, 0));
-}

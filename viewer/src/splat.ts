@@ -2,7 +2,8 @@
 import { dyno, ExtSplats, SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import * as THREE from "three";
 import { World } from "./camera";
-import { breathe, type Progress } from "./safetensors";
+import { pause } from "./pause";
+import type { Progress } from "./safetensors";
 import { NO_OWNER, type Scene } from "./scene_data";
 import { body, BY_THINGS, functions, MARKS, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
 
@@ -36,9 +37,16 @@ export interface Look {
   clean: boolean;
 }
 
-/** A scene that is drawn; `update` changes only small textures and numbers. */
+/**
+ * A scene that is drawn; `update` changes only small textures and numbers.
+ *
+ * Each has a renderer of Spark: one for two scenes would generate and sort all Gaussians whenever the other one is shown,
+ * and draw the one before meanwhile.
+ */
 export class Splat {
-  readonly mesh: SplatMesh;
+  readonly world = new THREE.Scene();
+  readonly spark: SparkRenderer;
+  private readonly mesh: SplatMesh;
   private readonly scene: Scene;
   private readonly scores: THREE.DataTexture;
   private readonly queries: THREE.DataTexture;
@@ -50,19 +58,30 @@ export class Splat {
   private readonly anySelected = dyno.dynoInt(0);
   private readonly clean = dyno.dynoInt(0);
 
-  private constructor(scene: Scene, splats: ExtSplats) {
+  private constructor(scene: Scene, splats: ExtSplats, renderer: THREE.WebGLRenderer, onDirty: (splat: Splat) => void) {
     this.scene = scene;
+    this.spark = sparkOf(renderer, () => onDirty(this));
     this.scores = floats(scene.atoms, (scene.levels * MOST_QUERIES) / 4);
     this.queries = floats(MOST_QUERIES, 2);
     const rows = Math.max(1, Math.ceil((scene.metadata.n_things ?? 0) / WIDTH));
     this.things = integers(new Uint16Array(WIDTH * rows), rows, THREE.UnsignedShortType, "R16UI");
     this.mesh = new SplatMesh({ extSplats: splats });
     this.mesh.objectModifier = this.modifier();
+    this.world.add(this.spark, this.mesh);
     this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hidden: [], clean: false });
   }
 
-  /** Build it, with progress. */
-  static async of(scene: Scene, progress: Progress): Promise<Splat> {
+  /**
+   * Build it, with progress.
+   *
+   * @param onDirty called when another frame would show more, as after sorting
+   */
+  static async of(
+    scene: Scene,
+    renderer: THREE.WebGLRenderer,
+    onDirty: (splat: Splat) => void,
+    progress: Progress,
+  ): Promise<Splat> {
     const splats = new ExtSplats({ maxSplats: scene.count });
     await splats.initialized;
     const centre = new THREE.Vector3();
@@ -84,12 +103,12 @@ export class Splat {
       splats.pushSplat(centre, scales, quaternion, scene.opacity(i), color);
       if (i % AT_A_TIME === AT_A_TIME - 1) {
         progress("unpacking", i, scene.count);
-        await breathe();
+        await pause(0);
       }
     }
     // Textures are made of whole arrays only.
     const { extArrays } = splats;
-    const splat = new Splat(scene, new ExtSplats({ extArrays, numSplats: scene.count }));
+    const splat = new Splat(scene, new ExtSplats({ extArrays, numSplats: scene.count }), renderer, onDirty);
     await splat.mesh.initialized;
     splat.mesh.updateGenerator();
     return splat;
@@ -97,6 +116,16 @@ export class Splat {
 
   get count(): number {
     return this.scene.count;
+  }
+
+  get isSorting(): boolean {
+    return this.spark.sorting || this.spark.sortDirty;
+  }
+
+  /** Sort for a camera before anything is drawn for it. */
+  async sort(camera: THREE.Camera): Promise<void> {
+    await this.spark.update({ scene: this.world, camera });
+    while (this.isSorting) await pause(0.01); // one that began before
   }
 
   /** Show other queries, or the same in another way. */
@@ -186,7 +215,7 @@ export class Splat {
 }
 
 /** Renders a scene with Spark. */
-export function sparkOf(renderer: THREE.WebGLRenderer, onDirty: () => void): SparkRenderer {
+function sparkOf(renderer: THREE.WebGLRenderer, onDirty: () => void): SparkRenderer {
   // As Inria's rasteriser: 0.3 pixels are added to the diagonal of each projected covariance.
   return new SparkRenderer({ renderer, onDirty, preBlurAmount: 0.3, blurAmount: 0, maxStdDev: 3 });
 }

@@ -3,10 +3,11 @@ import * as THREE from "three";
 import type { Server } from "./answers";
 import { Boxes } from "./boxes";
 import type { Eye } from "./camera";
+import { pause } from "./pause";
 import type { Progress } from "./safetensors";
 import type { Scene } from "./scene_data";
 import { NotNow } from "./server";
-import { Splat, sparkOf } from "./splat";
+import { Splat } from "./splat";
 import type { State } from "./state";
 
 export interface Stage {
@@ -25,16 +26,24 @@ const REST_SECONDS = 0.25;
 const SLOW_SECONDS = 0.2;
 const MOVING_SCALE = 0.5;
 
-/** Pictures a second are bounded by the screen; none is drawn without need. */
+/**
+ * Pictures a second are bounded by the screen; none is drawn without need.
+ *
+ * Fast browsers draw with the order of the last sorting and sort meanwhile. Slow ones do so only while the camera moves;
+ * when it rests they sort first and draw once.
+ */
 export class SplatStage implements Stage {
   private readonly renderer: THREE.WebGLRenderer;
-  private readonly spark;
-  private readonly world = new THREE.Scene();
   private splat: Splat | null = null;
   /** Few Gaussians of the same scene, where it is large. */
   private coarse: Splat | null = null;
+  /** Of the last frame. */
+  private shown: Splat | null = null;
   private readonly boxes: Boxes;
   private wanted = false;
+  /** Whether something has changed since the last sorting at rest. */
+  private stale = true;
+  private settling = false;
   /** The timer that ends a movement of the camera; 0 while it rests. */
   private moving = 0;
   /** In a row; two are slow enough. */
@@ -52,34 +61,36 @@ export class SplatStage implements Stage {
     // Without antialias, as Spark advises.
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
     this.renderer.setClearColor(0x000000, 1);
-    this.spark = sparkOf(this.renderer, () => this.soon());
     this.boxes = new Boxes(eye.world);
-    this.world.add(this.spark, this.boxes.lines);
   }
 
   /** Show a scene; the one before is its coarse one from now on. */
   async load(scene: Scene, progress: Progress): Promise<void> {
-    const splat = await Splat.of(scene, progress);
-    this.world.add(splat.mesh);
+    const onDirty = (splat: Splat) => {
+      if (splat === this.shown) this.soon();
+    };
+    const splat = await Splat.of(scene, this.renderer, onDirty, progress);
     this.coarse = this.splat;
     this.splat = splat;
     this.update();
   }
 
-  /** How many Gaussians the next frame has. */
+  /** How many Gaussians the last frame has. */
   get drawing(): number {
-    return this.seen?.count ?? 0;
+    return this.shown?.count ?? 0;
   }
 
   update(): void {
     const { things } = this.state;
     for (const splat of [this.splat, this.coarse]) splat?.update(this.state.shown(), this.state.look());
     this.boxes.update(things ? things.selected.map((number) => things.of(number)) : []);
+    this.stale = true;
     this.soon();
   }
 
   redraw(): void {
     this.move();
+    this.stale = true;
     this.soon();
   }
 
@@ -97,14 +108,35 @@ export class SplatStage implements Stage {
     this.wanted = true;
     requestAnimationFrame(() => {
       this.wanted = false;
-      this.draw();
-      void this.clock();
+      this.frame();
     });
+  }
+
+  private frame(): void {
+    const { splat, isHasty, isSlow } = this;
+    if (!splat) return;
+    if (!isHasty && (isSlow ? this.stale : this.shown && this.shown !== splat)) void this.settle(splat);
+    if (isHasty) this.draw(this.coarse ?? splat);
+    else if (!isSlow) this.draw(this.shown ?? splat);
+    else if (!this.settling) this.draw(splat);
+    else return;
+    void this.clock();
+  }
+
+  /** Sort all Gaussians, then draw them, unless the camera moves again. */
+  private async settle(splat: Splat): Promise<void> {
+    if (this.settling) return;
+    this.settling = true;
+    this.stale = false;
+    await splat.sort(this.eye.camera);
+    this.settling = false;
+    if (!this.isHasty) this.shown = splat;
+    this.soon();
   }
 
   /** Find whether frames are too slow for whole pictures; that lasts, as the browser stays the same. */
   private async clock(): Promise<void> {
-    if (this.clocked || this.slowFrames >= 2) return;
+    if (this.clocked || this.isSlow) return;
     const gl = this.renderer.getContext() as WebGL2RenderingContext;
     const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     if (!fence) return;
@@ -118,32 +150,27 @@ export class SplatStage implements Stage {
     this.slowFrames = performance.now() - begun > SLOW_SECONDS * 1000 ? this.slowFrames + 1 : 0;
   }
 
-  private get isHasty(): boolean {
-    return this.moving !== 0 && this.slowFrames >= 2;
+  private get isSlow(): boolean {
+    return this.slowFrames >= 2;
   }
 
-  private get seen(): Splat | null {
-    return (this.isHasty && this.coarse) || this.splat;
+  private get isHasty(): boolean {
+    return this.moving !== 0 && this.isSlow;
   }
 
   async drawn(): Promise<void> {
-    // Sorting runs beside drawing, and what it finds is drawn in a later frame.
-    this.soon();
-    const { spark } = this;
-    while (this.wanted || this.moving || spark.sorting || spark.sortDirty || spark.dirty) {
-      await pause(0.01);
-    }
+    while (this.wanted || this.moving || this.settling || this.shown?.isSorting || this.shown?.spark.dirty) await pause(0.01);
   }
 
   snapshot(): HTMLCanvasElement {
-    this.draw(); // in the same task: the browser clears the buffer after it
+    if (this.shown) this.draw(this.shown); // in the same task: the browser clears the buffer after it
     const copy = document.createElement("canvas");
     [copy.width, copy.height] = [this.canvas.width, this.canvas.height];
     copy.getContext("2d", { willReadFrequently: true })!.drawImage(this.canvas, 0, 0);
     return copy;
   }
 
-  private draw(): void {
+  private draw(splat: Splat): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const ratio = Math.min(window.devicePixelRatio, 2) * (this.isHasty ? MOVING_SCALE : 1);
     const size = this.renderer.getSize(new THREE.Vector2());
@@ -152,8 +179,10 @@ export class SplatStage implements Stage {
       this.renderer.setSize(width, height, false);
       this.eye.resize(width, height);
     }
-    for (const splat of [this.splat, this.coarse]) if (splat) splat.mesh.visible = splat === this.seen;
-    this.renderer.render(this.world, this.eye.camera);
+    this.shown = splat;
+    splat.spark.autoUpdate = this.isHasty || !this.isSlow;
+    splat.world.add(this.boxes.lines);
+    this.renderer.render(splat.world, this.eye.camera);
   }
 }
 
@@ -228,8 +257,4 @@ export class RemoteStage implements Stage {
       return false;
     }
   }
-}
-
-function pause(seconds: number): Promise<void> {
-  return new Promise((resolve) => setTimeout(resolve, seconds * 1000));
 }
