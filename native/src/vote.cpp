@@ -4,14 +4,17 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <numeric>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 namespace scoup {
 namespace {
 
 constexpr int64_t kBucketsAtOnce = 4;
 constexpr float kLeastNorm = 1e-6f;
+constexpr int32_t kWide = 512;  // with more atoms, only the sums that a Gaussian's entries name are looked at
 
 [[noreturn]] void refuse(const std::string& why) { throw std::invalid_argument("the region sums are damaged: " + why); }
 
@@ -129,31 +132,27 @@ class Vote::Worker {
 
     int64_t count() const { return count_; }  // Gaussians
 
-    // [levels, n_atoms] of a Gaussian of the bucket.
-    const float* sum_up(int64_t place) {
-        std::fill(sums_.begin(), sums_.end(), 0.0f);
-        kernels_.add(entries_of(place), entries_in(place), codes_, sums_.data());
-        return sums_.data();
-    }
-    const float* sum_up(int64_t place, const EarlierCodes& earlier, int64_t gaussian) {
-        std::fill(sums_.begin(), sums_.end(), 0.0f);
+    // [levels, n_atoms] of a Gaussian of the bucket, into sums that are zero.
+    void sum_up(int64_t place) { kernels_.add(entries_of(place), entries_in(place), codes_, sums_.data()); }
+    void sum_up(int64_t place, const EarlierCodes& earlier, int64_t gaussian) {
         const int64_t n = entries_in(place);
-        if (n == 0) return sums_.data();
+        if (n == 0) return;
         factors_.resize(std::max(factors_.size(), size_t(n * vote_.levels() + 16)));
         kernels_.add_reweighted(entries_of(place), n, codes_, known(earlier, gaussian), factors_.data(), sums_.data());
-        return sums_.data();
     }
 
-    // The `k` largest of each level's sums.
+    // The `k` largest of each level's sums of a Gaussian, which are zero afterwards.
     template <class Index>
-    void keep(const float* sums, int32_t k, bool unit_norm, Index* indices, float* weights) {
+    void keep(int64_t place, int32_t k, bool unit_norm, Index* indices, float* weights) {
         const int32_t n_atoms = vote_.n_atoms_;
+        const bool few_named = n_atoms > kWide && k <= kMostByInsertion;
         found_.resize(size_t(std::max(n_atoms, k)));
         atoms_.resize(found_.size());
         for (int32_t level = 0; level < vote_.levels(); ++level, indices += k, weights += k) {
-            const float* row = sums + int64_t(level) * n_atoms;
-            const int32_t count = k <= kMostByInsertion ? kernels_.largest(row, n_atoms, k, found_.data(), atoms_.data())
-                                                        : sort(row, n_atoms, k);
+            const float* row = sums_.data() + int64_t(level) * n_atoms;
+            const int32_t count = few_named               ? take_largest_named(place, level, k)
+                                  : k <= kMostByInsertion ? kernels_.largest(row, n_atoms, k, found_.data(), atoms_.data())
+                                                          : sort(row, n_atoms, k);
             double total = 0;
             for (int32_t j = 0; j < count; ++j) total += double(found_[size_t(j)]);
             for (int32_t j = 0; j < k; ++j) {
@@ -164,6 +163,7 @@ class Vote::Worker {
             const float norm = norm_of([&](int32_t j) { return indices[j]; }, weights, count, gram(level), n_atoms);
             for (int32_t j = 0; j < count; ++j) weights[j] = norm > kLeastNorm ? weights[j] / norm : 0.0f;
         }
+        if (!few_named) std::fill(sums_.begin(), sums_.end(), 0.0f);
     }
 
     void add_deviations(int64_t place, const EarlierCodes& earlier, int64_t gaussian, std::vector<std::vector<float>>& all) {
@@ -215,6 +215,35 @@ class Vote::Worker {
         return {products_.data(), is_coded_.get(), earlier.sharpness};
     }
 
+    // Of those of a level that the Gaussian's entries name, the largest positive ones, the first atom of equals. Each is
+    // set to zero when it is met: none counts twice.
+    int32_t take_largest_named(int64_t place, int32_t level, int32_t k) {
+        const VoteEntry* entries = entries_of(place);
+        const int64_t n = entries_in(place), of_each = codes_.k[level];
+        const int64_t first_share = std::accumulate(codes_.k, codes_.k + level, int64_t{0});
+        named_.resize(std::max(named_.size(), size_t(n * of_each + 1)));
+        float* const sums = sums_.data();
+        Share* const named = named_.data();
+        int64_t n_named = 0;
+        for (int64_t i = 0; i < n; ++i) {
+            const Share* share = codes_.shares + int64_t(entries[i].combination) * codes_.k_of_all + first_share;
+            for (int64_t j = 0; j < of_each; ++j, ++share) {
+                const float value = std::exchange(sums[share->place], 0.0f);
+                named[n_named] = {share->place, value};
+                n_named += value > 0;  // written always, kept only if there is something: cheaper than a branch
+            }
+        }
+        const int64_t count = std::min<int64_t>(k, n_named);
+        std::partial_sort(named, named + count, named + n_named, [](const Share& a, const Share& b) {
+            return a.weight > b.weight || (a.weight == b.weight && a.place < b.place);
+        });
+        for (int64_t j = 0; j < count; ++j) {
+            found_[size_t(j)] = named[j].weight;
+            atoms_[size_t(j)] = named[j].place - level * vote_.n_atoms_;
+        }
+        return int32_t(count);
+    }
+
     // Many: all positive ones in order. Not a number counts as nothing.
     int32_t sort(const float* row, int32_t n_atoms, int32_t k) {
         int32_t count = 0;
@@ -232,6 +261,7 @@ class Vote::Worker {
     int64_t count_ = 0;
     std::vector<uint32_t> starts_, next_;
     std::vector<VoteEntry> entries_;
+    std::vector<Share> named_;
     std::vector<float> sums_, products_, factors_, found_;
     std::vector<int32_t> atoms_;
     std::vector<const float*> rows_;
@@ -247,8 +277,8 @@ void Vote::round(const VotedCodes& out, const EarlierCodes* earlier, bool unit_n
         for (int64_t place = 0; place < worker.count(); ++place) {
             const int64_t gaussian = bucket * kVoteBucket + place;
             const int64_t at = (gaussian - first * kVoteBucket) * levels() * out.k;
-            const float* sums = earlier == nullptr ? worker.sum_up(place) : worker.sum_up(place, *earlier, gaussian);
-            worker.keep(sums, out.k, unit_norm, indices + at, out.weights + at);
+            earlier == nullptr ? worker.sum_up(place) : worker.sum_up(place, *earlier, gaussian);
+            worker.keep(place, out.k, unit_norm, indices + at, out.weights + at);
         }
     };
     for_chunks((last - first + kBucketsAtOnce - 1) / kBucketsAtOnce, n_threads, interrupted, [&](int64_t chunk, int worker) {

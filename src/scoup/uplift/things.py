@@ -72,37 +72,29 @@ def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
     """Collect the strong entries of every n-th Gaussian in the order of the sums, which is a spatial order."""
     count = sums.n_gaussians
     assert sums.rows is not None
-    stride = -(-count // MOST_DECIDING)
+    deciding = [(name, part, *_deciding(part, count)) for name in names for part in sums.views[name].parts]
     total, largest = np.zeros(count), np.zeros(count, np.float32)
-    for name in names:
-        for part in sums.views[name].parts:
-            part.check_numbers(count)
-            gaussians, weights, _ = _deciding(part, stride)
-            starts = np.flatnonzero(np.diff(gaussians, prepend=-1))
-            if len(starts):
-                each = gaussians[starts]
-                total[each] += np.add.reduceat(weights.astype(np.float64), starts)
-                largest[each] = np.maximum(largest[each], np.maximum.reduceat(weights, starts))
+    for _, _, gaussians, weights, _ in deciding:
+        starts = np.flatnonzero(np.diff(gaussians, prepend=-1))
+        if len(starts):
+            each = gaussians[starts]
+            total[each] += np.add.reduceat(weights.astype(np.float64), starts)
+            largest[each] = np.maximum(largest[each], np.maximum.reduceat(weights, starts))
     kept = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
-    for name in names:
+    for name, part, gaussians, weights, combinations in deciding:
         firsts = np.array([rows[name].start for rows in sums.rows])
-        for part in sums.views[name].parts:
-            gaussians, weights, combinations = _deciding(part, stride)
-            strong = np.flatnonzero((weights >= LEAST_SHARE * largest[gaussians]) & (weights > 0))
-            table = np.where(part.table >= 0, part.table + firsts, -1).astype(np.int32)
-            kept.append((gaussians[strong].astype(np.int32), table[combinations[strong]], weights[strong]))
+        strong = np.flatnonzero((weights >= LEAST_SHARE * largest[gaussians]) & (weights > 0))
+        table = np.where(part.table >= 0, part.table + firsts, -1).astype(np.int32)
+        kept.append((gaussians[strong], table[combinations[strong]], weights[strong]))
     gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*kept, strict=True))
     return _StrongEntries(gaussians, regions, weights, total)
 
 
-def _deciding(
-    part: Entries, stride: int
-) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.uint16]]:
-    """Return (gaussian, weight, label tuple) of the entries whose Gaussians decide."""
-    gaussians = part.gaussians()
-    if stride == 1:
-        return gaussians, part.weights.astype(np.float32), part.combinations
-    chosen = np.flatnonzero(gaussians % stride == 0)
+def _deciding(part: Entries, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.uint16]]:
+    """Return (gaussian, weight, label tuple) of the entries whose Gaussians, of ``count``, decide."""
+    part.check_numbers(count)
+    gaussians = part.gaussians().astype(np.int32)
+    chosen = np.flatnonzero(gaussians % max(1, -(-count // MOST_DECIDING)) == 0)
     return gaussians[chosen], part.weights[chosen].astype(np.float32), part.combinations[chosen]
 
 
@@ -177,12 +169,13 @@ def mean_embeddings(
     Returns:
         [T, D] float32 unit (zero if unknown), and [T] float32 norm of the mean of unit embeddings, 0..1.
     """
+    from scipy.sparse import csr_array
+
     # Rounded as they are kept beside region sums, where updates read them.
     rows = normalise_embeddings(embeddings.cpu().half().float()).double().numpy()
     mine = np.flatnonzero((member >= 0) & rows.any(1))
     weights = np.sqrt(mass[mine].astype(np.float64))
-    summed = np.zeros((count, rows.shape[1]))
-    np.add.at(summed, member[mine], weights[:, None] * rows[mine])
+    summed = csr_array((weights, (member[mine], mine)), (count, len(rows))) @ rows
     total = np.bincount(member[mine], weights, count)
     norm = np.linalg.norm(summed, axis=1)
     agreement = np.divide(norm, total, out=np.ones(count), where=total > 0).clip(0, 1)
