@@ -28,6 +28,7 @@ STUDIES = Family(
         "gpu": "benchmarks.gpu:Gpu",
         "extract": "benchmarks.extract:Extraction",
         "embed": "benchmarks.embed:Embedding",
+        "mask-rules": "benchmarks.mask_rules:MaskRules",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "editors": "benchmarks.editors:Editors",

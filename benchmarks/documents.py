@@ -33,6 +33,7 @@ from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.likeness import Likeness
 from benchmarks.locate import Locate
+from benchmarks.mask_rules import MaskRules
 from benchmarks.query import Query
 from benchmarks.selection import Selections
 from benchmarks.study import Study
@@ -173,6 +174,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "coding, compared": (Coding, "coding"),
     "extract": (Extraction, "extract"),
     "embed": (Embedding, "embed"),
+    "mask rules": (MaskRules, "mask_rules"),
     "likeness": (Likeness, "likeness"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
@@ -209,6 +211,7 @@ HIDDEN = {
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "ablations": "level by peak|two rounds, no top-K|every 2nd pixel|none without a code in blending",
+    "mask rules": "points|regions|with one at s / m / l|best union of things",
     "views": "coverage",
     "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)|colours / query|scoup view /.*|(scene|exported page), bytes",
     "city": "(load|coding|save), s",

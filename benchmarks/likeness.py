@@ -19,6 +19,7 @@ from benchmarks.desk import DESKS, Desk
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.extract import FOUND
 from benchmarks.kitchen_draws import Truth, make_draw
+from benchmarks.mask_rules import FATES, fate
 from benchmarks.study import Record, Study
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS, Regions
@@ -28,9 +29,6 @@ from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.observe import REFERENCE_WIDTH
 from scoup_lab.synthetic.words import unit
 
-FATES = ("swallowed", "split", "missing", "mixed")
-"""Of a thing without a region: most of it lies in one region that is mostly something else; most of it lies in regions
-that are mostly it; most of it lies in no region; anything else."""
 COLUMNS = {
     "regions": "regions per view",
     "within": "cosine within a thing",
@@ -124,26 +122,6 @@ def likeness(
             "border": float(np.median(borders)),
         }
     return found
-
-
-def fate(labels: NDArray[np.signedinteger], truth: NDArray[np.bool_]) -> tuple[int, float, str]:
-    """Return the region of labels [H, W] with the largest IoU with a thing, the IoU, and "found" or its fate."""
-    sizes = np.bincount(labels.ravel() + 1, minlength=2)
-    inside = np.bincount(labels[truth] + 1, minlength=len(sizes))
-    whole, none = int(truth.sum()), int(inside[0])
-    sizes, inside = sizes[1:], inside[1:]
-    ious = inside / np.maximum(sizes + whole - inside, 1)
-    number, largest = int(ious.argmax()), int(inside.argmax())
-    mostly = 2 * inside >= sizes
-    if ious[number] >= FOUND:
-        became = "found"
-    elif none > whole / 2:
-        became = "missing"
-    elif 2 * inside[largest] >= whole and not mostly[largest]:
-        became = "swallowed"
-    else:
-        became = "split" if 2 * inside[mostly].sum() >= whole else "mixed"
-    return number, float(ious[number]), became
 
 
 def _cosines(

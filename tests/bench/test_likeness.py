@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from benchmarks.likeness import COLUMNS, border_error, fate, likeness
+from benchmarks.likeness import COLUMNS, border_error, likeness
 
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import RegionMap, Regions
@@ -39,20 +39,6 @@ def test_likeness_of_two_views() -> None:
     assert found["others"] == pytest.approx((0 + 3**0.5 / 2 + 0) / 3)
     assert (found["found"], found["swallowed"], found["missing"]) == (0.75, 0.25, 0)
     assert found["border"] == 0
-
-
-def test_what_becomes_of_a_thing() -> None:
-    thing = np.zeros((10, 10), bool)
-    thing[2:6, 2:6] = True
-    whole, host, few, quarters = (np.full((10, 10), -1, np.int16) for _ in range(4))
-    whole[2:6, 2:5] = 0
-    host[0:8, 0:8] = 3
-    few[2, 2:6] = 0
-    quarters[2:6, 2:6] = np.arange(4).reshape(2, 2).repeat(2, 0).repeat(2, 1)
-    assert fate(whole, thing) == (0, 12 / 16, "found")
-    assert fate(host, thing) == (3, 16 / 64, "swallowed")
-    assert fate(few, thing) == (0, 4 / 16, "missing")
-    assert fate(quarters, thing) == (0, 0.25, "split")
 
 
 def test_distance_of_borders() -> None:
