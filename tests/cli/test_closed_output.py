@@ -34,7 +34,14 @@ def nobody_reads(name: str) -> Iterator[None]:
             setattr(sys, name, before)
 
 
-@pytest.mark.parametrize("verb", [name for name in VERBS if name not in ("demo", "bench", "synthetic")])
+@pytest.mark.parametrize(
+    "verb",
+    [
+        pytest.param(name, marks=() if name in ("build", "extract", "query", "render") else pytest.mark.slow)
+        for name in VERBS
+        if name not in ("demo", "bench", "synthetic")
+    ],
+)
 def test_every_verb_ends_its_work(verb: str) -> None:
     before = entries(Path())
     with nobody_reads("stdout"):

@@ -152,8 +152,10 @@ def remove(names: set[str]) -> None:
 
 
 SLOW = ("demo", "synthetic")
+LIKE_OTHERS = ("build with geometry", "build with sums", "merge with sums", "update, edited without a scene",
+               "extract, LangSplat", "animation, WebP")  # fmt: skip
 TIMED = ("bench", "demo", "synthetic")  # what these write holds times, or takes long
-ALL = [pytest.param(verb, marks=pytest.mark.slow) if verb in SLOW else verb for verb in VERBS]
+ALL = [pytest.param(verb, marks=pytest.mark.slow if verb in SLOW + LIKE_OTHERS else ()) for verb in VERBS]
 
 
 @pytest.mark.parametrize("verb", ALL)

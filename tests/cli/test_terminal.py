@@ -90,6 +90,8 @@ resource.setrlimit(getattr(resource, sys.argv[1]), (int(sys.argv[2]),) * 2)
 sys.argv = ["scoup", *sys.argv[3:]]
 """
 
+LESS_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
+
 
 def limited(limit: str, most: int, *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", LIMITED + RUN, limit, str(most), *map(str, arguments)]
@@ -101,7 +103,7 @@ def limited(limit: str, most: int, *arguments: object) -> subprocess.CompletedPr
 @pytest.mark.usefixtures("here")
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
 @pytest.mark.parametrize(
-    "verb", [("info", "f.scoup"), (*BUILD,), ("query", "f.scoup", "kettle", "--out", "o")]
+    "verb", [BUILD, pytest.param(("query", "f.scoup", "kettle", "--out", "o"), marks=pytest.mark.slow)]
 )
 def test_sixteen_open_files_are_enough(verb: tuple[str, ...]) -> None:
     done = limited("RLIMIT_NOFILE", 16, *verb)
@@ -114,8 +116,8 @@ def test_sixteen_open_files_are_enough(verb: tuple[str, ...]) -> None:
     ("limit", "most", "said"),
     [
         ("RLIMIT_NOFILE", 5, "raise the limit of open files (ulimit -n)"),
-        ("RLIMIT_AS", 300 << 20, "not enough memory; use fewer or smaller views, or a machine with more"),
-        ("RLIMIT_AS", 600 << 20, "not enough memory; use fewer or smaller views, or a machine with more"),
+        ("RLIMIT_AS", 600 << 20, LESS_MEMORY),
+        pytest.param("RLIMIT_AS", 300 << 20, LESS_MEMORY, marks=pytest.mark.slow),
     ],
 )
 def test_limits_of_the_system_are_one_sentence(limit: str, most: int, said: str) -> None:

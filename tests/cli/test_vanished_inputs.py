@@ -61,6 +61,8 @@ VERBS = {
     "extract": Verb(("extract", "photographs", *FREE, "--out", "regions"), ("photographs/view_02.png",), ()),
 }  # fmt: skip
 CASES = [(name, file) for name, verb in VERBS.items() for file in verb.inputs]
+FIRST_READER = {file: name for name, file in reversed(CASES)}
+"""Of each file the verb with which every run of the tests tries it; with the others `make test-all` does."""
 
 
 class Doors:
@@ -162,7 +164,13 @@ def start(begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Calla
 
 
 @pytest.mark.usefixtures("fields_are_heard")
-@pytest.mark.parametrize(("name", "file"), CASES)
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        pytest.param(name, file, marks=() if FIRST_READER[file] == name else pytest.mark.slow)
+        for name, file in CASES
+    ],
+)
 def test_inputs_that_vanish(start: Callable[[], dict[str, bytes]], name: str, file: str) -> None:
     verb = VERBS[name]
     before = start()

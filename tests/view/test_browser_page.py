@@ -87,7 +87,6 @@ def render(viewed: ViewedField, camera: Camera, mask: torch.Tensor | None = None
     return as_picture(raster.render_colors(gaussians, camera))
 
 
-@both_pages
 def test_the_scene_is_seen_as_our_rasteriser_draws_it(visit: Visit, viewed: ViewedField, camera: Camera):
     assert difference(visit.picture(), render(viewed, camera)) < ALIKE
     visit.tab("View")
@@ -116,9 +115,15 @@ def test_a_high_picture_shows_all_that_the_camera_sees(browser: Browser, live: s
 
 
 def test_a_text_lights_up_its_thing_and_nothing_else(visit: Visit, camera: Camera):
-    before = patches(visit.picture(), camera)
+    plain = visit.picture()
+    before = patches(plain, camera)
     visit.ask("kettle")
+    visit.choose("Colour")
+    assert difference(visit.picture(), plain) > 3 * ALIKE
+    visit.slide("Opacity of the colouring", 0)
+    assert difference(visit.picture(), plain) < ALIKE
     visit.slide("Opacity of the colouring", 1)
+    visit.choose("Heat")
     after = patches(visit.picture(), camera)
     for name, pixels in after.items():
         is_grey = np.ptp(pixels, 1).max() < 10
@@ -223,25 +228,15 @@ def test_the_coarse_level_knows_groups(visit: Visit, camera: Camera):
     assert {name for name, patch in pixels.items() if patch.mean() > 40} == {"kettle", "mug"}
 
 
-def test_opacity_of_the_colouring(visit: Visit, camera: Camera):
-    plain = visit.picture()
-    visit.ask("kettle")
-    visit.choose("Colour")
-    assert difference(visit.picture(), plain) > 3 * ALIKE
-    visit.slide("Opacity of the colouring", 0)
-    assert difference(visit.picture(), plain) < ALIKE
-
-
-@pytest.mark.parametrize("mode", ["Codes", "Confidence"])
-def test_codes_and_confidence(visit: Visit, mode: str, camera: Camera):
-    plain = patches(visit.picture(), camera)
-    visit.choose(mode)
-    pixels = patches(visit.picture(), camera)
-    for name, patch in pixels.items():
-        assert np.abs(patch - plain[name]).mean() > 10
-    if mode == "Codes":  # unlike things have unlike colours
-        means = [patch.mean(0) for patch in pixels.values()]
-        assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(means, 2)) > 20
+def test_codes_and_confidence(visit: Visit, camera: Camera):
+    pixels = plain = patches(visit.picture(), camera)
+    for mode in ("Confidence", "Codes"):
+        visit.choose(mode)
+        pixels = patches(visit.picture(), camera)
+        for name, patch in pixels.items():
+            assert np.abs(patch - plain[name]).mean() > 10
+    means = [patch.mean(0) for patch in pixels.values()]  # unlike things have codes of unlike colours
+    assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(means, 2)) > 20
 
 
 def test_a_click_reads_what_is_there(visit: Visit, camera: Camera):
@@ -257,7 +252,6 @@ def test_a_click_reads_what_is_there(visit: Visit, camera: Camera):
     assert "nothing" in visit.click((0.5, 0.5))
 
 
-@both_pages
 def test_a_selection_is_saved_and_loaded_back(visit: Visit, viewed: ViewedField, tmp_path: Path):
     visit.ask("kettle", "lamp")
     mask = selected(viewed, "kettle") | selected(viewed, "lamp")

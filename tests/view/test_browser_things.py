@@ -59,7 +59,7 @@ def viewed() -> ViewedField:
     return ViewedField(field_of_instances(), table())
 
 
-@pytest.fixture(params=["live", "exported"])
+@pytest.fixture(params=["live", pytest.param("exported", marks=pytest.mark.slow)])
 def visit(
     request: pytest.FixtureRequest, browser: Browser, viewed: ViewedField, tmp_path: Path
 ) -> Iterator[Visit]:
@@ -118,6 +118,7 @@ def test_things_light_up_until_a_threshold_is_set(visit: Visit, viewed: ViewedFi
     assert difference(visit.picture(), render(viewed, ~by_things)) < ALIKE
 
 
+@pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
 def test_things_and_votes_answer_side_by_side(visit: Visit, viewed: ViewedField, tmp_path: Path) -> None:
     assert [answer.chosen_things is None for answer in viewed.answers(["lamp", "mug"])] == [True, False]
     assert viewed.answers(["kettle"])[0].chosen_things is not None

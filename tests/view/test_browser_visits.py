@@ -211,7 +211,7 @@ FOCUSED = """() => {
 }"""
 
 
-@pytest.mark.parametrize("width", [360, 390])
+@pytest.mark.parametrize("width", [360, pytest.param(390, marks=pytest.mark.slow)])
 def test_on_a_telephone(browser: Browser, live: str, camera: Camera, width: int):
     with visiting(browser, live, (width, 740), has_touch=True, is_mobile=True) as visit:
         page = visit.page
