@@ -9,7 +9,8 @@ embedding of what was found has a cosine with the query and with each of many ev
 which for normally distributed cosines is the number of standard deviations of the query above the mean word. The
 quantile asks more: where many words fit as well, what was found is rather one of those. Unlike the best word, it does
 not depend on the size of the table. Other names of the query do not count (``other_words``). Fewer than
-``LEAST_GAUSSIANS`` Gaussians in the scene count as nothing found.
+``LEAST_GAUSSIANS`` Gaussians in the scene count as nothing found. A least number of views needs no rule here: regions
+of two views or more make a thing (``scoup.uplift.things``).
 
 In a field with things, the score of the best thing is added (``scoup.query.things.ThingFits.presence``).
 
