@@ -215,7 +215,6 @@ HIDDEN = {
     "views": "coverage",
     "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)|colours / query|scoup view /.*|(scene|exported page), bytes",
     "city": "(load|coding|save), s",
-    "endurance": "too late|start|codes|views|vote|outputs|end|done again, most",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import random
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,6 @@ AGAIN = 0.4
 """Share of the kills after which the run that continues is killed, too."""
 MOST_RUNS = 6
 """Of one trial, before the last."""
-STAGES = ("start", "codes", "views", "vote", "outputs", "end")
 EARLY = 1.05
 """Kills from outside come within this much of the time of an undisturbed run."""
 
@@ -33,10 +31,8 @@ class Endurance(Study):
     kills come from outside, after a random part of the time that an undisturbed run takes; half come at a random point:
     before one of the changes of files, within a file of region sums, around a view. After some kills the run that
     continues is killed again. Then the same command runs to its end, and the folder is compared with that of an
-    undisturbed run. Kills that come too late, after the end of a run, are counted apart.
-
-    "done again" counts the views that a killed run had rasterised (or extracted) to the end and had not kept; "begun
-    again" also those that it was at. What is kept is counted in the files that it left.
+    undisturbed run. "begun again" counts the views that a killed run had begun to rasterise or extract and had not
+    kept.
     """
 
     kills: int = 100
@@ -67,14 +63,12 @@ class Endurance(Study):
     @staticmethod
     def table(record: Record) -> str:
         """Return one line per verb."""
-        heads = ["verb", "kills", "too late", *STAGES, "same bytes", "consistent", "done again, most",
-                 "begun again, most", "orphans", "passed"]  # fmt: skip
+        heads = ["verb", "kills", "same bytes", "consistent", "begun again, most", "orphans", "passed"]
         rows = []
         for name, of in record["verbs"].items():
-            shares = (f"{of['stages'].get(stage, 0) / max(1, of['kills']):.0%}" for stage in STAGES)
             count = of["trials"]
-            rows.append([name, str(of["kills"]), str(of["too_late"]), *shares, f"{of['same_bytes']} of {count}",
-                         f"{of['consistent']} of {of['kills']}", str(of["most_done_again"]),
+            rows.append([name, str(of["kills"]), f"{of['same_bytes']} of {count}",
+                         f"{of['consistent']} of {of['kills']}",
                          f"{of['most_begun_again']} (at most {of['may_begin_again']})", str(len(of["orphans"])),
                          f"{of['passed']} of {count}"])  # fmt: skip
         return markdown(heads, rows)
@@ -94,9 +88,6 @@ class Plain:
 class Kill:
     """A kill that hit."""
 
-    stage: str  # of ``STAGES``
-    kind: str  # "outside", or what the point was
-    done_again: int  # views that were done and not kept
     begun_again: int  # views that were begun and not kept
     consistent: bool  # the verb's outputs were all of before or all new, or the lock says how to go on
 
@@ -106,7 +97,6 @@ class Trial:
     """A verb that was killed once or several times, and then run to its end."""
 
     kills: tuple[Kill, ...]  # that hit
-    late: int  # kills that came after the end of a run
     code: int  # of the last run
     said: str  # by the last run, where it was refused
     ended_well: bool  # it did its work, or was refused because the work is done
@@ -153,11 +143,10 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
     """Return one trial; at most so many kills that hit."""
     verb.prepare(scene)
     kills: list[Kill] = []
-    late, kept = 0, verb.n_kept(scene)
+    kept = verb.n_kept(scene)
     for _ in range(MOST_RUNS):
         found = run_and_kill(verb, scene, plain, dice, outside)
-        if found.code != Run.KILLED:
-            late += 1
+        if found.code != Run.KILLED:  # it came after the end
             break
         kills.append(judge_kill(verb, scene, plain, found, kept))
         kept = verb.n_kept(scene)
@@ -168,13 +157,12 @@ def trial(verb: Verb, scene: Scene, plain: Plain, dice: random.Random, most: int
     wanted = 0 if verb.is_finished(last) else verb.n_views(scene) - kept
     return Trial(
         tuple(kills),
-        late,
         last.code,
         last.said,
         last.code == 0 or verb.is_finished(last),
         all(files.get(name) == content for name, content in plain.files.items()),
         tuple(sorted(set(files) - set(plain.files))),
-        max(0, last.count("begun") - wanted),
+        max(0, last.begun - wanted),
     )
 
 
@@ -190,10 +178,9 @@ def judge_kill(verb: Verb, scene: Scene, plain: Plain, found: Run, kept_before: 
     """Return what a kill has left."""
     files = snapshot(scene.work)
     finished = verb.is_new(files, plain.files)
-    kept = found.count("begun") if finished else verb.n_kept(scene) - kept_before
+    kept = found.begun if finished else verb.n_kept(scene) - kept_before
     consistent = finished or verb.is_as_before(files, plain.before) or verb.says_how_to_go_on(files)
-    done, begun = (max(0, found.count(note) - kept) for note in ("done", "begun"))
-    return Kill(found.stage, found.kind, done, begun, consistent)
+    return Kill(max(0, found.begun - kept), consistent)
 
 
 def figures(trials: list[Trial], verb: Verb) -> dict[str, Any]:
@@ -202,14 +189,8 @@ def figures(trials: list[Trial], verb: Verb) -> dict[str, Any]:
     return {
         "trials": len(trials),
         "kills": len(kills),
-        "too_late": sum(trial.late for trial in trials),
-        "stages": dict(Counter(kill.stage for kill in kills)),
-        "kinds": dict(Counter(kill.kind for kill in kills)),
         "same_bytes": sum(trial.same_bytes for trial in trials),
         "consistent": sum(kill.consistent for kill in kills),
-        "done_again": dict(Counter(str(kill.done_again) for kill in kills)),
-        "begun_again": dict(Counter(str(kill.begun_again) for kill in kills)),
-        "most_done_again": max((kill.done_again for kill in kills), default=0),
         "most_begun_again": max((kill.begun_again for kill in kills), default=0),
         "may_begin_again": verb.may_begin_again,
         "orphans": sorted({name for trial in trials for name in trial.orphans}),

@@ -3,7 +3,7 @@
     python benchmarks/endurance_child.py LOG FOLDER POINT VERB ...
 
 LOG gets a line for each point: each change of a file below FOLDER, each part of a file of region sums (half of it is
-written), each view that is begun, done and kept, and each stage. At the POINT-th of them (1 for the first, 0 for
+written), and each view that is begun. At the POINT-th of them (1 for the first, 0 for
 never) the process kills itself. Nothing of the verb is changed.
 """
 
@@ -13,11 +13,11 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+BEGUN = "begun"  # the note of a view
 _CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
@@ -59,35 +59,14 @@ class Points:
 
 
 def observe(points: Points) -> None:
-    """Note stages and views, and count the parts of files of region sums."""
+    """Note views, and count the parts of files of region sums."""
     from scoup import raster
     from scoup.base import atomic
-    from scoup.cli.console import Console
-    from scoup.extract import pipeline
     from scoup.extract.felzenszwalb import Felzenszwalb
-    from scoup.field.language_field import LanguageField
-    from scoup.io.regions.store import RegionStore
-    from scoup.uplift.region_sums import RegionSums
     from scoup.uplift.storage.paths import ENDING
 
-    @contextmanager
-    def progress(self: Console) -> Iterator[Callable[[str, int, int], None]]:
-        stages: list[str] = []
-
-        def note(stage: str, done: int, total: int) -> None:
-            if stage not in stages:
-                stages.append(stage)
-                points.pass_by(f"stage {stage}")
-
-        yield note
-
-    Console.progress = progress
-    _noted(points, raster, "region_sums", "begun", "done")
-    _noted(points, RegionSums, "append", "", "kept")
-    _noted(points, Felzenszwalb, "segment", "begun", "")
-    _noted(points, pipeline, "describe_masks", "", "done")
-    _noted(points, RegionStore, "write", "", "kept")
-    _noted(points, LanguageField, "save", "stage outputs", "stage end")
+    _note_calls(points, raster, "region_sums")
+    _note_calls(points, Felzenszwalb, "segment")
     write = atomic._Output.write  # pyright: ignore[reportPrivateUsage]
 
     def torn(self: Any, part: bytes | memoryview) -> int:
@@ -98,17 +77,13 @@ def observe(points: Points) -> None:
     atomic._Output.write = torn  # pyright: ignore[reportPrivateUsage]
 
 
-def _noted(points: Points, owner: Any, name: str, before: str, after: str) -> None:
-    """Note the calls of a function."""
+def _note_calls(points: Points, owner: Any, name: str) -> None:
+    """Note a view at each call of a function."""
     function = getattr(owner, name)
 
     def noted(*arguments: Any, **more: Any) -> Any:
-        if before:
-            points.pass_by(before)
-        found = function(*arguments, **more)
-        if after:
-            points.pass_by(after)
-        return found
+        points.pass_by(BEGUN)
+        return function(*arguments, **more)
 
     setattr(owner, name, noted)
 

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from benchmarks.endurance_child import BEGUN
+
 CHILD = Path(__file__).with_name("endurance_child.py")
 HANGS = 600
 """Seconds after which a run that nobody has killed is given up."""
-_STAGES = {"region sums": "views", "regions": "views", "vote": "vote", "outputs": "outputs", "end": "end"}
 
 
 @dataclass(frozen=True)
@@ -28,24 +29,11 @@ class Run:
     notes: tuple[str, ...]  # see ``benchmarks/endurance_child.py``
     seconds: float  # that it took
     said: str  # on standard error, its last line
-    by_itself: bool  # it was to end itself at a point
-
-    def count(self, note: str) -> int:
-        """Return how often it noted this."""
-        return self.notes.count(note)
 
     @property
-    def stage(self) -> str:
-        """The last stage that it began: start, codes, views, vote, outputs or end."""
-        names = [note.removeprefix("stage ") for note in self.notes if note.startswith("stage ")]
-        if not names:
-            return "start"
-        return "codes" if names[-1].startswith("coding") else _STAGES.get(names[-1], names[-1])
-
-    @property
-    def kind(self) -> str:
-        """How it was killed: from outside, or at what kind of point."""
-        return " ".join(self.notes[-1].split()[:2]) if self.by_itself and self.notes else "outside"
+    def begun(self) -> int:
+        """Views that it began."""
+        return self.notes.count(BEGUN)
 
 
 def run(arguments: Sequence[str], work: Path, point: int = 0, after: float | None = None) -> Run:
@@ -75,7 +63,7 @@ def run(arguments: Sequence[str], work: Path, point: int = 0, after: float | Non
         seconds = time.perf_counter() - start
         notes = tuple(log.read_text().splitlines()) if log.exists() else ()
     lines = said.strip().splitlines()
-    return Run(process.returncode, notes, seconds, lines[-1] if lines else "", point > 0)
+    return Run(process.returncode, notes, seconds, lines[-1] if lines else "")
 
 
 def environment() -> dict[str, str]:
