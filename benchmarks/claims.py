@@ -16,7 +16,7 @@ from scoup import raster
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.vote import vote
-from scoup_lab.baselines.sparse import learn_codes
+from scoup_lab.baselines.rasterised_scene import learn_codes
 from scoup_lab.bench import (
     Task,
     markdown,

@@ -35,7 +35,6 @@ INNER = {
         "cli.console",
         "cli.options",
         "cli.parsing",
-        "coding.adam",
     ),
     *(
         "coding.kmeans",

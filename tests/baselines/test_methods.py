@@ -22,7 +22,7 @@ from scoup_lab.baselines.joint_codes import JointSettings
 from scoup_lab.baselines.method import Method, MethodSettings
 from scoup_lab.baselines.methods import METHODS, find_method
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
-from scoup_lab.baselines.trained import AutoencodedUplift, QuantisedUplift
+from scoup_lab.baselines.trained import QuantisedUplift
 from support import small_scene, unit
 
 SETTINGS = MethodSettings(
@@ -88,12 +88,13 @@ def test_codes_give_what_their_channels_give(scene: RasterisedScene) -> None:
 def test_sizes(scene: RasterisedScene) -> None:
     sizes = {
         name: METHODS[name].fit(scene, SETTINGS).bytes_per_gaussian
-        for name in ("sparse", "sparse-all", "sparse-64-all", "dense", "top-contributors", "autoencoder")
+        for name in ("sparse", "sparse-all", "sparse-64-all", "dense", "top-45-contributors", "autoencoder")
     }
     # 3 levels; 4 atoms of 3 bytes and a thing of 2; 8 or 64 coefficients of 2, the 8 with a thing; 16 floats; 16 bytes
     # (D = 16); 3 floats.
     assert sizes == {
-        "sparse": 42, "sparse-all": 54, "sparse-64-all": 384, "dense": 192, "top-contributors": 48, "autoencoder": 36,
+        "sparse": 42, "sparse-all": 54, "sparse-64-all": 384, "dense": 192, "top-45-contributors": 48,
+        "autoencoder": 36,
     }  # fmt: skip
 
 
@@ -163,30 +164,11 @@ def test_a_trained_autoencoder_gives_back_what_a_gaussian_shows(scene: Rasterise
     assert torch.equal(found[:, sure].argmax(0), own[sure].argmax(1))
 
 
-def test_the_autoencoder_can_take_the_steps_of_a_larger_scene(scene: RasterisedScene) -> None:
-    """54 regions are a batch; 300 are five of 64: two epochs make ten steps."""
-    steps: list[int] = []
-
-    def count(stage: str, done: int, total: int) -> None:
-        steps.append(total)
-
-    larger = Method("larger", AutoencodedUplift(300))
-    for method, expected in ((METHODS["autoencoder"], 2), (larger, 10)):
-        steps.clear()
-        method.fit(scene, replace(SETTINGS, progress=count))
-        assert set(steps) == {expected}
-    lerf = METHODS["autoencoder-lerf"].uplift
-    assert isinstance(lerf, AutoencodedUplift)
-    assert lerf.scene_rows == 60_000
-
-
 def test_parts_of_a_quantised_feature(scene: RasterisedScene) -> None:
     sizes = [
         Method("", QuantisedUplift(parts)).fit(scene, SETTINGS).bytes_per_gaussian for parts in (4, 7, 64)
     ]
     assert sizes == [3 * 4, 3 * 4, 3 * 16]  # the largest divisor of 16 that is not more
-    for name, parts in (("top-contributors", 64), ("top-45-contributors", 128)):
-        assert METHODS[name].uplift == QuantisedUplift(parts)
 
 
 def test_unknown_method() -> None:

@@ -2,39 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
+from unittest.mock import Mock
 
-from torch import Tensor
+import pytest
 
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
+from scoup_lab.baselines import rasterised_scene
 from scoup_lab.baselines.method import Method
-from scoup_lab.baselines.pixel_rules import EveryNthPixel
-from scoup_lab.baselines.rasterised_scene import Codes, RasterisedScene, spread_views
-from scoup_lab.baselines.sparse import SparseUplift, learn_codes
+from scoup_lab.baselines.pixel_rules import CentrePixel
+from scoup_lab.baselines.rasterised_scene import RasterisedScene, spread_views
+from scoup_lab.baselines.sparse import SparseUplift
 from support import small_scene
 
 SETTINGS = BuildSettings(n_atoms=4, k=2, effort="fast")
 
 
-class CountingCoder:
-    """Learns codes, and counts how often."""
-
-    def __init__(self) -> None:
-        self.calls = 0
-
-    def __call__(self, embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-        self.calls += 1
-        return learn_codes(embeddings, settings)
-
-
 def test_sums_are_made_once_for_equal_rules() -> None:
     scene = RasterisedScene(*small_scene(views=2))
     assert scene.region_sums() is scene.region_sums()
-    assert scene.region_sums(EveryNthPixel(2)) is scene.region_sums(EveryNthPixel(2))
-    assert scene.region_sums(EveryNthPixel(2)) is not scene.region_sums()
-    assert scene.seconds(EveryNthPixel(2)) > 0
+    assert scene.region_sums(CentrePixel()) is scene.region_sums(CentrePixel())
+    assert scene.region_sums(CentrePixel()) is not scene.region_sums()
+    assert scene.seconds(CentrePixel()) > 0
     assert scene.with_regions(scene.regions).region_sums() is not scene.region_sums()
 
 
@@ -46,18 +36,19 @@ def test_sums_that_are_given_are_taken() -> None:
     assert scene.seconds() == 0
 
 
-def test_codes_are_learned_once_for_settings_that_differ_in_the_vote() -> None:
-    scene, coder = RasterisedScene(*small_scene(views=2)), CountingCoder()
+def test_codes_are_learned_once_for_settings_that_differ_in_the_vote(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, learn = RasterisedScene(*small_scene(views=2)), Mock(wraps=rasterised_scene.learn_codes)
+    monkeypatch.setattr(rasterised_scene, "learn_codes", learn)
     for changes in ({}, {"keep": 0}, {"rounds": 1}):
-        scene.inputs().codes(coder, replace(SETTINGS, **changes))
-        scene.inputs(EveryNthPixel(2)).codes(coder, SETTINGS)
-    assert coder.calls == 1
-    scene.inputs(views=0.5).codes(coder, SETTINGS)
-    scene.inputs().codes(coder, replace(SETTINGS, seed=1))
-    assert coder.calls == 3
+        scene.inputs().codes(replace(SETTINGS, **changes))
+        scene.inputs(CentrePixel()).codes(SETTINGS)
+    assert learn.call_count == 1
+    scene.inputs(views=0.5).codes(SETTINGS)
+    scene.inputs().codes(replace(SETTINGS, seed=1))
+    assert learn.call_count == 3
     scene.forget_codes()
-    scene.inputs().codes(coder, SETTINGS)
-    assert coder.calls == 4
+    scene.inputs().codes(SETTINGS)
+    assert learn.call_count == 4
 
 
 def test_views_are_spread_evenly_and_keep_their_order() -> None:

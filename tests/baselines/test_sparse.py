@@ -1,4 +1,4 @@
-"""Sparse codes as a method: starts of Adam, halves of the Gaussians by the entropy of their votes."""
+"""Sparse codes as a method: halves of the Gaussians by the entropy of their votes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from scoup.uplift.vote import GaussianCodes
-from scoup_lab.baselines.sparse import AdamCoder, vote_entropy, without_half
-from support import unit
+from scoup_lab.baselines.sparse import vote_entropy, without_half
 
 
 def test_entropy_of_votes() -> None:
@@ -32,15 +31,3 @@ def test_halves_by_entropy() -> None:
         assert abs(int(kept.sum()) - int(dropped.sum())) <= 1
         assert entropy[kept, level].max() <= entropy[dropped, level].min()
         assert torch.equal(calm[kept, level], votes[kept, level])
-
-
-def test_starts() -> None:
-    rows = unit(torch.randn(30, 6))
-    assert AdamCoder().first_atoms(rows, 4, 0) is None
-    drawn = AdamCoder("random regions").first_atoms(rows, 4, 0)
-    assert drawn is not None
-    assert all((rows == atom).all(1).any() for atom in drawn)
-    free = AdamCoder("random directions").first_atoms(rows, 4, 0)
-    assert free is not None
-    assert torch.allclose(free.norm(dim=1), torch.ones(4))
-    assert not any((rows == atom).all(1).any() for atom in free)

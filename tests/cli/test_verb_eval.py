@@ -122,7 +122,7 @@ def test_refusals(here: Path) -> None:
 
 
 def test_baselines(here: Path) -> None:
-    names = ("sparse", "dense", "centre-pixel", "top-contributors")
+    names = ("sparse", "dense", "centre-pixel", "top-45-contributors")
     chosen = [part for name in names for part in ("--methods", name)]
     record = run_json("eval", "baselines", "lerf-ovs", "--scenes", "table", *chosen, "--selection")
     assert list(record["methods"]) == list(names)

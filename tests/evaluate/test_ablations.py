@@ -18,7 +18,6 @@ def test_rules_of_rows() -> None:
     assert [name for name, rule in rules.items() if rule.coded] == [
         "without the 50 % of highest entropy, dropped from blending",
         "without the 50 % of lowest entropy, dropped from blending",
-        "none without a code in blending",
     ]
     assert rules["level by mask"].preset.level_choice == "mask"
     assert rules["only level m"].levels == ("m",)

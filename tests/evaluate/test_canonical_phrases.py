@@ -116,7 +116,7 @@ def test_evaluation(
         torch.testing.assert_close(found.float(), expected, atol=2e-3, rtol=0)
 
 
-@pytest.mark.parametrize("name", ["sparse", "dense", "centre-pixel", "top-contributors", "autoencoder"])
+@pytest.mark.parametrize("name", ["sparse", "dense", "centre-pixel", "top-45-contributors", "autoencoder"])
 def test_comparison_of_methods(scene: StudyScene, table: tuple[Path, Tensor], name: str) -> None:
     method, recorders = find_method(name), []
 

@@ -48,9 +48,6 @@ class AdamSettings:
     epochs: int = 4000  # full-batch steps
     learning_rate: float = LEARNING_RATE  # of logits and codebook
     tolerance: float | None = None  # stop once the mean loss has fallen by less over the last 100 epochs
-    logit_scale: float = (
-        LOGIT_SCALE  # initial logits per cosine of region and initial atom; 0 starts all equal
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +76,7 @@ def solve_adam(
     """
     settings = settings or AdamSettings()
     atoms = spherical_kmeans(rows, n_atoms, seed) if initial_atoms is None else initial_atoms.clone()
-    slots = Slots(_initial_logits(rows, atoms, settings.logit_scale), min(k, n_atoms))
+    slots = Slots(_initial_logits(rows, atoms), min(k, n_atoms))
     products = products_for(rows, n_atoms)
     products.set_support(slots.support)
     first, second = torch.zeros_like(atoms), torch.zeros_like(atoms)
@@ -112,12 +109,10 @@ def solve_adam(
     return AdamSolution(atoms, _codes(slots, n_atoms, k), done, tuple(losses))
 
 
-def _initial_logits(rows: Tensor, atoms: Tensor, scale: float) -> Tensor:
+def _initial_logits(rows: Tensor, atoms: Tensor) -> Tensor:
     """[R, L] float32."""
-    if scale == 0:
-        return torch.zeros(len(rows), len(atoms), device=rows.device)
     norms = torch.linalg.vector_norm(atoms, dim=1).clamp(min=_TINY)
-    return rows @ (atoms / norms[:, None]).T * scale
+    return rows @ (atoms / norms[:, None]).T * LOGIT_SCALE
 
 
 def _stalled(losses: list[float], tolerance: float | None) -> bool:

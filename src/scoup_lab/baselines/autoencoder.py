@@ -55,16 +55,6 @@ class AutoencoderSettings:
 
 
 LANGSPLAT = AutoencoderSettings()
-LERF_ROWS = 60_000
-"""Embeddings of a scene of LERF, as we assume: 200 views of 300 regions, the size of ``benchmarks.lerf_sized``. We know
-of no published count; with LangSplat's fourth level, which we do not use, there would be more."""
-
-
-def epochs_of_scene(settings: AutoencoderSettings, rows: int, scene_rows: int = LERF_ROWS) -> int:
-    """Return the epochs over ``rows`` rows that make as many steps as ``settings.epochs`` do over
-    ``scene_rows``, rounded up."""
-    steps = settings.epochs * _n_batches(scene_rows, settings.batch)
-    return -(-steps // _n_batches(rows, settings.batch))
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from scoup.base.errors import looked_up
 from scoup_lab.baselines.dense import dense_mean_uplift, dense_uplift
 from scoup_lab.baselines.method import Method
-from scoup_lab.baselines.pixel_rules import CentrePixel, TopContributors, VisibleCentrePixel, VisibleInView
+from scoup_lab.baselines.pixel_rules import CentrePixel, TopContributors, VisibleInView
 from scoup_lab.baselines.sparse import SparseUplift
-from scoup_lab.baselines.trained import LERF_AUTOENCODER, AutoencodedUplift, QuantisedUplift, joint_uplift
+from scoup_lab.baselines.trained import QuantisedUplift, autoencoded_uplift, joint_uplift
 from scoup_lab.baselines.visible_median import median_uplift
 
 PRESETS = (
@@ -81,17 +81,6 @@ BASELINES = (
         random=False,
     ),
     Method(
-        "visible-centre-pixel",
-        dense_uplift,
-        "VALA",
-        "Centre pixels gated by visibility: a Gaussian counts in a view only if it is among those that make up half of "
-        "the pixel's blending weight; 512 numbers per level.",
-        "The gate's share of one half is our choice. Views are put together by a weighted mean; what the paper does "
-        "beyond the gate is not here.",
-        VisibleCentrePixel(),
-        random=False,
-    ),
-    Method(
         "visible-centre-median",
         median_uplift,
         "VALA, its public code and constants",
@@ -102,40 +91,22 @@ BASELINES = (
         random=False,
     ),
     Method(
-        "top-contributors",
+        "top-45-contributors",
         QuantisedUplift(),
-        "Dr. Splat",
-        "Each pixel's embedding goes to the Gaussians that contribute most to it, weighted by how much; stored as "
-        "product-quantised codes.",
-        "Ten Gaussians per pixel and 64 bytes per level are our choice; the quantiser learns from the scene's regions, "
-        "not from a large image collection, by k-means in numpy instead of faiss. It is also scored in "
-        "2D here, where the paper selects in 3D.",
+        "Dr. Splat, its published constants",
+        "Each pixel's embedding goes to the 45 Gaussians that contribute most to it, weighted by how much; stored as "
+        "product-quantised codes of 128 bytes per level.",
+        "The quantiser learns from the scene's own regions, not from a large image collection, by k-means in numpy "
+        "instead of faiss. It is also scored in 2D here, where the paper selects in 3D.",
         TopContributors(),
     ),
     Method(
-        "top-45-contributors",
-        QuantisedUplift(128),
-        "Dr. Splat, its published constants",
-        "The same with 45 Gaussians per pixel and 128 bytes per level.",
-        "The quantiser learns from the scene's own regions, not from a large image collection, by k-means in numpy "
-        "instead of faiss. It is also scored in 2D here, where the paper selects in 3D.",
-        TopContributors(45),
-    ),
-    Method(
         "autoencoder",
-        AutoencodedUplift(),
+        autoencoded_uplift,
         "LangSplat",
         "LangSplat's autoencoder to three numbers and back, decoded for every pixel.",
         "The three numbers are lifted as weighted means; LangSplat optimises them through the "
         "rasteriser, each level by itself.",
-    ),
-    Method(
-        "autoencoder-lerf",
-        LERF_AUTOENCODER,
-        "LangSplat",
-        "The same, trained for as many steps as a scene of LERF takes: 100 epochs over 60,000 embeddings.",
-        "The number of embeddings is assumed (200 views of 300 regions); a small scene sees each of its own far more "
-        "than 100 times.",
     ),
     Method(
         "joint-codes",
@@ -148,8 +119,8 @@ BASELINES = (
 )
 METHODS: dict[str, Method] = {method.name: method for method in (*PRESETS, *BASELINES)}
 """By name."""
-COMPARED = tuple(name for name in METHODS if name not in ("sparse-all", "autoencoder-lerf", "joint-codes"))
-"""Those compared by default: without one that the ablations cover, and without the slowest two."""
+COMPARED = tuple(name for name in METHODS if name not in ("sparse-all", "joint-codes"))
+"""Those compared by default: without one that the ablations cover, and without the slowest."""
 
 
 def find_method(name: str) -> Method:

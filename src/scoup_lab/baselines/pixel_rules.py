@@ -2,7 +2,7 @@
 
 Dense and sparse uplift count every pixel by its blending weight (``AllPixels``). Other systems count fewer: the pixel
 at the projected centre of a Gaussian (``CentrePixel``), the same where the Gaussian is visible
-(``VisibleCentrePixel``, ``VisibleInView``), or only those that contribute most to a pixel (``TopContributors``).
+(``VisibleInView``), or only those that contribute most to a pixel (``TopContributors``).
 Every rule gives region sums of the same form, so that all that comes after can be shared.
 
 The blending weights come from the rasteriser's contract: region sums of a map in which every pixel is a region of its
@@ -25,7 +25,7 @@ from scoup.base.errors import InputError
 from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.regions import RegionMap, Regions
+from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import cameras_with_regions, region_sums
 from scoup.uplift.region_sums import RegionSums
 
@@ -77,18 +77,6 @@ class AllPixels:
 ALL_PIXELS = AllPixels()
 
 
-@dataclass(frozen=True)
-class EveryNthPixel:
-    """Every ``stride``-th pixel of every ``stride``-th row counts."""
-
-    stride: int
-
-    def region_sums(
-        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
-    ) -> RegionSums:
-        return region_sums(gaussians, cameras, every_nth_pixel(regions, self.stride), raster_preset)
-
-
 class PairRule(ABC):
     """A ``PixelRule`` that judges each pair of a Gaussian and a pixel it contributes to."""
 
@@ -121,25 +109,6 @@ class CentrePixel(PairRule):
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
         return pairs.kept(centres[pairs.gaussian] == pairs.pixel)
-
-
-@dataclass(frozen=True)
-class VisibleCentrePixel(PairRule):
-    """The pixel under the centre, in views where the Gaussian is among those that make up that pixel (VALA)."""
-
-    # of a pixel's weight. A Gaussian is visible if those with larger weights have less than this.
-    share: float = 0.5
-
-    def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
-        order, first = _strongest_first(pairs)
-        weight = pairs.weight[order].astype(np.float64)
-        before = np.cumsum(weight) - weight
-        starts = np.flatnonzero(first)
-        total = np.add.reduceat(weight, starts) if len(starts) else weight
-        ray = np.cumsum(first) - 1
-        visible = np.zeros(len(order), bool)
-        visible[order] = before - before[starts][ray] < self.share * total[ray]
-        return pairs.kept(visible & (centres[pairs.gaussian] == pairs.pixel))
 
 
 @dataclass(frozen=True)
@@ -181,7 +150,7 @@ class VisibleInView(PairRule):
 class TopContributors(PairRule):
     """The Gaussians that contribute most to each pixel (Dr. Splat)."""
 
-    count: int = 10  # so many; of equal weights the lower Gaussian
+    count: int = 45  # so many, as published; of equal weights the lower Gaussian
 
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
         order, first = _strongest_first(pairs)
@@ -190,19 +159,6 @@ class TopContributors(PairRule):
         chosen = np.zeros(len(order), bool)
         chosen[order] = rank < self.count
         return pairs.kept(chosen)
-
-
-def every_nth_pixel(regions: Regions, stride: int) -> Regions:
-    """Return the regions with labels only at every ``stride``-th pixel of every ``stride``-th row."""
-
-    def load(view: str, level: str) -> RegionMap:
-        found = regions.load(view, level)
-        labels = torch.full_like(found.labels, -1)
-        kept = (slice(stride // 2, None, stride),) * 2
-        labels[kept] = found.labels[kept]
-        return RegionMap(labels, found.embeddings)
-
-    return Regions(regions.levels, regions.view_names, load, regions.load_embeddings)
 
 
 def pixel_weights(projection: raster.Projection, pixels: int = PIXELS_AT_A_TIME) -> Iterator[PixelWeights]:

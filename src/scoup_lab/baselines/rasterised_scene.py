@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
+import torch
 from torch import Tensor
 
+from scoup.coding import fit_codes
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
@@ -24,12 +25,10 @@ Codes = tuple[list[SparseCodes], Tensor]
 """Codes of the regions of each level, and the codebook [S, L, D]."""
 
 
-class Coder(Hashable, Protocol):
-    """A way to learn codes."""
-
-    def __call__(self, embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-        """Return codes of embeddings [R, D] of each level."""
-        ...
+def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
+    """Return codes of the regions of each level, as ``scoup.build`` learns them."""
+    books = [fit_codes(rows, **settings.of_fit) for rows in embeddings]
+    return [book.codes for book in books], torch.stack([book.atoms for book in books])
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +37,18 @@ class UpliftInputs:
 
     sums: RegionSums  # region sums
     embeddings: Sequence[Tensor]  # per level [R, D], of the regions of these sums
-    # codes learned so far, by the coder and settings
-    kept_codes: dict[tuple[Coder, BuildSettings], Codes] = field(default_factory=dict)
+    # codes learned so far, by settings
+    kept_codes: dict[BuildSettings, Codes] = field(default_factory=dict)
     # the things of these sums, once they are known
     kept_things: list[ThingTable] = field(default_factory=list)
     # with the regions of these sums alone, for methods that render; None where only sums are at hand
     scene: RasterisedScene | None = None
 
-    def codes(self, coder: Coder, settings: BuildSettings) -> Codes:
+    def codes(self, settings: BuildSettings) -> Codes:
         """Return codes of the embeddings, learned once for all settings that differ in the vote only."""
-        if _key(coder, settings) not in self.kept_codes:
-            self.keep(coder, settings, coder(self.embeddings, settings))
-        return self.kept_codes[_key(coder, settings)]
+        if _of_codes(settings) not in self.kept_codes:
+            self.keep(settings, learn_codes(self.embeddings, settings))
+        return self.kept_codes[_of_codes(settings)]
 
     def things(self) -> ThingTable:
         """Return the instances of the scene, made once."""
@@ -57,13 +56,13 @@ class UpliftInputs:
             self.kept_things.append(find_things(self.sums, self.embeddings))
         return self.kept_things[0]
 
-    def keep(self, coder: Coder, settings: BuildSettings, codes: Codes) -> None:
+    def keep(self, settings: BuildSettings, codes: Codes) -> None:
         """Keep codes that were learned elsewhere."""
-        self.kept_codes[_key(coder, settings)] = codes
+        self.kept_codes[_of_codes(settings)] = codes
 
 
-def _key(coder: Coder, settings: BuildSettings) -> tuple[Coder, BuildSettings]:
-    return coder, replace(settings, keep=0, rounds=1, things=False)
+def _of_codes(settings: BuildSettings) -> BuildSettings:
+    return replace(settings, keep=0, rounds=1, things=False)
 
 
 class RasterisedScene:
@@ -87,7 +86,7 @@ class RasterisedScene:
         self._sums: dict[PixelRule, RegionSums] = {} if sums is None else {ALL_PIXELS: sums}
         self._seconds: dict[PixelRule, float] = {} if sums is None else {ALL_PIXELS: 0.0}
         self._embeddings: dict[float, list[Tensor]] = {}  # by the share of the views, as the codes
-        self._codes: dict[float, dict[tuple[Coder, BuildSettings], Codes]] = {}
+        self._codes: dict[float, dict[BuildSettings, Codes]] = {}
 
     def with_regions(self, regions: Regions) -> RasterisedScene:
         """Return the scene with other regions, not rasterised yet."""

@@ -2,87 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from scoup.coding import fit_codes
-from scoup.coding.adam import AdamSettings, solve_adam
-from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.vote import GaussianCodes, vote
 from scoup_lab.baselines.fitted import FittedField, fitted_field
 from scoup_lab.baselines.method import MethodSettings
-from scoup_lab.baselines.rasterised_scene import Coder, Codes, UpliftInputs
+from scoup_lab.baselines.rasterised_scene import UpliftInputs
 
 Half = Literal["highest", "lowest"]
 """The half of the Gaussians whose votes have the highest or the lowest entropy."""
 
 
-def learn_codes(embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-    """Return codes of the regions of each level, as ``scoup.build`` learns them."""
-    books = [fit_codes(rows, **settings.of_fit) for rows in embeddings]
-    return [book.codes for book in books], torch.stack([book.atoms for book in books])
-
-
-@dataclass(frozen=True)
-class AdamCoder:
-    """Codes by the paper's solver, from a start of choice."""
-
-    # of the atoms; None is the solver's own k-means
-    start: Literal["random regions", "random directions"] | None = None
-    logit_scale: float = 4.0  # first logits are this times the cosine to each atom; 0 starts all equal
-
-    def __call__(self, embeddings: Sequence[Tensor], settings: BuildSettings) -> Codes:
-        adam = AdamSettings(settings.epochs, logit_scale=self.logit_scale)
-        codes, atoms = [], []
-        for rows in embeddings:
-            unit = normalise_embeddings(rows)
-            first = self.first_atoms(unit, settings.n_atoms, settings.seed)
-            solution = solve_adam(
-                unit, settings.n_atoms, settings.k, settings.seed, adam, initial_atoms=first
-            )
-            codes.append(solution.codes)
-            atoms.append(solution.atoms)
-        return codes, torch.stack(atoms)
-
-    def first_atoms(self, rows: Tensor, n_atoms: int, seed: int) -> Tensor | None:
-        """Return [L, D] first atoms for unit rows [R, D]; None for the solver's own."""
-        random = torch.Generator().manual_seed(seed)
-        if self.start == "random regions":
-            return rows[torch.randint(len(rows), (n_atoms,), generator=random)]
-        if self.start == "random directions":
-            return torch.nn.functional.normalize(torch.randn(n_atoms, rows.shape[1], generator=random), dim=1)
-        return None
-
-
 class SparseUplift:
     """Sparse codes and a vote by the settings of a build."""
 
-    def __init__(self, coder: Coder = learn_codes, dropped: Half | None = None, **changes: Any) -> None:
-        self.coder = coder
+    def __init__(self, dropped: Half | None = None, **changes: Any) -> None:
         self.dropped: Half | None = dropped
         self.changes = changes
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedField:
         build = replace(settings.build, seed=settings.seed, **self.changes)
-        found, codebook = vote_codes(inputs, build, self.coder)
+        found, codebook = vote_codes(inputs, build)
         if self.dropped is not None:
-            whole, _ = vote_codes(inputs, build, self.coder, all_kept=True)
+            whole, _ = vote_codes(inputs, build, all_kept=True)
             found = without_half(found, whole, self.dropped)
         things = inputs.things() if build.things else None
         return fitted_field(inputs.sums, found.indices, found.weights, codebook, not build.keep, things)
 
 
 def vote_codes(
-    inputs: UpliftInputs, build: BuildSettings, coder: Coder = learn_codes, all_kept: bool = False
+    inputs: UpliftInputs, build: BuildSettings, all_kept: bool = False
 ) -> tuple[GaussianCodes, Tensor]:
     """Return codes of the Gaussians, and the codebook [S, L, D]; ``all_kept`` keeps every atom whatever the
     settings say."""
-    codes, codebook = inputs.codes(coder, build)
+    codes, codebook = inputs.codes(build)
     keep = None if all_kept else build.keep or None
     return vote(inputs.sums, codes, codebook, build.rounds, keep, build.keep or build.k), codebook
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup_lab.baselines.autoencoder import LERF_ROWS, epochs_of_scene, fit_autoencoder
+from scoup_lab.baselines.autoencoder import fit_autoencoder
 from scoup_lab.baselines.dense import weighted_means
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, embedding_cosines, fitted_field
 from scoup_lab.baselines.joint_codes import JointCodes, fit_joint_codes
@@ -22,7 +22,7 @@ from scoup_lab.baselines.view_weights import weights_of_views
 class QuantisedUplift:
     """Dense features stored as product-quantised codes, and compared in their decoded form."""
 
-    parts: int = 64  # M, bytes of a feature; where D is no multiple of it, the largest divisor of D below
+    parts: int = 128  # M, bytes of a feature; where D is no multiple of it, the largest divisor of D below
 
     def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
         features = []
@@ -40,29 +40,17 @@ class QuantisedUplift:
         )
 
 
-@dataclass(frozen=True)
-class AutoencodedUplift:
-    """The weighted mean of three numbers a region; a network decodes what is rendered of them into embeddings."""
+def autoencoded_uplift(inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
+    """Return the weighted mean of three numbers a region; a network decodes renders of them to embeddings."""
+    rows = torch.cat(list(inputs.embeddings))
+    network = fit_autoencoder(rows, settings.autoencoder, settings.seed, settings.progress)
+    codes = weighted_means(inputs.sums, [network.encode(of_level) for of_level in inputs.embeddings])
 
-    # the network takes as many steps as it would over so many embeddings; 0: over those of the scene
-    scene_rows: int = 0
+    def cosines(rows: Tensor, queries: Tensor) -> Tensor:
+        return network.decode(rows) @ queries.T
 
-    def __call__(self, inputs: UpliftInputs, settings: MethodSettings) -> FittedChannels:
-        rows = torch.cat(list(inputs.embeddings))
-        schedule = settings.autoencoder
-        if self.scene_rows:
-            schedule = replace(schedule, epochs=epochs_of_scene(schedule, len(rows), self.scene_rows))
-        network = fit_autoencoder(rows, schedule, settings.seed, settings.progress)
-        codes = weighted_means(inputs.sums, [network.encode(of_level) for of_level in inputs.embeddings])
-
-        def cosines(rows: Tensor, queries: Tensor) -> Tensor:
-            return network.decode(rows) @ queries.T
-
-        shared = 4.0 * sum(parameter.numel() for parameter in network.decoder.parameters())
-        return FittedChannels(codes, [cosines] * len(codes), 4.0 * network.code_size * len(codes), shared)
-
-
-LERF_AUTOENCODER = AutoencodedUplift(LERF_ROWS)
+    shared = 4.0 * sum(parameter.numel() for parameter in network.decoder.parameters())
+    return FittedChannels(codes, [cosines] * len(codes), 4.0 * network.code_size * len(codes), shared)
 
 
 def learn_joint_codes(inputs: UpliftInputs, settings: MethodSettings) -> JointCodes:

@@ -24,7 +24,6 @@ from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
-from scoup_lab.baselines.sparse import learn_codes
 from scoup_lab.bench.measuring import timed
 from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
@@ -137,7 +136,7 @@ def _fitted(scene: RasterisedScene, field: LanguageField, settings: BuildSetting
     """Return the field, the same without the top-K step, and dense uplift."""
     coded = RegionCodes.load(scene.region_sums())
     assert coded is not None  # the build has kept them there
-    scene.inputs().keep(learn_codes, settings, (list(coded.codes), coded.codebook))
+    scene.inputs().keep(settings, (list(coded.codes), coded.codebook))
     return {
         VOTES: FittedField(field),
         ALL_ATOMS: METHODS["sparse-all"].fit(scene, MethodSettings(settings.seed, settings)),

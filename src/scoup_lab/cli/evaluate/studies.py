@@ -81,8 +81,8 @@ class Baselines(StudyOptions):
     """
 
     methods: Names = ()
-    """Methods to run; repeat it for several. Default: all but sparse-all, autoencoder-lerf and
-    joint-codes; the last two take tens of minutes a scene."""
+    """Methods to run; repeat it for several. Default: all but sparse-all and joint-codes; the latter takes
+    tens of minutes a scene."""
     seed: int = 0
     """Random seed."""
     epochs: int = 100

@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from scoup.base.errors import UnknownNameError
-from scoup.query.presets import LevelChoice, QueryPreset
+from scoup.query.presets import QueryPreset
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
-from scoup_lab.baselines.pixel_rules import EveryNthPixel
-from scoup_lab.baselines.rasterised_scene import Coder
-from scoup_lab.baselines.sparse import AdamCoder, Half, SparseUplift, learn_codes
+from scoup_lab.baselines.sparse import Half, SparseUplift
 from scoup_lab.evaluate.studies.study_scene import ScoringRule
 
 
@@ -41,9 +39,9 @@ BESIDE_EVERYDAY = partial(ScoringRule, everyday=True)
 CODED_ALONE = partial(ScoringRule, coded=True)
 
 
-def level_by(choice: LevelChoice) -> Callable[[QueryPreset], ScoringRule]:
-    """Return the rule of the protocol with another choice of the level."""
-    return lambda preset: ScoringRule(replace(preset, level_choice=choice))
+def by_mask(preset: QueryPreset) -> ScoringRule:
+    """Return the rule of the protocol with the level by the mean relevancy in the mask."""
+    return ScoringRule(replace(preset, level_choice="mask"))
 
 
 def only_level(name: str) -> Callable[[QueryPreset], ScoringRule]:
@@ -54,14 +52,13 @@ def only_level(name: str) -> Callable[[QueryPreset], ScoringRule]:
 def _changed(
     name: str,
     group: str,
-    coder: Coder = learn_codes,
     dropped: Half | None = None,
     published: str = "",
     **changes: int,
 ) -> Ablation:
     """Return a row with other codes or another vote than the base."""
     of_base = {"n_atoms": 64, "k": 4, "rounds": 1, "effort": "best"}
-    uplift = SparseUplift(coder, dropped, **{**of_base, **changes})
+    uplift = SparseUplift(dropped, **{**of_base, **changes})
     return Ablation(name, group, Method(name, uplift), published=published)
 
 
@@ -75,30 +72,21 @@ ABLATIONS: tuple[Ablation, ...] = (
     Ablation("dense uplift", "vote", METHODS["dense"], published="dense uplift"),
     Ablation("no top-K", "vote", METHODS["sparse-64-all"], published="no top-K"),
     _changed("two rounds", "vote", rounds=2),
-    _changed("two rounds, no top-K", "vote", rounds=2, keep=0),
     _changed("L=32", "atoms", published="L=32", n_atoms=32),
     _changed("L=128", "atoms", published="L=128", n_atoms=128),
     _changed("K=2", "non-zeros", published="K=2", k=2, keep=2),
     _changed("K=8", "non-zeros", published="K=8", k=8, keep=8),
     *_WITHOUT,
     *(replace(each, name=f"{each.name}, dropped from blending", rule=CODED_ALONE) for each in _WITHOUT),
-    Ablation("none without a code in blending", "entropy", BASE, CODED_ALONE),
-    _changed("Adam", "solver and start", AdamCoder()),
-    _changed("Adam, from random regions", "solver and start", AdamCoder("random regions")),
-    _changed("Adam, from random directions", "solver and start", AdamCoder("random directions")),
-    _changed("Adam, equal logits", "solver and start", AdamCoder(logit_scale=0.0)),
+    Ablation("Adam", "solver", METHODS["paper"]),
     Ablation("only level s", "levels", BASE, only_level("s")),
     Ablation("only level m", "levels", BASE, only_level("m")),
     Ablation("only level l", "levels", BASE, only_level("l")),
-    Ablation("level by peak", "levels", BASE, level_by("peak")),
-    Ablation("level by mask", "levels", BASE, level_by("mask")),
+    Ablation("level by mask", "levels", BASE, by_mask),
     Ablation("beside everyday words", "phrases", BASE, BESIDE_EVERYDAY),
     Ablation("1/8 of the views", "views", replace(BASE, views=0.125)),
     Ablation("1/4 of the views", "views", replace(BASE, views=0.25)),
     Ablation("1/2 of the views", "views", replace(BASE, views=0.5)),
-    Ablation("every 2nd pixel", "pixels", replace(BASE, pixels=EveryNthPixel(2))),
-    Ablation("every 4th pixel", "pixels", replace(BASE, pixels=EveryNthPixel(4))),
-    Ablation("every 8th pixel", "pixels", replace(BASE, pixels=EveryNthPixel(8))),
 )
 
 
