@@ -212,7 +212,8 @@ HIDDEN = {
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "baselines": "visible-centre-pixel|top-contributors",
     "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending",
-    "mask rules": "points|regions|with one at s / m / l|best union of things",
+    "mask rules": r"points|regions|with one at s / m / l|best union of things|24 x 24 points|(SAM 2 tiny, )?(smallest first|"
+    r"overlaps up to 0\.9)|SAM 2 tiny, (20 x 20 points|with default|overlaps up to 0\.5|parts kept, on top|level by size)",
     "views": "coverage",
     "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)|colours / query|scoup view /.*|(scene|exported page), bytes",
     "city": "(load|coding|save), s",
