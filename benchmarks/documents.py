@@ -210,10 +210,12 @@ HIDDEN = {
     "coding, compared": r"least, ms|of|20,000",
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
+    "endurance": "update --edited",
     "baselines": "visible-centre-pixel|top-contributors",
     "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending",
-    "mask rules": r"points|regions|with one at s / m / l|best union of things|24 x 24 points|(SAM 2 tiny, )?(smallest first|"
-    r"overlaps up to 0\.9)|SAM 2 tiny, (20 x 20 points|with default|overlaps up to 0\.5|parts kept, on top|level by size)",
+    "mask rules": "points|regions|with one at s / m / l|best union of things|24 x 24 points|"
+    r"(SAM 2 tiny, )?(smallest first|overlaps up to 0\.9)|"
+    r"SAM 2 tiny, (20 x 20 points|with default|overlaps up to 0\.5|parts kept, on top|level by size)",
     "views": "coverage",
     "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)|colours / query|scoup view /.*|(scene|exported page), bytes",
     "city": "(load|coding|save), s",

@@ -14,7 +14,7 @@ import torch
 
 from benchmarks.endurance_runs import Run, environment, run
 from scoup.base.errors import ScoupError
-from scoup.io import save_gaussians, save_png
+from scoup.io import save_png
 from scoup.io.regions.store import RegionStore
 from scoup.uplift.region_sums import RegionSums
 from scoup_lab.synthetic.folder import write_demo_scene
@@ -140,7 +140,7 @@ THERE, NO_WORK = "already exists", "nothing to do"
 WITH_SUMS = (FIELD, f"{FIELD}.sums")
 
 
-# A merge rasterises nothing, and what follows an edit is made again: both keep no views for their next run.
+# A merge rasterises nothing: it keeps no views for its next run.
 VERBS = {
     verb.name: verb
     for verb in (
@@ -152,8 +152,6 @@ VERBS = {
         Verb("merge", MERGE, lambda _: 0, 0, THERE, lambda _: 0, SHARDS, WITH_SUMS),
         Verb("update --add", (*UPDATE, "--add", "all"), views_of_update, 1, NO_WORK,
              lambda scene: scene.views - scene.earlier, FIELD_KEPT, WITH_SUMS),
-        Verb("update --edited", (*UPDATE, "--edited", "SCENE/../edited.ply"), lambda _: 0, 4, NO_WORK,
-             lambda scene: scene.earlier, FIELD_KEPT, WITH_SUMS),
         Verb("extract", EXTRACT, views_extracted, 1, NO_WORK, lambda scene: scene.views),
     )
 }  # fmt: skip
@@ -164,8 +162,6 @@ def make_scene(folder: Path, views: int = 12, width: int = 240, n_gaussians: int
     scene = Scene(folder / "scene", views, views // 3, folder / "starts", folder / "starts" / "work")
     made = make_demo_scene(0, n_gaussians, width, width * 3 // 4, views, 1)
     write_demo_scene(made, scene.folder)
-    kept = made.gaussians.select(slice(n_gaussians // 100, None))
-    save_gaussians(kept, folder / "edited.ply")
     write_photographs(scene.folder / "photographs", views)
     for number in ("1", "2"):
         _run(scene, SHARDS, (*OF_SHARD, f"{number}/2"))

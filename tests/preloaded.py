@@ -47,7 +47,7 @@ MODULES = (
     "scoup.models.text",
     "scoup.uplift.build",
     "scoup.uplift.shards",
-    "scoup.uplift.edited_splat",
+    "scoup.uplift.transfer",
     "scoup.uplift.fit",
     "scoup.extract.pipeline",
     "scoup.extract.registry",

@@ -35,7 +35,7 @@ _HOMES = {
     "build": "scoup.uplift.build",
     "BuildSettings": "scoup.uplift.build_settings",
     "update": "scoup.uplift.update",
-    "follow": "scoup.uplift.edited_splat",
+    "transfer": "scoup.uplift.transfer",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
     "Question": "scoup.query.question",
@@ -84,9 +84,9 @@ if TYPE_CHECKING:
     from scoup.scene.regions import Regions as Regions
     from scoup.uplift.build import build as build
     from scoup.uplift.build_settings import BuildSettings as BuildSettings
-    from scoup.uplift.edited_splat import follow as follow
     from scoup.uplift.rasterise import region_sums as region_sums
     from scoup.uplift.region_sums import RegionSums as RegionSums
+    from scoup.uplift.transfer import transfer as transfer
     from scoup.uplift.update import update as update
     from scoup.uplift.vote import vote as vote
 

@@ -43,7 +43,7 @@ resource = pytest.importorskip("resource")
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 SMALL = ("--n-gaussians", "2000", "--width", "48", "--height", "36", "--views", "2")
 SHARDS = ("s.scoup.1-of-2.sums", "s.scoup.2-of-2.sums")
-ADD, EDIT = ("--scene", "scene", "--add", "all"), ("--scene", "scene", "--edited", "edited.ply")
+ADD = ("--scene", "scene", "--add", "all")
 VERBS = {
     "build": ("build", "scene", *QUICK, "--out", "new/a.scoup"),
     "build with sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums"),
@@ -54,8 +54,7 @@ VERBS = {
     "merge with sums": ("merge", *SHARDS, *QUICK, "--out", "a.scoup", "--keep-sums"),
     "update": ("update", "kept.scoup", "--remove", "view_00.png", "--out", "a.scoup"),
     "update, added": ("update", "few.scoup", *ADD, "--out", "a.scoup"),
-    "update, edited": ("update", "few.scoup", *EDIT, "--out", "a.scoup"),
-    "update, edited without a scene": ("update", "kept.scoup", "--edited", "edited.ply", "--out", "a.scoup"),
+    "update, edited": ("update", "kept.scoup", "--edited", "edited.ply", "--out", "a.scoup"),
     "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "40", "--height", "30", "--out", "own"),
     "extract": ("extract", "scene", *FREE, "--out", "regions"),
     "extract, LangSplat": ("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat"),
@@ -152,7 +151,7 @@ def remove(names: set[str]) -> None:
 
 
 SLOW = ("demo", "synthetic")
-LIKE_OTHERS = ("build with geometry", "build with sums", "merge with sums", "update, edited without a scene",
+LIKE_OTHERS = ("build with geometry", "build with sums", "merge with sums", "update, edited",
                "extract, LangSplat", "animation, WebP")  # fmt: skip
 TIMED = ("bench", "demo", "synthetic")  # what these write holds times, or takes long
 ALL = [pytest.param(verb, marks=pytest.mark.slow if verb in SLOW + LIKE_OTHERS else ()) for verb in VERBS]
@@ -179,7 +178,7 @@ def test_every_verb_that_writes(scene: Path, verb: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("few.scoup", ADD), ("kept.scoup", EDIT), ("kept.scoup", ("--remove", "view_00.png"))],
+    [("few.scoup", ADD), ("kept.scoup", ("--remove", "view_00.png"))],
 )
 def test_updates_in_place(here: Path, name: str, options: tuple[str, ...]) -> None:
     """Field and region sums stay as they were, or are new, both."""

@@ -55,9 +55,8 @@ VERBS = {
     "update --add": Verb(("update", "few.scoup", "--scene", "scene", "--add", "all", *OUT),
                          ("few.scoup", f"few.scoup.sums/{SUMS}", PLY, CAMERAS, LAST_LABELS, ROWS, PHOTO),
                          ("a.scoup", "a.scoup.sums")),
-    "update --edited": Verb(("update", "kept.scoup", "--scene", "scene", "--edited", "edited.ply", *OUT),
-                            ("kept.scoup", f"kept.scoup.sums/{SUMS}", "edited.ply", PLY, IMAGES, LABELS, PHOTO),
-                            ("a.scoup", "a.scoup.sums")),
+    "update --edited": Verb(("update", "kept.scoup", "--edited", "edited.ply", *OUT),
+                            ("kept.scoup", "edited.ply", PLY), ("a.scoup",)),
     "extract": Verb(("extract", "photographs", *FREE, "--out", "regions"), ("photographs/view_02.png",), ()),
 }  # fmt: skip
 CASES = [(name, file) for name, verb in VERBS.items() for file in verb.inputs]

@@ -122,5 +122,5 @@ def _kept(out: Path, shards: list[RegionSums], wanted: bool) -> Iterator[RegionS
     if not wanted:
         yield None
         return
-    with new_sums(out, "merge") as path:
+    with new_sums(out) as path:
         yield RegionSums.empty_like(shards[0], path)

@@ -1,19 +1,17 @@
-"""scoup update: views added to a field, removed from it, or changed; or a field that follows its edited splat."""
+"""scoup update: views added to a field, removed from it, or changed; or its codes on an edited splat."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from scoup.base.counts import counted, share_of
+from scoup.base.counts import counted
 from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console, kept
-from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
+from scoup.cli.options import OptionalPath, OptionGroups
 from scoup.cli.query_options import FieldOptions
 from scoup.cli.scene_options import ViewOptions
 
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
     from scoup.scene.cameras import Camera, Cameras
     from scoup.scene.regions import Regions
     from scoup.uplift.checkpoint import UpdateCopy
-    from scoup.uplift.edited_splat import Followed, KeptSums
 
 Names = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
@@ -33,22 +30,22 @@ Names = Annotated[
 class Update(FieldOptions, ViewOptions):
     """Add, replace or remove views of a field, or carry its codes over to an edited splat.
 
-    The field must have been built with --keep-sums. Only the named views are rasterised; then all views vote. Atoms and
-    the codes of other regions stay. To resume an interrupted update, run the same command again.
+    Views need a field that was built with --keep-sums. Only the named views are rasterised; then all views vote. Atoms
+    and the codes of other regions stay. To resume an interrupted update, run the same command again.
 
-    With --edited, unchanged Gaussians keep their codes; with --scene as well, views that show the edit are rasterised,
-    and all views vote.
+    With --edited, each Gaussian of the splat gets the codes of the nearest Gaussian of the field that it lies in;
+    no view is rasterised, and no region sums are needed.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "scene",
         "field": "sums",
-        "splat": "edited tolerance",
+        "splat": "edited",
         "output": "out weight_bits",
     }
 
     scene: OptionalPath = None
-    """Folder with the cameras of the views to add, as for scoup build; with --edited, of the field's views."""
+    """Folder with the cameras of the views to add, as for scoup build."""
     add: Names = ()
     """Name of a camera to add or replace; repeat it for several. all: every camera with features that is new, or whose
     region maps or pose have changed."""
@@ -59,10 +56,7 @@ class Update(FieldOptions, ViewOptions):
     sums: OptionalPath = None
     """The region sums of the field. Default: FIELD.sums."""
     edited: OptionalPath = None
-    """The splat of the field after an edit: Gaussians deleted, appended, reordered or recoloured."""
-    tolerance: OptionalNumber = None
-    """Largest distance of matching centres, in units of the scene, for formats that round numbers. Default: equal
-    numbers only."""
+    """The splat of the field after an edit, in the same frame: Gaussians deleted, appended, reordered or rounded."""
     out: OptionalPath = None
     """The field to write; its region sums go beside it. Default: FIELD, which needs --overwrite."""
     weight_bits: Literal[8, 16] = 16
@@ -73,10 +67,8 @@ class Update(FieldOptions, ViewOptions):
         from scoup.base.errors import InputError
 
         if self.edited is not None:
-            self._follow(console, self.edited)
+            self._transfer(console, self.edited)
             return
-        if self.tolerance is not None:
-            raise InputError("--tolerance says how splats are matched; pass the edited one with --edited")
         if not self.add and not self.remove:
             raise InputError("say what to do: --add NAME, --add all, --remove NAME, or --edited SPLAT")
         self._change_views(console)
@@ -114,75 +106,35 @@ class Update(FieldOptions, ViewOptions):
             }
         )
 
-    def _follow(self, console: Console, edited: Path) -> None:
-        """Let the field follow its splat, save and report."""
+    def _transfer(self, console: Console, edited: Path) -> None:
+        """Carry the codes over to another splat, save and report."""
         from scoup.base.errors import InputError
         from scoup.base.locks import locked_output
         from scoup.io import load_gaussians
         from scoup.uplift.checkpoint import save_field
-        from scoup.uplift.edited_splat import follow
-        from scoup.uplift.matching import Tolerance
         from scoup.uplift.storage.paths import sums_path
+        from scoup.uplift.transfer import transfer
 
-        if self.add or self.remove:
-            raise InputError("--edited is an update of its own; add or remove views before or after it")
-        out = self._output(also_sums=self.scene is not None)
-        tolerance = None if self.tolerance is None else Tolerance(self.tolerance)
+        if self.add or self.remove or self.scene is not None:
+            raise InputError(
+                "--edited carries codes over and takes no views; to let views vote, build a field of the edited splat"
+            )
+        out = self._output(also_sums=False)
         with locked_output(out, self.overwrite) as output:
             field, gaussians = self.open_field(), load_gaussians(edited)
             if gaussians.fingerprint() == field.fingerprint:
                 raise InputError(f"nothing to do: {edited} is the splat of {self.field} already")
             embed = field.geometry_path is None
-            with self._kept_sums(out) as kept, console.progress() as progress:
-                found = follow(
-                    field, gaussians, kept, tolerance,
-                    geometry_path=None if embed else edited, progress=progress,
-                )  # fmt: skip
-                save_field(output, found.field, found.sums, True, embed, self.weight_bits)
-        if kept is None and sums_path(out).is_dir():
+            made = transfer(field, gaussians, geometry_path=None if embed else edited)
+            save_field(output, made, None, True, embed, self.weight_bits)
+        if sums_path(out).is_dir():
             console.warn(f"{sums_path(out)}: are region sums of another splat than {out}; remove them")
-        self._report(console, out, found)
-
-    def _report(self, console: Console, out: Path, found: Followed) -> None:
-        counts = found.matching.counts()
-        said = (
-            f"{out}: {counted(counts['matched'], 'Gaussian')} matched ({counts['rounded']:,} of them rounded), "
-            f"{counts['appended']:,} appended, {counts['deleted']:,} deleted; "
+        record = made.info.provenance["updates"][-1]["transferred"]
+        console.say(
+            f"{out}: {counted(record['coded'], 'Gaussian')} got codes, {record['not_coded']:,} lie in no Gaussian of "
+            f"{self.field} and have none"
         )
-        views = len(found.field.info.provenance.get("views", []))
-        if found.sums is not None:
-            console.say(
-                f"{said}{share_of(len(found.rasterised), views, 'view')} rasterised again, all have voted"
-            )
-        else:
-            without = counted(counts["appended"], "appended Gaussian")
-            console.say(
-                f"{said}codes carried over, {without} without one (--scene SCENE lets all views vote again)"
-            )
-        console.result(
-            {
-                "field": out,
-                **counts,
-                "voted": found.sums is not None,
-                "rasterised": list(found.rasterised),
-                "views": views,
-            }
-        )
-
-    @contextmanager
-    def _kept_sums(self, out: Path) -> Iterator[KeptSums | None]:
-        """The field's region sums and views, and a folder for those of the edited splat, where a scene is named."""
-        from scoup.uplift.checkpoint import new_sums
-        from scoup.uplift.edited_splat import KeptSums
-        from scoup.uplift.region_sums import RegionSums
-
-        if self.scene is None:
-            yield None
-            return
-        source = self._source()
-        cameras, regions, _ = self.load_views(self.scene)
-        with new_sums(out, "update") as path:
-            yield KeptSums(RegionSums.open(source), cameras, regions, path)
+        console.result({"field": out, "coded": record["coded"], "not_coded": record["not_coded"]})
 
     def _output(self, also_sums: bool) -> Path:
         """The field to write, after checking that it, and its region sums, may be written."""

@@ -161,13 +161,13 @@ def _cut_back(path: Path, kept: RegionSums, add: Sequence[Camera], regions: Regi
 
 
 @contextmanager
-def new_sums(field: Path, verb: str) -> Iterator[Path]:
-    """Yield the path of a new folder of region sums, FIELD.VERB.partial, after removing what a killed process left.
+def new_sums(field: Path) -> Iterator[Path]:
+    """Yield the path of a new folder of region sums, FIELD.merge.partial, after removing what a killed process left.
 
     At the end of the block the folder is removed, unless ``save_field`` has made it the field's ``sums_path``. The
     caller has locked the field (``base.locks``).
     """
-    path = field.with_name(f"{field.name}.{verb}.partial")
+    path = field.with_name(f"{field.name}.merge.partial")
     remove(path)
     try:
         yield path

@@ -1,0 +1,100 @@
+"""``transfer``: the codes of a field on another splat, such as the field's own after an edit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.arguments import check_arguments
+from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
+from scoup.scene.codes import signed
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.things import NO_THING
+from scoup.uplift.update import append_update
+
+NEAREST = 4  # Gaussians of the field that are tried for each Gaussian of the splat
+
+
+def transfer(
+    field: LanguageField, gaussians: Gaussians, *, geometry_path: str | Path | None = None
+) -> LanguageField:
+    """Return the field of another splat in the same frame: deleted from, added to, reordered, or rounded by a format.
+
+    Each Gaussian gets the codes and things of the nearest Gaussian of the field that it lies in: its centre is no
+    further away than the largest scale of that Gaussian. Gaussians that lie in none get no code. Nothing is rasterised
+    and no view votes.
+
+    Args:
+        field: not changed. Its geometry is read.
+        gaussians: M of them, of the other splat.
+        geometry_path: file of the other splat, recorded in the new field.
+
+    Raises:
+        InputError: no Gaussian lies in one of the field's.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> edited = field.gaussians.select(torch.arange(100))  # as an editor of splats leaves it
+        >>> len(scoup.transfer(field, edited))
+        100
+    """
+    check_arguments("transfer", field=(field, LanguageField), gaussians=(gaussians, Gaussians))
+    device = field.codebook.device
+    gaussians = gaussians.to(device)
+    source = source_rows(field.gaussians, gaussians).to(device)
+    n_coded = int((source >= 0).sum())
+    if not n_coded:
+        raise InputError(
+            f"{geometry_path or 'the edited splat'}: none of its Gaussians lies in one of the field's; use a splat in "
+            "the frame of the field's own, or build the field again"
+        )
+    things = field.thing_table
+    if things is not None:
+        things = replace(things, owners=_carry_over(things.owners, source, NO_THING))
+    record = {"from": field.fingerprint, "coded": n_coded, "not_coded": len(gaussians) - n_coded}
+    provenance = dict(field.info.provenance)
+    provenance |= append_update(provenance, {"transferred": record})
+    made = LanguageField(
+        _carry_over(field.code_indices, source),
+        _carry_over(field.code_weights, source),
+        field.codebook,
+        replace(
+            field.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
+        ),
+        geometry_path=None if geometry_path is None else Path(geometry_path),
+        cameras=field.cameras,
+        thing_table=things,
+    ).to(device)
+    made.keep_encoder_of(field)
+    made.attach(gaussians, known=True)
+    return made
+
+
+def source_rows(before: Gaussians, after: Gaussians) -> Tensor:
+    """Return [M] int64: the row ``before`` whose codes each Gaussian ``after`` gets (``transfer``); -1 for none."""
+    from scipy.spatial import KDTree
+
+    old, new = (np.flatnonzero(part.finite().cpu().numpy()) for part in (before, after))
+    found = np.full(len(after), -1)
+    if len(old) and len(new):
+        places, targets = (part.means.double().cpu().numpy() for part in (before, after))
+        count = min(NEAREST, len(old))
+        of_query = KDTree(places[old]).query(targets[new], k=count, workers=-1)
+        far, near = (np.asarray(part).reshape(len(new), count) for part in of_query)
+        inside = far <= before.scales.amax(1).double().cpu().numpy()[old[near]]
+        first = inside.argmax(1)[:, None]
+        rows = np.take_along_axis(old[near], first, 1)[:, 0]
+        found[new] = np.where(inside.any(1), rows, -1)
+    return torch.from_numpy(found)
+
+
+def _carry_over(rows: Tensor, source: Tensor, others: int = 0) -> Tensor:
+    """Return rows [M, ...] such as codes or owners; ``others`` for Gaussians without a source."""
+    carried = signed(rows)[source.clamp(min=0)]
+    carried[source < 0] = others
+    return carried.view(rows.dtype)
