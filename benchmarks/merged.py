@@ -55,7 +55,8 @@ def of_scene(name: str, data: Path) -> Record:
 
 def largest(gaussians: Gaussians, most: int) -> Shown:
     """Return the Gaussians of the largest opacity times area instead."""
-    rows = cover(gaussians).argsort(descending=True, stable=True)[:most].sort().values
+    covers = cover(gaussians.scales.numpy(), gaussians.opacities.numpy())
+    rows = torch.from_numpy((-covers).argsort(kind="stable")[:most]).sort().values
     return Shown(gaussians.select(rows), rows)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -18,6 +20,7 @@ from typing import IO, Any
 import scoup
 from benchmarks.chromium import COUNTER, chromium, frames_per_second, program
 from benchmarks.data import data_folder
+from benchmarks.limits import memory_of
 from benchmarks.merged import OTHERS, TUNED, of_scene
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
@@ -51,6 +54,8 @@ class ViewerCost(Study):
 
     n_gaussians: int = 1_000_000
     """Of the scene that is served and exported."""
+    n_large: int = 10_000_000
+    """Of a scene that is only served, beside the other one."""
     scenes: tuple[str, ...] = (*TUNED, *OTHERS)
     """Whose pages are compared with all of their Gaussians (benchmarks.merged)."""
     data: Path = field(default_factory=data_folder)
@@ -64,6 +69,11 @@ class ViewerCost(Study):
             yield "start", start_seconds(path)
             if program() is not None:
                 yield "page", page_seconds(path)
+            yield f"served/{self.n_gaussians}", serving_costs(path)
+        if f"served/{self.n_large}" not in known:
+            with tempfile.TemporaryDirectory() as folder:
+                path = write_field(Path(folder), random_scene_gaussians(self.n_large), cameras)
+                yield f"served/{self.n_large}", serving_costs(path)
         for name in self.scenes:
             if f"merged/{name}" not in known:
                 yield f"merged/{name}", of_scene(name, self.data)
@@ -72,7 +82,9 @@ class ViewerCost(Study):
         merged = {
             name.removeprefix("merged/"): row for name, row in rows.items() if name.startswith("merged/")
         }
-        return {**{name: row for name, row in rows.items() if "/" not in name}, "merged": merged}
+        served = [row for name, row in rows.items() if name.startswith("served/")]
+        named = {name: row for name, row in rows.items() if "/" not in name}
+        return {**named, "served": served, "merged": merged}
 
     @staticmethod
     def table(record: Record) -> str:
@@ -82,7 +94,36 @@ class ViewerCost(Study):
             [what, f"{value:,.2f}" if isinstance(value, float) else f"{value:,}"]
             for what, value in {**sent, **record["start"], **record.get("page", {})}.items()
         ]
-        return markdown([f"{count:,} Gaussians", ""], body) + "\n\n" + merged_table(record)
+        served = [served_table(record)] if "served" in record else []
+        return "\n\n".join([markdown([f"{count:,} Gaussians", ""], body), *served, merged_table(record)])
+
+
+def served_table(record: Record) -> str:
+    """Return what the server of a scene needs and sends, scene by scene."""
+    body = [
+        [
+            f"{row['gaussians']:,}",
+            f"{row['first file, bytes'] / 1e6:.1f}",
+            f"{row['first file, CPU s']:.1f}",
+            f"{row['parts']}",
+            f"{row['parts, bytes'] / 1e6:.0f}",
+            f"{row['parts, CPU s']:.1f}",
+            f"{row['most memory, bytes'] / 1e9:.1f}",
+        ]
+        for row in record["served"]
+    ]
+    return markdown(
+        [
+            "Gaussians",
+            "first file, MB",
+            "first file, CPU s",
+            "parts",
+            "all parts, MB",
+            "all parts, CPU s",
+            "server, GB",
+        ],
+        body,
+    )
 
 
 def merged_table(record: Record) -> str:
@@ -142,6 +183,36 @@ def write_field(folder: Path, gaussians: Gaussians, cameras: Cameras) -> Path:
     return path
 
 
+def serving_costs(path: Path) -> dict[str, float]:
+    """Return what a server needs to send all Gaussians of a scene: processor seconds from its start until the first
+    file is sent, and for the parts; the bytes of these; and its most memory, with the file of the field.
+    """
+    count = scoup.LanguageField.load(path).info.n_gaussians
+    with served(path, options=("--most", str(count))) as (address, process):
+        with urllib.request.urlopen(address + "scene.bin") as answer:
+            first = answer.read()
+        seconds = _processor_seconds(process)
+        header = gzip.decompress(first)
+        metadata = json.loads(header[8 : 8 + int.from_bytes(header[:8], "little")])["__metadata__"]["scoup"]
+        parts = len(json.loads(metadata)["parts"])
+        sizes = [_size(f"{address}part/{number}-of-{parts}") for number in range(parts)]
+        return {
+            "gaussians": count,
+            "first file, bytes": len(first),
+            "first file, CPU s": seconds,
+            "parts": parts,
+            "parts, bytes": sum(sizes),
+            "parts, CPU s": _processor_seconds(process) - seconds,
+            "most memory, bytes": memory_of(process)["VmHWM"],
+        }
+
+
+def _processor_seconds(process: int) -> float:
+    """Return the processor seconds that a process has had."""
+    fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
 def start_seconds(path: Path) -> dict[str, float]:
     """Return seconds from the command to the first answer of its server, beside `scoup info` on the same field."""
     seconds: dict[str, list[float]] = {"info": [], "view": []}
@@ -163,10 +234,13 @@ def start_seconds(path: Path) -> dict[str, float]:
 
 @contextmanager
 def served(
-    path: Path, program: Sequence[str] = PROGRAM, log: IO[str] | int = subprocess.DEVNULL
+    path: Path,
+    program: Sequence[str] = PROGRAM,
+    log: IO[str] | int = subprocess.DEVNULL,
+    options: Sequence[str] = (),
 ) -> Iterator[tuple[str, int]]:
     """Run `scoup view` on a field in a process of its own; yields its address and its number once it answers."""
-    command = [*program, "view", str(path), "--port", "0", "--json"]
+    command = [*program, "view", str(path), "--port", "0", "--json", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as process:
         assert process.stdout is not None
         printed = ""
@@ -187,15 +261,17 @@ def sent_bytes(path: Path) -> dict[str, float]:
     count = len(viewed.field)
     request = {"texts": ["kettle"], "always": False}
     with Viewer(viewed, port=0) as viewer:
-        sizes = {name: _size(viewer.address + name) for name in ("scene.bin", "viewer.js")}
+        parts = [f"part/{number}-of-{viewed.n_parts}" for number in range(viewed.n_parts)]
+        scene = sum(_size(viewer.address + name) for name in ("scene.bin", *parts))
+        page = _size(viewer.address + "viewer.js")
         answer = _size(viewer.address + "api/query", request)
     query = len(json.dumps(request)) + answer
     recolouring = RECOLOURING_BYTES * min(count, viewed.most)
     report = export_page(viewed, path.with_suffix(".html"))
     return {
-        "program, bytes": sizes["viewer.js"],
-        "scene, bytes": sizes["scene.bin"],
-        "scene, bytes a Gaussian": sizes["scene.bin"] / count,
+        "program, bytes": page,
+        "scene, bytes": scene,
+        "scene, bytes a Gaussian": scene / count,
         "query, bytes both ways": query,
         "moving a slider, bytes": 0,
         "colours of all Gaussians instead, bytes": recolouring,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Callable
-from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +14,7 @@ from browser_support import (
     A_THING,
     ALIKE,
     THINGS,
+    Visit,
     coded,
     difference,
     opened,
@@ -24,8 +24,13 @@ from browser_support import (
     visiting,
 )
 
+from scoup.base.errors import InputError
+from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera, Cameras
+from scoup.view import parts
+from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
+from scoup.view.work import BusyError
 from support import HANGS
 
 if TYPE_CHECKING:
@@ -35,24 +40,100 @@ pytest.importorskip("uvicorn")
 pytestmark = pytest.mark.usefixtures("quick_python", "built_page")
 
 
-def test_a_large_scene_is_seen_coarsely_first(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "COARSE_GAUSSIANS", 60)
+    monkeypatch.setattr(parts, "PART_GAUSSIANS", 200)
+
+
+@pytest.fixture(scope="module")
+def whole(browser: Browser) -> Picture:
+    """The kettle in a page that got the scene in one piece."""
     viewed = ViewedField(things_field(), table())
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         assert visit.state()["gaussians"] == len(viewed.field)
         visit.ask("kettle")
-        wanted = visit.picture()
-    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 60)
-    held = threading.Event()
-    monkeypatch.setattr(viewed, "scene", partial(_whole_when, held, viewed.scene))
+        return visit.picture()
+
+
+def whole_scene(visit: Visit, whole: Picture, count: int) -> None:
+    """Check that the page shows all parts."""
+    visit.page.evaluate("window.scoupViewer.whole")
+    visit.settle()
+    assert visit.state()["gaussians"] == visit.state()["drawing"] == count
+    assert "more are loading" not in visit.page.inner_text("#facts")
+    visit.ask("kettle")
+    assert difference(visit.picture(), whole) < ALIKE
+
+
+@pytest.mark.usefixtures("in_parts")
+def test_a_large_scene_is_seen_coarsely_first(
+    browser: Browser, whole: Picture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewed = ViewedField(things_field(), table())
+    assert viewed.n_parts > 1
+    held, busy = threading.Event(), [True]
+    part = viewed.part
+
+    def part_when(number: int) -> bytes:
+        assert held.wait(HANGS)
+        if busy:
+            busy.clear()
+            raise BusyError
+        return part(number)
+
+    monkeypatch.setattr(viewed, "part", part_when)
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         assert 0 < visit.state()["gaussians"] <= 60
         assert "more are loading" in visit.page.inner_text("#facts")
         held.set()
+        whole_scene(visit, whole, len(viewed.field))
+        assert len(visit.problems) == 1  # the server was busy, and asked again
+        assert "503" in visit.problems.pop()
+
+
+@pytest.mark.usefixtures("in_parts")
+def test_the_part_that_is_seen_comes_first(browser: Browser) -> None:
+    generator = torch.Generator().manual_seed(3)
+    means = torch.rand(400, 3, generator=generator)
+    means[200:, 0] += 30  # behind the others on the curve
+    gaussians = splat(means, 0.03, torch.ones(400, 3))
+    main = torch.zeros(400, 3, dtype=torch.int64)
+    for side, wanted in ((0.5, ["0-of-2", "1-of-2"]), (30.5, ["1-of-2", "0-of-2"])):
+        camera = Camera.look_at((side, -4, 0.5), (side, 0, 0.5), "near.png", 400, 300, 400)
+        viewed = ViewedField(coded(gaussians, main, generator, Cameras([camera])), table())
+        with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+            visit.page.evaluate("window.scoupViewer.whole")
+            asked = [address.rsplit("/", 1)[1] for address in visit.requests if "/part/" in address]
+            assert asked == wanted
+
+
+@pytest.mark.usefixtures("in_parts")
+def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+    viewed = ViewedField(things_field(), table())
+
+    def damaged(number: int) -> bytes:
+        raise InputError("scene.scoup: damaged")
+
+    monkeypatch.setattr(viewed, "part", damaged)
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
-        assert visit.state()["gaussians"] == len(viewed.field)
-        assert "more are loading" not in visit.page.inner_text("#facts")
-        visit.ask("kettle")
-        assert difference(visit.picture(), wanted) < ALIKE
+        said = visit.page.inner_text("#message")
+        assert said == "A part of the scene is missing: scene.scoup: damaged"
+        assert 0 < visit.state()["gaussians"] <= 60
+        assert "400" in visit.problems.pop()
+
+
+@pytest.mark.usefixtures("in_parts")
+def test_an_exported_page_loads_its_parts_one_by_one(
+    browser: Browser, whole: Picture, tmp_path: Path
+) -> None:
+    viewed = ViewedField(things_field(), table())
+    export_page(viewed, tmp_path / "page", split=True)
+    with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
+        whole_scene(visit, whole, len(viewed.field))
+        asked = [address.rsplit("/", 1)[1] for address in visit.requests if "part_" in address]
+        assert sorted(asked) == [f"part_{number}.js" for number in range(viewed.n_parts)]
 
 
 def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> None:
@@ -94,7 +175,7 @@ DRAWS = """() => {
 def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(
     browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 60)
+    monkeypatch.setattr(parts, "COARSE_GAUSSIANS", 60)
     viewed = ViewedField(things_field(), table())
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
@@ -125,12 +206,6 @@ def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(
         visit.page.evaluate("window.scoupViewer.set({opacity: 0.9})")
         visit.settle()
         assert len(visit.page.evaluate("window.draws")) == 1
-
-
-def _whole_when(held: threading.Event, scene: Callable[..., bytes], coarse: bool) -> bytes:
-    """The file of a page; all of a scene only once it may be sent."""
-    assert coarse or held.wait(HANGS)
-    return scene(coarse=coarse)
 
 
 @pytest.mark.parametrize(("k", "n_others"), [(4, 10), (6, 300)])

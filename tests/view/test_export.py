@@ -86,6 +86,33 @@ def test_a_folder_holds_the_same(viewed: ViewedField, tmp_path: Path) -> None:
         export_page(viewed, out, split=True)
 
 
+def test_a_large_scene_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.view.parts.COARSE_GAUSSIANS", 20)
+    monkeypatch.setattr("scoup.view.parts.PART_GAUSSIANS", 30)
+    viewed = viewed_field()
+    wanted = [viewed.part(number) for number in range(2)]
+    report = export_page(viewed, tmp_path / "page", split=True)
+    names = (*FOLDER_FILES, "part_0.js", "part_1.js")
+    assert sorted(path.name for path in (tmp_path / "page").iterdir()) == sorted(names)
+    assert report.n_bytes == sum(path.stat().st_size for path in (tmp_path / "page").iterdir())
+    assert (
+        "part_0" not in (tmp_path / "page" / "index.html").read_text()
+    )  # which loads it when the first is shown
+    export_page(viewed, tmp_path / "page.html")
+    data = data_of((tmp_path / "page.html").read_text(), "window.scoupData")
+    assert isinstance(data, dict)
+    scene = base64.b64decode(data["scene"])
+    packed = [base64.b64decode(part) for part in data["parts"]]
+    assert [gzip.decompress(part) for part in packed] == [gzip.decompress(part) for part in wanted]
+    assert report.scene_bytes == len(scene) + sum(map(len, packed))
+    assert len(unpacked(scene)[1]["parts"]) == 2
+    for number, part in enumerate(data["parts"]):
+        script = (tmp_path / "page" / f"part_{number}.js").read_text()
+        assert data_of(script, f"window.scoupData.parts[{number}]") == part
+    with pytest.raises(OutputExistsError):
+        export_page(viewed, tmp_path / "page", split=True)
+
+
 def test_nothing_is_overwritten_unasked_or_left_half_written(
     viewed: ViewedField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

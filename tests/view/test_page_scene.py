@@ -98,19 +98,6 @@ def test_ugly_gaussians_are_left_out_and_the_rest_is_finite(count: int, seed: in
     assert metadata["radius"] > 0
 
 
-def test_a_large_scene_is_sent_in_few_gaussians_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scoup.view.viewed_field.COARSE_GAUSSIANS", 50)
-    tensors, metadata = unpacked(viewed_field(count=101).scene(coarse=True))
-    assert metadata["coarse"]
-    assert metadata["n_gaussians"] == 101
-    assert 0 < len(tensors["opacities"]) <= 50
-    assert tensors["code_indices"].shape[2] == len(tensors["opacities"])
-    for viewed, coarse in ((viewed_field(count=101), False), (viewed_field(count=100), True)):
-        tensors, metadata = unpacked(viewed.scene(coarse=coarse))
-        assert "coarse" not in metadata
-        assert len(tensors["opacities"]) == len(viewed.field)
-
-
 def test_a_few_large_gaussians_keep_their_size() -> None:
     viewed = viewed_field(count=3000)
     viewed.gaussians.scales[7] = torch.tensor([50.0, 40.0, 0.1])

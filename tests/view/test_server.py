@@ -39,7 +39,7 @@ def test_the_first_picture_is_packed_before_anybody_asks(
     viewed: ViewedField, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     packed = threading.Event()
-    monkeypatch.setattr(viewed, "scene", lambda coarse: packed.set() if coarse else None)
+    monkeypatch.setattr(viewed, "scene", packed.set)
     application(viewed, PAGE, Guard.of("127.0.0.1"))
     assert packed.wait(60)
 
@@ -59,6 +59,21 @@ def test_the_page_gets_its_settings_and_its_files(client: TestClient) -> None:
     for name, value in (("x-content-type-options", "nosniff"), ("referrer-policy", "no-referrer")):
         assert index.headers[name] == value
     assert "default-src 'none'" in index.headers["content-security-policy"]
+
+
+def test_a_large_scene_comes_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.view.parts.COARSE_GAUSSIANS", 30)
+    monkeypatch.setattr("scoup.view.parts.PART_GAUSSIANS", 40)
+    viewed = viewed_field(count=80)
+    client = TestClient(application(viewed, PAGE, Guard.of("127.0.0.1")), LOCAL)
+    assert len(unpacked(client.get("/scene.bin").content)[1]["parts"]) == 2
+    for number in (1, 0, 1):
+        data = client.get(f"/part/{number}-of-2")
+        assert data.content == viewed.part(number)
+        assert int(data.headers["content-length"]) == len(data.content)
+        assert data.headers["x-scoup-field"] == viewed.identity
+    for wrong in ("2-of-2", "0-of-3", "-1-of-2", "x-of-2", f"{'1' * 5000}-of-2", "0"):
+        assert client.get(f"/part/{wrong}").status_code == 404
 
 
 def test_the_scene_and_the_answers_fit_together(client: TestClient, viewed: ViewedField) -> None:

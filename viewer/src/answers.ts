@@ -72,8 +72,14 @@ export interface Source {
   /** @throws Error with a sentence for the visitor */
   ask(texts: string[], always: boolean): Promise<Answer[]>;
   thumbnail(camera: number): string | null;
-  /** @param coarse few Gaussians of a large scene, to be seen until all are there */
-  scene(progress: Progress, coarse: boolean): Promise<Packed>;
+  /** What the page shows first: all Gaussians, or few of a large scene. */
+  scene(progress: Progress): Promise<Packed>;
+  /**
+   * A part of a large scene.
+   *
+   * @throws NotNow if it is to be asked for again later
+   */
+  part(number: number, count: number): Promise<Packed>;
   /** The things of the field, in the order of their numbers; none where it has none. */
   things(): Promise<Thing[]>;
   /** The facts of a scene without its Gaussians. */

@@ -9,6 +9,8 @@ interface PageData {
   words: string;
   thumbnails: (string | null)[];
   things: Thing[];
+  /** Of a large scene; of a page in several files, those that are loaded. */
+  parts: string[];
 }
 
 declare global {
@@ -31,6 +33,14 @@ export class ExportedPage implements Source {
     progress("opening", 0, 0);
     this.packed ??= unpack(fromBase64(this.data.scene));
     return this.packed;
+  }
+
+  async part(number: number): Promise<Packed> {
+    const { parts } = this.data;
+    if (!parts[number]) await loaded(`part_${number}.js`);
+    const text = parts[number];
+    parts[number] = "";
+    return unpack(fromBase64(text));
   }
 
   async metadata(): Promise<Metadata> {
@@ -101,6 +111,17 @@ export class ExportedPage implements Source {
     this.packedWords ??= unpack(fromBase64(this.data.words));
     return this.packedWords;
   }
+}
+
+/** Run a script beside the page. */
+function loaded(name: string): Promise<void> {
+  return new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = name;
+    script.onload = () => resolve();
+    script.onerror = () => reject(new Error(`${name} is missing; the files beside this page belong to it`));
+    document.head.append(script);
+  });
 }
 
 /** Reads which things answer a word; the first column is for no level of choice. */

@@ -21,8 +21,8 @@ export interface Metadata {
   embedding_model: string;
   words_problem: string | null;
   present_from: number | null;
-  /** Whether the whole scene has more Gaussians than this file. */
-  coarse?: boolean;
+  /** Of a large scene, whose parts are loaded later: how many of these Gaussians stand for each part. */
+  parts?: number[];
   /** Things of all levels; missing where the field has none. */
   n_things?: number;
   cameras: CameraRecord[];
@@ -54,6 +54,9 @@ interface Ranges {
   weights_scale: number;
 }
 
+/** Tensors of a scene whose last axis runs over Gaussians. */
+const BY_GAUSSIAN = ["means", "scales", "quats", "colors", "opacities", "code_indices", "code_weights", "confidence", "owners"];
+
 /** The Gaussians of a page with their codes; arrays run over components first, as they are packed. */
 export class Scene {
   readonly metadata: Metadata & Ranges;
@@ -75,9 +78,11 @@ export class Scene {
   private readonly weights: TensorData;
   private readonly sureness: TensorData;
   private readonly owners: TensorData | null;
+  private readonly pieceOf: Uint16Array;
   private knownBalls: Float32Array | null = null;
 
-  constructor(packed: Packed) {
+  /** @param pieces of the Gaussians, each with ranges of its own: where each ends */
+  constructor(packed: Packed, private readonly pieces: { end: number; ranges: Ranges }[] = []) {
     this.metadata = packed.metadata as Metadata & Ranges;
     if (this.metadata.version !== 1) throw new Error(`this page cannot read version ${this.metadata.version} of its scene`);
     this.tensors = packed.tensors;
@@ -94,6 +99,45 @@ export class Scene {
     const [levels, k] = this.tensor("code_indices").shape;
     [this.levels, this.k, this.atoms] = [levels, k, this.metadata.n_atoms];
     this.phrases = this.tensors.get("canonical")?.shape[1] ?? 0;
+    this.pieceOf = new Uint16Array(pieces.length ? this.count : 0);
+    pieces.forEach(({ end }, piece) => this.pieceOf.fill(piece, pieces[piece - 1]?.end ?? 0, end));
+  }
+
+  /** A part of the scene that came later. */
+  part(packed: Packed): Scene {
+    const { tensors, metadata } = packed;
+    const own = { ...this.metadata, parts: undefined, ...(metadata as Ranges) };
+    return new Scene({ tensors: new Map([...this.tensors, ...tensors]), metadata: own });
+  }
+
+  /** Its Gaussians part by part, as its metadata count them. */
+  coarseParts(): Scene[] {
+    let end = 0;
+    return (this.metadata.parts ?? []).map((count) => {
+      const tensors = new Map(this.tensors);
+      for (const name of BY_GAUSSIAN) {
+        const tensor = tensors.get(name);
+        if (tensor) tensors.set(name, rowsOf(tensor, end, end + count));
+      }
+      end += count;
+      return new Scene({ tensors, metadata: { ...this.metadata, parts: undefined } });
+    });
+  }
+
+  /** One scene of all parts. */
+  static joined(parts: Scene[]): Scene {
+    const [first] = parts;
+    const tensors = new Map(first.tensors);
+    for (const name of BY_GAUSSIAN) {
+      if (tensors.has(name)) tensors.set(name, joined(parts.map((part) => part.tensor(name))));
+    }
+    let end = 0;
+    const pieces = parts.map(({ count, metadata }) => ({ end: (end += count), ranges: metadata }));
+    return new Scene({ tensors, metadata: first.metadata }, pieces);
+  }
+
+  private ranges(i: number): Ranges {
+    return this.pieces.length ? this.pieces[this.pieceOf[i]].ranges : this.metadata;
   }
 
   /** [N, 4]: position and largest standard deviation of each Gaussian, for what reads all of them at once. */
@@ -125,13 +169,13 @@ export class Scene {
   private coordinate(i: number, axis: number): number {
     const { means, count } = this;
     const value = means[axis * count + i] * 65536 + means[(3 + axis) * count + i] * 256 + means[(6 + axis) * count + i];
-    const { means_low: low, means_high: high } = this.metadata;
+    const { means_low: low, means_high: high } = this.ranges(i);
     return low[axis] + (value / 16777215) * (high[axis] - low[axis]);
   }
 
   /** Standard deviation along an axis of a Gaussian's own frame. */
   scale(i: number, axis: number): number {
-    const { scales_low: low, scales_high: high } = this.metadata;
+    const { scales_low: low, scales_high: high } = this.ranges(i);
     return Math.exp(low + (this.scales[axis * this.count + i] / 255) * (high - low));
   }
 
@@ -156,7 +200,7 @@ export class Scene {
   }
 
   weight(i: number, level: number, k: number): number {
-    return (this.weights[(level * this.k + k) * this.count + i] / 65535) * this.metadata.weights_scale;
+    return (this.weights[(level * this.k + k) * this.count + i] / 65535) * this.ranges(i).weights_scale;
   }
 
   confidence(i: number, level: number): number {
@@ -167,4 +211,33 @@ export class Scene {
   owner(i: number, level: number): number {
     return this.owners ? this.owners[level * this.count + i] : NO_OWNER;
   }
+}
+
+/** Some rows of the last axis. */
+function rowsOf({ data, shape }: Tensor, from: number, to: number): Tensor {
+  const [before, count] = [shape.slice(0, -1), shape[shape.length - 1]];
+  const lines = before.reduce((product, size) => product * size, 1);
+  const out = empty(data, lines * (to - from));
+  for (let line = 0; line < lines; line++) out.set(data.subarray(line * count + from, line * count + to), line * (to - from));
+  return { data: out, shape: [...before, to - from] };
+}
+
+/** Tensors one after another along the last axis. */
+function joined(tensors: Tensor[]): Tensor {
+  const before = tensors[0].shape.slice(0, -1);
+  const lines = before.reduce((product, size) => product * size, 1);
+  const counts = tensors.map(({ shape }) => shape[shape.length - 1]);
+  const total = counts.reduce((sum, count) => sum + count, 0);
+  const out = empty(tensors[0].data, lines * total);
+  let start = 0;
+  tensors.forEach(({ data }, part) => {
+    const count = counts[part];
+    for (let line = 0; line < lines; line++) out.set(data.subarray(line * count, (line + 1) * count), line * total + start);
+    start += count;
+  });
+  return { data: out, shape: [...before, total] };
+}
+
+function empty(like: TensorData, length: number): TensorData {
+  return new (like.constructor as new (length: number) => TensorData)(length);
 }

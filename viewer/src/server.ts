@@ -4,6 +4,8 @@ import { download, fromBase64, unpack, type Packed, type Progress } from "./safe
 import type { CameraRecord, Metadata, Thing } from "./scene_data";
 
 const POLL_SECONDS = 3;
+const UNREACHABLE = "The server does not answer.";
+const ANOTHER = "Another field is served here now; reload the page.";
 
 /** A picture that is no longer wanted, or a server that is busy: ask again. */
 export class NotNow extends Error {}
@@ -19,8 +21,22 @@ export class LiveServer implements Server {
     return (await this.get("api/scene")).json();
   }
 
-  async scene(progress: Progress, coarse: boolean): Promise<Packed> {
-    return unpack(await download(await this.get(coarse ? "scene.bin?coarse" : "scene.bin"), progress));
+  async scene(progress: Progress): Promise<Packed> {
+    return unpack(await download(await this.get("scene.bin"), progress));
+  }
+
+  async part(number: number, count: number): Promise<Packed> {
+    let bytes: Uint8Array<ArrayBuffer>;
+    try {
+      const response = await fetch(`part/${number}-of-${count}`);
+      // After a restart, another field may answer.
+      if (response.ok && response.headers.get("x-scoup-field") !== this.identity) throw new Error(ANOTHER);
+      bytes = await download(await checked(response), () => {});
+    } catch (error) {
+      // fetch and streams throw this where the connection ends.
+      throw error instanceof TypeError ? new NotNow(UNREACHABLE) : error;
+    }
+    return unpack(bytes);
   }
 
   async things(): Promise<Thing[]> {
@@ -87,7 +103,7 @@ async function reached(request: Promise<Response>): Promise<Response> {
   try {
     return await request;
   } catch {
-    throw new Error("The server does not answer.");
+    throw new Error(UNREACHABLE);
   }
 }
 

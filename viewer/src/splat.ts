@@ -38,7 +38,7 @@ export interface Look {
 }
 
 /**
- * A scene that is drawn; `update` changes only small textures and numbers.
+ * A scene that is drawn, in one piece or several; `update` changes only small textures and numbers.
  *
  * Each has a renderer of Spark: one for two scenes would generate and sort all Gaussians whenever the other one is shown,
  * and draw the one before meanwhile.
@@ -46,8 +46,9 @@ export interface Look {
 export class Splat {
   readonly world = new THREE.Scene();
   readonly spark: SparkRenderer;
-  private readonly mesh: SplatMesh;
-  private readonly scene: Scene;
+  private readonly meshes = new Map<Scene, SplatMesh>();
+  private readonly canonical: THREE.DataTexture;
+  private readonly codeColors: THREE.DataTexture;
   private readonly scores: THREE.DataTexture;
   private readonly queries: THREE.DataTexture;
   /** Bits of each thing: bit q says that query q selects it, the others are `MARKS`. */
@@ -58,30 +59,24 @@ export class Splat {
   private readonly anySelected = dyno.dynoInt(0);
   private readonly clean = dyno.dynoInt(0);
 
-  private constructor(scene: Scene, splats: ExtSplats, renderer: THREE.WebGLRenderer, onDirty: (splat: Splat) => void) {
-    this.scene = scene;
+  /**
+   * @param scene what its pieces have in common
+   * @param onDirty called when another frame would show more, as after sorting
+   */
+  constructor(private readonly scene: Scene, renderer: THREE.WebGLRenderer, onDirty: (splat: Splat) => void) {
+    this.canonical = canonicalTexture(scene);
+    this.codeColors = codeColorTexture(scene);
     this.spark = sparkOf(renderer, () => onDirty(this));
     this.scores = floats(scene.atoms, (scene.levels * MOST_QUERIES) / 4);
     this.queries = floats(MOST_QUERIES, 2);
     const rows = Math.max(1, Math.ceil((scene.metadata.n_things ?? 0) / WIDTH));
     this.things = integers(new Uint16Array(WIDTH * rows), rows, THREE.UnsignedShortType, "R16UI");
-    this.mesh = new SplatMesh({ extSplats: splats });
-    this.mesh.objectModifier = this.modifier();
-    this.world.add(this.spark, this.mesh);
+    this.world.add(this.spark);
     this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hidden: [], clean: false });
   }
 
-  /**
-   * Build it, with progress.
-   *
-   * @param onDirty called when another frame would show more, as after sorting
-   */
-  static async of(
-    scene: Scene,
-    renderer: THREE.WebGLRenderer,
-    onDirty: (splat: Splat) => void,
-    progress: Progress,
-  ): Promise<Splat> {
+  /** Draw a piece, with progress, in place of others. */
+  async add(scene: Scene, progress: Progress, instead: Scene[] = []): Promise<void> {
     const splats = new ExtSplats({ maxSplats: scene.count });
     await splats.initialized;
     const centre = new THREE.Vector3();
@@ -108,14 +103,24 @@ export class Splat {
     }
     // Textures are made of whole arrays only.
     const { extArrays } = splats;
-    const splat = new Splat(scene, new ExtSplats({ extArrays, numSplats: scene.count }), renderer, onDirty);
-    await splat.mesh.initialized;
-    splat.mesh.updateGenerator();
-    return splat;
+    const mesh = new SplatMesh({ extSplats: new ExtSplats({ extArrays, numSplats: scene.count }) });
+    mesh.objectModifier = this.modifier(scene);
+    await mesh.initialized;
+    mesh.updateGenerator();
+    for (const piece of instead) this.remove(piece);
+    this.meshes.set(scene, mesh);
+    this.world.add(mesh);
+  }
+
+  private remove(scene: Scene): void {
+    const mesh = this.meshes.get(scene)!;
+    this.meshes.delete(scene);
+    this.world.remove(mesh);
+    mesh.dispose();
   }
 
   get count(): number {
-    return this.scene.count;
+    return [...this.meshes.keys()].reduce((sum, { count }) => sum + count, 0);
   }
 
   get isSorting(): boolean {
@@ -157,26 +162,24 @@ export class Splat {
     this.mode.value = MODES.indexOf(look.mode);
     this.level.value = look.level;
     this.opacity.value = look.opacity;
-    this.mesh.updateVersion();
+    for (const mesh of this.meshes.values()) mesh.updateVersion();
   }
 
-  private modifier() {
-    const { scene } = this;
+  private modifier(scene: Scene) {
     const sizes = { levels: scene.levels, k: scene.k, phrases: scene.phrases, things: scene.metadata.n_things ?? 0 };
     const [indices, weights] = codeTextures(scene);
-    const [canonical, owners] = [canonicalTexture(scene), ownerTexture(scene)];
-    const [confidence, codeColors] = [confidenceTexture(scene), codeColorTexture(scene)];
+    const [owners, confidence] = [ownerTexture(scene), confidenceTexture(scene)];
     const uniforms = {
       indices: dyno.dynoUsampler2D(indices),
       weights: dyno.dynoUsampler2D(weights),
       scale: dyno.dynoFloat(scene.metadata.weights_scale / 65535),
-      canonical: dyno.dynoSampler2D(canonical),
+      canonical: dyno.dynoSampler2D(this.canonical),
       scores: dyno.dynoSampler2D(this.scores),
       queries: dyno.dynoSampler2D(this.queries),
       owners: dyno.dynoUsampler2D(owners),
       things: dyno.dynoUsampler2D(this.things),
       confidence: dyno.dynoSampler2D(confidence),
-      codeColors: dyno.dynoSampler2D(codeColors),
+      codeColors: dyno.dynoSampler2D(this.codeColors),
       mode: this.mode,
       level: this.level,
       opacity: this.opacity,

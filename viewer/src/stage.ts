@@ -64,15 +64,31 @@ export class SplatStage implements Stage {
     this.boxes = new Boxes(eye.world);
   }
 
-  /** Show a scene; the one before is its coarse one from now on. */
+  /** Show a scene. */
   async load(scene: Scene, progress: Progress): Promise<void> {
-    const onDirty = (splat: Splat) => {
-      if (splat === this.shown) this.soon();
-    };
-    const splat = await Splat.of(scene, this.renderer, onDirty, progress);
-    this.coarse = this.splat;
+    const splat = this.splatOf(scene);
+    await splat.add(scene, progress);
     this.splat = splat;
     this.update();
+  }
+
+  /** Show a part of the scene in place of the coarse Gaussians that stand for it. */
+  async refine(part: Scene, instead: Scene, coarse: Scene[]): Promise<void> {
+    let splat = this.splat!;
+    if (!this.coarse) {
+      splat = this.splatOf(part);
+      for (const piece of coarse) await splat.add(piece, () => {});
+    }
+    await splat.add(part, () => {}, [instead]);
+    this.coarse ??= this.splat;
+    this.splat = splat;
+    this.update();
+  }
+
+  private splatOf(scene: Scene): Splat {
+    return new Splat(scene, this.renderer, (splat) => {
+      if (splat === this.shown) this.soon();
+    });
   }
 
   /** How many Gaussians the last frame has. */

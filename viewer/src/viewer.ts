@@ -13,6 +13,7 @@ import { Hovering } from "./hovering";
 import { listenToKeys } from "./keys";
 import { Panel } from "./panel";
 import { hits, placeAlong, type Painted } from "./picking";
+import { partsBySight } from "./parts";
 import { hidePlace, showPlace } from "./place_panel";
 import { owned, plyOf, selected } from "./ply";
 import { Scene, type CameraRecord, type Metadata } from "./scene_data";
@@ -76,7 +77,7 @@ export class Viewer {
     withGaussians: boolean,
     progress: (stage: string, done: number, total: number) => void,
   ): Promise<Viewer> {
-    const scene = withGaussians ? new Scene(await source.scene(progress, true)) : null;
+    const scene = withGaussians ? new Scene(await source.scene(progress)) : null;
     const metadata = scene?.metadata ?? (await source.metadata());
     const viewer = new Viewer(settings, metadata, source, server, scene);
     if (scene && viewer.stage instanceof SplatStage) await viewer.stage.load(scene, progress);
@@ -85,7 +86,7 @@ export class Viewer {
     if (scene && metadata.n_things) void viewer.listThings();
     if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
     viewer.stage.redraw();
-    if (metadata.coarse) viewer.whole = viewer.refine();
+    if (metadata.parts) viewer.whole = viewer.refine(scene!);
     return viewer;
   }
 
@@ -99,15 +100,20 @@ export class Viewer {
     return this.stage instanceof SplatStage ? this.stage.drawing : 0;
   }
 
-  /** Show the whole scene in place of the coarse one. */
-  private async refine(): Promise<void> {
+  /** Show the parts of the scene in place of its coarse Gaussians, first those of which most is seen. */
+  private async refine(scene: Scene): Promise<void> {
+    const coarse = scene.coarseParts();
+    const parts: Scene[] = [];
+    const camera = () => this.eye.record(this.canvas.clientWidth, this.canvas.clientHeight);
     try {
-      const scene = new Scene(await this.source.scene(() => {}, false));
-      if (this.stage instanceof SplatStage) await this.stage.load(scene, () => {});
-      this.scene = scene;
+      for await (const [number, packed] of partsBySight(coarse, this.source, camera)) {
+        parts[number] = scene.part(packed);
+        await (this.stage as SplatStage).refine(parts[number], coarse[number], coarse);
+      }
+      this.scene = Scene.joined(parts);
       this.describe();
     } catch (error) {
-      this.say((error as Error).message);
+      this.say(`A part of the scene is missing: ${(error as Error).message}`);
     }
   }
 
@@ -333,7 +339,7 @@ export class Viewer {
     const some = scene && scene.count < metadata.n_gaussians;
     const full = this.server ? "; the exact picture has all" : "";
     const count = scene?.count.toLocaleString("en");
-    const shown = scene?.metadata.coarse
+    const shown = scene?.metadata.parts
       ? `${count} of ${all} shown, more are loading`
       : some ? `${count} of ${all} shown, neighbours merged${full}` : all;
     byId("facts").textContent = `${shown}. Embeddings: ${metadata.embedding_model || "unnamed model"}. SCOUP ${this.settings.version}.`;

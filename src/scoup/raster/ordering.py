@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 AT_A_TIME = 1 << 20  # rows, whose numbers are in memory in double precision
+_AT_A_TIME_CPU = 1 << 13  # rows that stay in the cache; too few for torch to wait for threads
 BITS = 21  # an axis: enough for rooms in scenes with a far-away background
 
 
@@ -14,16 +15,22 @@ def morton_order(means: Tensor) -> Tensor:
     return torch.argsort(morton_codes(means)[0], stable=True)
 
 
-def morton_codes(means: Tensor) -> tuple[Tensor, float]:
+def morton_codes(means: Tensor, around: Tensor | None = None) -> tuple[Tensor, float]:
     """Return [N] int64 places of ``means`` [N, 3] on a Z-order curve through a cube, and the edge of its cells.
 
     Bits 3 b to 3 b + 2 of a place are bit b of the cell along x, y, z. Entries that are not finite count as 0.
+
+    Args:
+        means: [N, 3].
+        around: [M, 3] what the cube is around; by default ``means``. Means beyond it count as at its sides.
     """
     if not len(means):
         return torch.zeros(0, dtype=torch.int64, device=means.device), 1.0
-    parts = means.split(AT_A_TIME)
-    low = torch.stack([_finite(part).amin(0) for part in parts]).amin(0)
-    span = torch.stack([(_finite(part) - low).amax() for part in parts]).amax()
+    rows = _AT_A_TIME_CPU if means.device.type == "cpu" else AT_A_TIME
+    parts = means.split(rows)
+    inside = parts if around is None else around.split(rows)
+    low = torch.stack([_finite(part).amin(0) for part in inside]).amin(0)
+    span = torch.stack([(_finite(part) - low).amax() for part in inside]).amax()
     span = span.clamp(min=torch.finfo(torch.float64).tiny)
     code = torch.cat([_codes(_finite(part), low, span) for part in parts])
     return code, float(span) / (2**BITS - 1)
@@ -45,7 +52,7 @@ def _finite(means: Tensor) -> Tensor:
 
 def _codes(points: Tensor, low: Tensor, span: Tensor) -> Tensor:
     """Return [N] int64 places on the curve."""
-    cells = ((points - low) / span * (2**BITS - 1)).long()
+    cells = ((points - low) / span * (2**BITS - 1)).clamp(0, 2**BITS - 1).long()
     return _spread(cells[:, 0]) | (_spread(cells[:, 1]) << 1) | (_spread(cells[:, 2]) << 2)
 
 

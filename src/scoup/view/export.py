@@ -65,33 +65,46 @@ def export_page(
         progress: called for the stages "words" and "pictures".
     """
     out = Path(out)
-    check_outputs(out, FOLDER_FILES, overwrite) if split else check_output(out, overwrite)
+    part_files = [f"part_{number}.js" for number in range(viewed.n_parts)]
+    names = (*FOLDER_FILES, *part_files)
+    check_outputs(out, names, overwrite) if split else check_output(out, overwrite)
     files, settings = page_files(), viewed.settings("exported")
     words, count = _words(viewed, progress)
-    scene = viewed.scene(effort=9, exported=True)
+    first = viewed.scene(effort=9, exported=True)
     thumbnails = _thumbnails(viewed, progress)
     data = {
-        "scene": _base64(scene),
+        "scene": _base64(first),
         "words": _base64(words),
         "thumbnails": thumbnails,
         "things": viewed.things(),
     }
+    scene_bytes = len(first)
+
+    def part(number: int) -> str:
+        nonlocal scene_bytes
+        packed = viewed.part(number, effort=9)
+        scene_bytes += len(packed)
+        return _base64(packed)
+
     if split:
         tags = "\n".join(f'<script src="{name}.js"></script>' for name in data)
-        html = files.in_one(settings, f"<script>window.scoupData = {{}};</script>\n{tags}")
-        with staged(out, FOLDER_FILES, overwrite) as hidden:
+        html = files.in_one(settings, f"<script>window.scoupData = {{parts: []}};</script>\n{tags}")
+        with staged(out, names, overwrite) as hidden:
             (hidden / "index.html").write_text(html, encoding="utf-8")
-            for name, value in data.items():
-                (hidden / f"{name}.js").write_text(
-                    _assignment(f"window.scoupData.{name}", value), encoding="utf-8"
-                )
-        size = sum((out / name).stat().st_size for name in FOLDER_FILES)
+            scripts = {f"{name}.js": _assignment(f"window.scoupData.{name}", data[name]) for name in data}
+            for name, script in scripts.items():
+                (hidden / name).write_text(script, encoding="utf-8")
+            for number, name in enumerate(part_files):  # one after another, as the page loads them
+                script = _assignment(f"window.scoupData.parts[{number}]", part(number))
+                (hidden / name).write_text(script, encoding="utf-8")
+        size = sum((out / name).stat().st_size for name in names)
     else:
-        html = files.in_one(settings, f"<script>{_assignment('window.scoupData', data)}</script>")
+        whole = {**data, "parts": [part(number) for number in range(viewed.n_parts)]}
+        html = files.in_one(settings, f"<script>{_assignment('window.scoupData', whole)}</script>")
         with atomic_path(out, overwrite) as temporary:
             temporary.write_text(html, encoding="utf-8")
         size = out.stat().st_size
-    return ExportReport(out, size, len(scene), len(words), count)
+    return ExportReport(out, size, scene_bytes, len(words), count)
 
 
 def jpeg(picture: Picture, quality: int = THUMBNAIL_QUALITY) -> bytes:

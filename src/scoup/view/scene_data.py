@@ -15,18 +15,19 @@ from scoup.pictures.colors import code_basis
 from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import placed_atoms
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.codes import SparseCodes, rows_of
+from scoup.scene.codes import SparseCodes, signed
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.paths import upwards
 from scoup.scene.things import NO_THING
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
-from scoup.view.shown import MOST_GAUSSIANS, shown_gaussians
+from scoup.view.shown import Shown
 from scoup.view.unit_codes import UnitCodes
 
 VERSION = 1
 _SCALE_SHARES = (0.0005, 0.9995)  # smaller scales than the first count as it
 _LARGER = 6.0  # logarithm of how much larger than the second a scale may be
 _CODES_FOR_COLORS = 50_000
+_FOR_SURROUNDINGS = 100_000  # Gaussians, whose medians are those of all
 _NO_OWNER = 65535
 
 
@@ -63,41 +64,47 @@ def scene_metadata(
 
 def scene_data(
     field: CodedScene,
-    codes: UnitCodes,
+    shown: Shown,
     canonical: Tensor | None,
     metadata: dict[str, Any],
-    most: int = MOST_GAUSSIANS,
     effort: int = 6,
 ) -> bytes:
-    """Return the file that the page loads.
+    """Return the file that the page loads first.
 
     Args:
         field: to be shown, with its geometry.
-        codes: ``UnitCodes.of(field)``.
+        shown: its Gaussians in this file.
         canonical: [S, L, P] scores of the canonical phrases; None if no text can be asked.
         metadata: from ``scene_metadata``.
-        most: Gaussians at most (``shown_gaussians``).
         effort: of compression, 1 to 9.
     """
-    owners = None if field.thing_table is None else field.thing_table.owners.cpu()
-    middle = None if owners is None else owners[:, len(field.levels) // 2]  # what a click selects
-    shown = shown_gaussians(field.gaussians.to("cpu"), most, middle)
-    rows = shown.rows
-    weights = codes.weights[rows]
-    largest = float(weights.max()) if weights.numel() else 0.0
-    tensors, ranges = _splat(shown.gaussians)
-    tensors |= {
-        "code_indices": rows_of(codes.indices, rows).permute(1, 2, 0).numpy(),
-        "code_weights": fine_fractions(weights.permute(1, 2, 0).numpy(), largest),
-        "confidence": fractions(codes.confidence[rows].T.numpy(), 0.0, 1.0),
-        **_code_colors(field, codes),
-    }
-    if owners is not None:
-        own = owners[rows].T.numpy()
-        tensors["owners"] = np.where(own == NO_THING, _NO_OWNER, own).astype(np.uint16)
+    codes = UnitCodes.of(field, shown.rows)
+    tensors, ranges = _rows(field, shown, codes)
+    tensors |= _code_colors(field, codes)
     if canonical is not None:
         tensors["canonical"] = canonical.permute(0, 2, 1).numpy()
-    return packed(tensors, {**metadata, **ranges, "weights_scale": largest}, effort)
+    return packed(tensors, {**metadata, **ranges}, effort)
+
+
+def part_data(field: CodedScene, shown: Shown, effort: int = 6) -> bytes:
+    """Return the file of a part of the scene, which the page loads later; arguments as for ``scene_data``."""
+    tensors, ranges = _rows(field, shown, UnitCodes.of(field, shown.rows))
+    return packed(tensors, {"version": VERSION, **ranges}, effort)
+
+
+def _rows(field: CodedScene, shown: Shown, codes: UnitCodes) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Return what a file has per Gaussian, and the ranges of its fractions."""
+    largest = float(codes.weights.max()) if codes.weights.numel() else 0.0
+    tensors, ranges = _splat(shown.gaussians)
+    tensors |= {
+        "code_indices": signed(codes.indices).permute(1, 2, 0).view(codes.indices.dtype).numpy(),
+        "code_weights": fine_fractions(codes.weights.permute(1, 2, 0).numpy(), largest),
+        "confidence": fractions(codes.confidence.T.numpy(), 0.0, 1.0),
+    }
+    if field.thing_table is not None:
+        own = field.thing_table.owners.cpu()[shown.rows].T.numpy()
+        tensors["owners"] = np.where(own == NO_THING, _NO_OWNER, own).astype(np.uint16)
+    return tensors, {**ranges, "weights_scale": largest}
 
 
 def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[float], list[float], float]:
@@ -106,8 +113,9 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
     Up is as the cameras were held (``upwards``). The point is the one nearest to all view axes. Without cameras, or if
     their axes are parallel, it is the median of the means, and the distance twice the median distance from it.
     """
-    rows = gaussians.finite()
-    finite, scales = gaussians.means[rows].cpu(), gaussians.scales[rows].cpu()
+    some = gaussians.select(slice(None, None, max(1, len(gaussians) // _FOR_SURROUNDINGS)))
+    rows = some.finite()
+    finite, scales = some.means[rows].cpu(), some.scales[rows].cpu()
     middle = finite.median(0).values.double() if len(finite) else torch.zeros(3, dtype=torch.float64)
     around = float((finite - middle.float()).norm(dim=1).median()) if len(finite) else 1.0
     # Cameras that turn on the spot are hardly apart, and a single Gaussian is around nothing.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Awaitable, Callable
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError, SupersededError, Work
 
 Answer = Callable[[Message, str], Awaitable[Response]]
+_KEPT_PARTS = 4  # of the scene, packed: a scene of the usual size is packed once for all visitors
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
@@ -46,6 +47,7 @@ def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool
         Route("/viewer.css", desk.style),
         Route("/licences.txt", desk.licences),
         Route("/scene.bin", desk.scene),
+        Route("/part/{number}-of-{count}", desk.part),
         Route("/api/scene", desk.metadata),
         Route("/api/vocabulary", desk.vocabulary),
         Route("/api/things", desk.things),
@@ -70,10 +72,10 @@ class _Answers:
         self.page = page
         self.mode = mode
         self.work = Work()
-        self._scenes: dict[bool, bytes] = {}  # by whether they are coarse
+        self._part = lru_cache(_KEPT_PARTS)(viewed.part)
         self._thumbnails: dict[int, bytes] = {}
         if mode != "remote":  # packed while a browser is opened
-            self.work.begin(partial(self._packed, coarse=True))
+            self.work.begin(lambda: self._first)
 
     def by_name(self) -> dict[str, Answer]:
         return {"query": self.query, "render": self.render, "point": self.point, "select": self.select}
@@ -98,16 +100,20 @@ class _Answers:
         return Response(status_code=204, headers={"x-scoup-field": self.viewed.identity})
 
     async def scene(self, request: Request) -> Response:
-        data = await self._packed_scene(coarse=request.url.query == "coarse")
-        return Response(data, media_type="application/octet-stream")
+        return Response(await self.work.run(lambda: self._first), media_type="application/octet-stream")
 
-    async def _packed_scene(self, coarse: bool) -> bytes:
-        return self._scenes.get(coarse) or await self.work.run(partial(self._packed, coarse))
+    @cached_property
+    def _first(self) -> bytes:
+        return self.viewed.scene()
 
-    def _packed(self, coarse: bool) -> bytes:
-        if coarse not in self._scenes:
-            self._scenes[coarse] = self.viewed.scene(coarse=coarse)
-        return self._scenes[coarse]
+    async def part(self, request: Request) -> Response:
+        parts = self.viewed.n_parts
+        number = _number(request, parts)
+        if request.path_params["count"] != str(parts):
+            raise HTTPException(404)
+        data = await self.work.run(lambda: self._part(number))
+        headers = {"x-scoup-field": self.viewed.identity}
+        return Response(data, media_type="application/octet-stream", headers=headers)
 
     async def metadata(self, request: Request) -> Response:
         return JSONResponse(await self.work.run(self.viewed.metadata))
@@ -129,11 +135,8 @@ class _Answers:
         return JSONResponse(await self.work.run(lambda: self._things))
 
     async def thumbnail(self, request: Request) -> Response:
-        digits, cameras = request.path_params["number"], self.viewed.field.cameras
-        # Not by starlette's int: a number of thousands of digits is a fault to Python.
-        number = int(digits) if digits.isascii() and digits.isdecimal() and len(digits) < 10 else -1
-        if cameras is None or not 0 <= number < len(cameras):
-            raise HTTPException(404)
+        cameras = self.viewed.field.cameras or ()
+        number = _number(request, len(cameras))
         if number not in self._thumbnails:
             picture = await self.work.run(lambda: jpeg(self.viewed.thumbnail(cameras[number])))
             self._thumbnails[number] = picture
@@ -189,6 +192,16 @@ class _Answers:
     @property
     def _n_levels(self) -> int:
         return len(self.viewed.field.levels)
+
+
+def _number(request: Request, count: int) -> int:
+    """The number of the path, which must be below the count."""
+    digits = request.path_params["number"]
+    # Not by starlette's int: a number of thousands of digits is a fault to Python.
+    number = int(digits) if digits.isascii() and digits.isdecimal() and len(digits) < 10 else count
+    if number >= count:
+        raise HTTPException(404)
+    return number
 
 
 async def _answered(answer: Answer, request: Request) -> Response:

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.raster import morton_codes, restored
+from scoup.raster import morton_codes
 from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.rotations import quats_of_rotations, rotation_matrices
+from scoup.scene.rotations import quats_of_rotations
 
 MOST_GAUSSIANS = 1_000_000
 """A page shows so many, unless another number is asked for."""
-COARSE_GAUSSIANS = 60_000
-"""The first picture of a large scene shows so many: about 2 MB."""
 _LARGEST = 2.0  # edges of a cell: larger Gaussians are not merged in it
 _SHADES = 3  # of each colour channel: Gaussians of different shades are not merged
 _COARSEST = 21  # level; a cell has 2^level cells of the curve along an edge
 _MOST_ALPHA = 0.99
-_AT_A_TIME = 1 << 20  # rows in double precision
+_AT_A_TIME = 1 << 15  # rows, whose covariances stay in the cache
+_PAIRS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,12 @@ class Shown:
     rows: Tensor  # [M] int64, of the field's Gaussian whose codes and things each has
 
 
-def shown_gaussians(gaussians: Gaussians, most: int = MOST_GAUSSIANS, owners: Tensor | None = None) -> Shown:
+def shown_gaussians(
+    gaussians: Gaussians,
+    most: int = MOST_GAUSSIANS,
+    owners: Tensor | None = None,
+    copies: NDArray[np.int64] | None = None,
+) -> Shown:
     """Return the Gaussians of a page, at most so many; without colours that depend on the direction.
 
     If more can be drawn, neighbours are merged: those in one cell of a grid that are small beside the cell, of a
@@ -44,107 +49,160 @@ def shown_gaussians(gaussians: Gaussians, most: int = MOST_GAUSSIANS, owners: Te
         gaussians: of the field, on the CPU.
         most: 1 or more.
         owners: [N] integers, the thing of each Gaussian, if things are known.
+        copies: [N] how many similar Gaussians each stands for, if they are a sample; by default 1.
     """
-    drawable = gaussians.finite() & (gaussians.opacities > 0) & gaussians.quats.any(1)
-    rows = drawable.nonzero()[:, 0]
-    drawn = gaussians.select(rows)
-    drawn = replace(drawn, sh=drawn.sh[:, :1])
+    rows = np.flatnonzero(drawable(gaussians))
+    drawn = _Arrays.of(gaussians, rows)
     if len(rows) > most:
-        weight = cover(drawn)
-        group = _groups(drawn, weight, None if owners is None else owners[rows], most)
+        weight = cover(drawn.scales, drawn.opacities) * (1 if copies is None else copies[rows])
+        group = _groups(drawn, weight, None if owners is None else owners.numpy()[rows], most)
         drawn, members = _merged(drawn, weight, group, most)
         rows = rows[members]
-    order = morton_codes(drawn.means)[0].argsort(stable=True)
-    return Shown(drawn.select(order), rows[order])
+    order = morton_codes(torch.from_numpy(drawn.means))[0].numpy().argsort(kind="stable")
+    return Shown(drawn.select(order).gaussians(), torch.from_numpy(rows[order]))
 
 
-def _groups(drawn: Gaussians, weight: Tensor, owners: Tensor | None, most: int) -> Tensor:
-    """Return [N] int64 numbers from 0 of the groups to merge, at most so many unless the coarsest cells hold more."""
-    code, unit = morton_codes(drawn.means)
-    shades = ((SH_C0 * drawn.sh[:, 0].double() + 0.5).clamp(0, 1) * _SHADES).long().clamp(max=_SHADES - 1)
-    kinds = shades @ torch.tensor([1, _SHADES, _SHADES**2])
+def drawable(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Return [N]: Gaussians that can be drawn."""
+    return (gaussians.finite() & (gaussians.opacities > 0) & gaussians.quats.any(1)).numpy()
+
+
+def cover(scales: NDArray[np.float32], opacities: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return [N]: opacity times area, how much a Gaussian can cover, from scales [N, 3] and opacities [N]."""
+    first, second, third = scales.astype(np.float64).T
+    area = np.maximum(first * second, np.maximum(first, second) * third)
+    return (opacities.clip(max=1) * area).clip(min=np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class _Arrays:
+    """Gaussians as numpy takes them: many small steps of torch would wait for its threads."""
+
+    means: NDArray[np.float32]
+    quats: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    colors: NDArray[np.float32]  # [N, 3] coefficients of degree 0
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, rows: NDArray[np.int64]) -> _Arrays:
+        parts = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh[:, 0]
+        return cls(*(part.numpy()[rows] for part in parts))
+
+    def select(self, rows: NDArray[np.int64]) -> _Arrays:
+        return _Arrays(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def gaussians(self) -> Gaussians:
+        parts = self.means, self.quats, self.scales, self.opacities, self.colors[:, None]
+        return Gaussians(*map(torch.from_numpy, parts))
+
+    def covariances(self) -> NDArray[np.float32]:
+        """Return [6, N]: xx, yy, zz, xy, xz, yz."""
+        w, x, y, z = (self.quats / np.linalg.norm(self.quats, axis=1, keepdims=True)).T
+        a, b, c = self.scales.T
+        rows = (
+            ((1 - 2 * (y * y + z * z)) * a, 2 * (x * y - w * z) * b, 2 * (x * z + w * y) * c),
+            (2 * (x * y + w * z) * a, (1 - 2 * (x * x + z * z)) * b, 2 * (y * z - w * x) * c),
+            (2 * (x * z - w * y) * a, 2 * (y * z + w * x) * b, (1 - 2 * (x * x + y * y)) * c),
+        )
+        return np.stack([sum(p * q for p, q in zip(rows[i], rows[j], strict=True)) for i, j in _PAIRS])
+
+
+def _groups(
+    drawn: _Arrays, weight: NDArray[np.float64], owners: NDArray[np.integer] | None, most: int
+) -> NDArray[np.int64]:
+    """Return [N] numbers from 0 of the groups to merge, at most so many unless the coarsest cells hold more."""
+    codes, unit = morton_codes(torch.from_numpy(drawn.means))
+    shades = ((SH_C0 * drawn.colors + 0.5).clip(0, 1) * _SHADES).astype(np.int32).clip(max=_SHADES - 1)
+    kinds = shades @ np.array([1, _SHADES, _SHADES**2], np.int32)
     if owners is not None:
-        kinds += _SHADES**3 * owners.long()
-    order = torch.from_numpy(np.lexsort((code.numpy(), kinds.numpy())))
-    code, kinds, largest = code[order], kinds[order], drawn.scales.amax(1)[order].double()
+        kinds += _SHADES**3 * (1 + owners.astype(np.int32))
+    order = codes.numpy().argsort(kind="stable")
+    if kinds.max() < 1 << 16:  # numpy sorts 16 bits in one pass
+        kinds = kinds.astype(np.uint16)
+    order = order[kinds[order].argsort(kind="stable")]  # by kind, then by code
+    code, kind, largest = codes.numpy()[order], kinds[order], drawn.scales.max(1)[order]
 
-    def cells(level: int) -> tuple[Tensor, int]:
-        """Return the numbers of the groups in this order, and how many there are."""
-        fits = (largest <= _LARGEST * unit * 2.0**level).nonzero()[:, 0]
-        cell, own = code[fits] >> 3 * level, kinds[fits]
-        begins = torch.ones(len(fits), dtype=torch.int64)
+    def cells(level: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return in this order which Gaussians may be merged, and of those, which begin a group."""
+        fits = largest <= _LARGEST * unit * 2.0**level
+        cell, own = code[fits] >> 3 * level, kind[fits]
+        begins = np.ones(len(cell), bool)
         begins[1:] = (cell[1:] != cell[:-1]) | (own[1:] != own[:-1])
-        numbers = torch.zeros(len(code), dtype=torch.int64)
-        n_cells = int(begins.sum())
-        alone = torch.ones(len(code), dtype=torch.bool)
-        alone[fits] = False
-        numbers[fits] = begins.cumsum(0) - 1
-        numbers[alone] = n_cells + torch.arange(len(code) - len(fits))
-        return numbers, n_cells + len(code) - len(fits)
+        return fits, begins
 
-    level = bisect_left(range(_COARSEST), True, key=lambda level: cells(level)[1] <= most)
-    group, count = cells(level)
-    if level > 0 and count <= most:
-        finer, n_finer = cells(level - 1)
-        heaviest = group.bincount(weight[order], count).argsort(descending=True, stable=True)
-        group = _halved(group, finer, n_finer, heaviest, most)
-    return restored(group, order)
+    def count(level: int) -> int:
+        fits, begins = cells(level)
+        return int(begins.sum()) + len(fits) - len(begins)
+
+    def numbered(level: int) -> NDArray[np.int64]:
+        """Return the groups at a level; Gaussians that may not be merged come last."""
+        fits, begins = cells(level)
+        numbers, alone = np.empty(len(fits), np.int64), order[~fits]
+        numbers[order[fits]] = begins.cumsum() - 1
+        numbers[alone] = begins.sum() + np.arange(len(alone))
+        return numbers
+
+    level = bisect_left(range(_COARSEST), True, key=lambda level: count(level) <= most)
+    group = numbered(level)
+    if level > 0 and group.max() < most:
+        heaviest = (-np.bincount(group, weight)).argsort(kind="stable")
+        group = _halved(group, numbered(level - 1), heaviest, most)
+    return group
 
 
-def _halved(group: Tensor, finer: Tensor, n_finer: int, heaviest: Tensor, most: int) -> Tensor:
+def _halved(
+    group: NDArray[np.int64], finer: NDArray[np.int64], heaviest: NDArray[np.int64], most: int
+) -> NDArray[np.int64]:
     """Return [N] the groups with as many of the heaviest as possible in place of finer ones, which lie in one each."""
     count = len(heaviest)
-    inside = torch.zeros(n_finer, dtype=torch.int64)
+    inside = np.zeros(finer.max() + 1, np.int64)
     inside[finer] = group
-    more = inside.bincount(minlength=count) - 1
-    halved = torch.zeros(count, dtype=torch.bool)
-    halved[heaviest] = more[heaviest].cumsum(0) <= most - count
-    chosen = torch.where(halved[group], count + finer, group)
-    used = torch.zeros(count + n_finer, dtype=torch.int64)
+    more = np.bincount(inside, minlength=count) - 1
+    halved = np.zeros(count, bool)
+    halved[heaviest] = more[heaviest].cumsum() <= most - count
+    chosen = np.where(halved[group], count + finer, group)
+    used = np.zeros(count + len(inside), np.int64)
     used[chosen] = 1
-    return (used.cumsum(0) - 1)[chosen]
+    return (used.cumsum() - 1)[chosen]
 
 
-def _merged(drawn: Gaussians, weight: Tensor, group: Tensor, most: int) -> tuple[Gaussians, Tensor]:
+def _merged(
+    drawn: _Arrays, weight: NDArray[np.float64], group: NDArray[np.int64], most: int
+) -> tuple[_Arrays, NDArray[np.int64]]:
     """Return the merged Gaussians of the heaviest groups, and [M] the heaviest member of each."""
-    sizes = group.bincount()
-    count, total = len(sizes), group.bincount(weight)
-    heaviest = torch.zeros(count, dtype=torch.float64).scatter_reduce(0, group, weight, "amax")
-    first = (weight == heaviest[group]).nonzero()[:, 0]
-    members = torch.full((count,), len(group)).scatter_reduce(0, group[first], first, "amin")
+    sizes, total = np.bincount(group), np.bincount(group, weight)
+    heaviest = np.zeros(len(sizes))
+    np.maximum.at(heaviest, group, weight)
+    first = np.flatnonzero(weight == heaviest[group])[::-1]
+    members = np.empty(len(sizes), np.int64)
+    members[group[first]] = first  # of equals, the one written last
 
-    def mean(values: Tensor) -> Tensor:
-        summed = torch.zeros(count, *values.shape[1:], dtype=torch.float64)
-        for part in torch.arange(len(group)).split(_AT_A_TIME):
-            summed.index_add_(0, group[part], weight[part, None] * values[part].double())
-        return summed / total[:, None]
+    def mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
+        return np.bincount(group, weight * values, len(sizes)) / total
 
-    means = mean(drawn.means)
-    covariances = torch.zeros(count, 3, 3, dtype=torch.float64)
-    for part in (sizes[group] > 1).nonzero()[:, 0].split(_AT_A_TIME):
-        axes = rotation_matrices(drawn.quats[part].double()) * drawn.scales[part].double()[:, None]
-        aside = drawn.means[part].double() - means[group[part]]
-        spread = axes @ axes.mT + aside[:, :, None] * aside[:, None]
-        covariances.index_add_(0, group[part], weight[part, None, None] * spread)
+    means = np.stack([mean(column) for column in drawn.means.T], 1)
+    colors = np.stack([mean(column) for column in drawn.colors.T], 1)
+    spreads = np.empty((6, len(group)), np.float32)
+    for start in range(0, len(group), _AT_A_TIME):
+        part = slice(start, start + _AT_A_TIME)
+        x, y, z = (drawn.means[part] - means[group[part]]).astype(np.float32).T
+        own = _Arrays(*(getattr(drawn, field.name)[part] for field in fields(drawn)))
+        spreads[:, part] = own.covariances() + np.stack([x * x, y * y, z * z, x * y, x * z, y * z])
+    xx, yy, zz, xy, xz, yz = (mean(spread) for spread in spreads)
 
-    chosen = total.argsort(descending=True, stable=True)[:most].sort().values
+    chosen = np.sort((-total).argsort(kind="stable")[:most])
     found = drawn.select(members[chosen])
-    many = (sizes[chosen] > 1).nonzero()[:, 0]
+    many = np.flatnonzero(sizes[chosen] > 1)
     own = chosen[many]
-    variances, axes = torch.linalg.eigh(covariances[own] / total[own, None, None])
-    axes[:, :, 0] *= torch.linalg.det(axes).sign()[:, None]
-    scales = variances.clamp(min=0).sqrt()
-    found.means[many] = means[own].float()
-    found.quats[many] = quats_of_rotations(axes).float()
-    found.scales[many] = scales.float()
-    area = scales[:, 1] * scales[:, 2]
-    found.opacities[many] = (total[own] / area).clamp(max=_MOST_ALPHA).float()
-    found.sh[many, 0] = mean(drawn.sh[:, 0])[own].float()
+    covariances = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1)[own].reshape(-1, 3, 3)
+    variances, axes = np.linalg.eigh(covariances)
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+    scales = np.sqrt(variances.clip(min=0))
+    found.means[many] = means[own]
+    found.quats[many] = quats_of_rotations(torch.from_numpy(axes)).numpy()
+    found.scales[many] = scales
+    with np.errstate(divide="ignore"):
+        found.opacities[many] = (total[own] / (scales[:, 1] * scales[:, 2])).clip(max=_MOST_ALPHA)
+    found.colors[many] = colors[own]
     return found, members[chosen]
-
-
-def cover(gaussians: Gaussians) -> Tensor:
-    """Return [N] float64: opacity times area, how much a Gaussian can cover."""
-    first, second, third = gaussians.scales.double().unbind(1)
-    area = torch.maximum(first * second, torch.maximum(first, second) * third)
-    return (gaussians.opacities.double().clamp(max=1) * area).clamp(min=torch.finfo(torch.float64).tiny)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from scoup.query.coded_scene import CodedScene
 from scoup.scene.code_sums import code_scores, inverse_code_norms
+from scoup.scene.codes import rows_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +29,10 @@ class UnitCodes:
     one embedding, and less the more they differ; 0 where there is no code."""
 
     @classmethod
-    def of(cls, field: CodedScene) -> UnitCodes:
-        """Return those of a field."""
-        indices, codebook = field.code_indices.cpu(), field.codebook.float().cpu()
-        weights = field.code_weights.float().cpu()
+    def of(cls, field: CodedScene, rows: Tensor | slice = slice(None)) -> UnitCodes:
+        """Return those of a field, or of some rows of it, on the CPU."""
+        indices, codebook = rows_of(field.code_indices.cpu(), rows), field.codebook.float().cpu()
+        weights = field.code_weights.cpu()[rows].float()
         inverse_norms = inverse_code_norms(indices, weights, codebook)
         lengths = weights.sum(-1) * inverse_norms
         confidence = torch.where(lengths > 0, 1 / lengths, 0.0).clamp(0, 1)

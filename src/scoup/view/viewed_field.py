@@ -23,11 +23,13 @@ from scoup.query.methods import FieldQueries
 from scoup.query.question import Question
 from scoup.query.splat_table import SplatTable
 from scoup.scene.cameras import Camera
+from scoup.view import parts
 from scoup.view.exact import Colors, ExactPictures, PictureMode, PictureRequest, what_is_at
 from scoup.view.page_things import page_things
+from scoup.view.parts import Parts
 from scoup.view.scene_answers import PageAnswer, scene_answers
-from scoup.view.scene_data import scene_data, scene_metadata
-from scoup.view.shown import COARSE_GAUSSIANS, MOST_GAUSSIANS
+from scoup.view.scene_data import part_data, scene_data, scene_metadata
+from scoup.view.shown import MOST_GAUSSIANS, shown_gaussians
 from scoup.view.unit_codes import UnitCodes, atom_scores
 from scoup.view.vocabulary import everyday_vocabulary
 
@@ -138,20 +140,49 @@ class ViewedField:
         present_from = None if self.words_problem is not None else self.question(self._probe).present_from
         return scene_metadata(self.field, self.name, self.words_problem, present_from)
 
-    def scene(self, effort: int = 1, exported: bool = False, coarse: bool = False) -> bytes:
-        """Return the file that the page loads (``scene_data``).
+    def scene(self, effort: int = 1, exported: bool = False) -> bytes:
+        """Return the file that the page loads first (``scene_data``).
+
+        Of a large scene it has few Gaussians, to be seen until the parts are there. Its ``parts`` say how many of them
+        stand for each part.
 
         Args:
             effort: of compression, 1 to 9.
             exported: for a page without a server.
-            coarse: with few Gaussians, to be seen until the others are there; all of a small scene.
         """
-        canonical, metadata, most = None, self.metadata(exported), self.most
-        if coarse and min(most, len(self.field)) > 2 * COARSE_GAUSSIANS:
-            metadata, most = {**metadata, "coarse": True}, COARSE_GAUSSIANS
+        canonical, metadata = None, self.metadata(exported)
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.question(self._probe).canonical)
-        return scene_data(self.field, self.codes, canonical, metadata, most, effort)
+        if self._parts is None:
+            shown = shown_gaussians(self.gaussians.to("cpu"), self.most, self._owners)
+        else:
+            shown, counts = self._parts.coarse()
+            metadata = {**metadata, "parts": counts}
+        return scene_data(self.field, shown, canonical, metadata, effort)
+
+    @property
+    def n_parts(self) -> int:
+        """How many parts the page loads after its first file; 0 of a small scene."""
+        return 0 if self._parts is None else len(self._parts)
+
+    def part(self, number: int, effort: int = 1) -> bytes:
+        """Return the file of a part of a large scene, counted from 0 (``part_data``)."""
+        if self._parts is None or not 0 <= number < len(self._parts):
+            raise InputError(f"there is no part {number}; this scene has {self.n_parts:,} parts")
+        return part_data(self.field, self._parts.part(number), effort)
+
+    @cached_property
+    def _parts(self) -> Parts | None:
+        """The parts of a large scene."""
+        if min(self.most, len(self.field)) <= 2 * parts.COARSE_GAUSSIANS:
+            return None
+        return Parts(self.gaussians.to("cpu"), self.most, self._owners)
+
+    @property
+    def _owners(self) -> torch.Tensor | None:
+        """[N] things that a click selects."""
+        table = self.field.thing_table
+        return None if table is None else table.owners[:, len(self.field.levels) // 2].cpu()
 
     def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
         """Return the answers of the scene to texts."""

@@ -1,0 +1,113 @@
+"""The Gaussians of a page in parts, each near its own place, and few that stand for all until the parts are there."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.raster import morton_codes
+from scoup.scene.gaussians import Gaussians
+from scoup.view.shown import Shown, cover, drawable, shown_gaussians
+
+PART_GAUSSIANS = 250_000
+"""About so many Gaussians are loaded at a time."""
+COARSE_GAUSSIANS = 60_000
+"""The first picture of a large scene shows so many: about 2 MB."""
+_SAMPLE = 1 << 19  # Gaussians, of which the coarse ones are made: many times as many
+_AT_A_TIME = 1 << 16  # rows whose numbers in double precision stay in the cache
+
+
+class Parts:
+    """A large scene, cut along a Z-order curve into parts of about equal numbers of Gaussians.
+
+    Parts and coarse Gaussians are made when they are asked for. Of a scene with more than ``most``, each part merges as
+    large a share as the others.
+
+    Args:
+        gaussians: of the field, on the CPU.
+        most: of all parts together.
+        owners: [N] integers, the thing of each Gaussian, if things are known.
+    """
+
+    def __init__(self, gaussians: Gaussians, most: int, owners: Tensor | None = None) -> None:
+        self._gaussians, self._most, self._owners = gaussians, most, owners
+        step = max(1, len(gaussians) // _SAMPLE)
+        rows = np.arange(0, len(gaussians), step)
+        self._sample, self._step = rows[drawable(gaussians.select(torch.from_numpy(rows)))], step
+        self._around = gaussians.means[torch.from_numpy(self._sample)]
+        places = np.sort(morton_codes(self._around)[0].numpy())
+        count = -(-min(len(gaussians), most) // PART_GAUSSIANS) if len(places) else 1
+        self._ends = places[[len(places) * part // count for part in range(1, count)]]
+
+    def __len__(self) -> int:
+        return len(self._ends) + 1
+
+    def coarse(self) -> tuple[Shown, list[int]]:
+        """Return Gaussians that stand for all, part by part, and how many each part has.
+
+        Of a very large scene they are made of a sample, and of all that cover more than most.
+        """
+        gaussians, rows, copies = self._gaussians, self._sample, np.ones(len(self._sample), np.int64)
+        if self._step > 1:
+            covers = self._covers()
+            most = np.quantile(covers[rows], 1 - COARSE_GAUSSIANS / len(gaussians)) if len(rows) else 0.0
+            chosen = covers > most
+            chosen[rows] = True
+            rows = np.flatnonzero(chosen)
+            copies = np.where(covers[rows] > most, 1, self._step)
+        number = self._numbers(gaussians.means[torch.from_numpy(rows)])
+        found = []
+        for part in range(len(self)):
+            chosen = number == part
+            most = max(1, COARSE_GAUSSIANS * int(chosen.sum()) // max(1, len(rows)))
+            found.append(self._shown(rows[chosen], most, copies[chosen]))
+        joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in found), strict=True)]
+        return Shown(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in found]
+
+    def _covers(self) -> NDArray[np.float32]:
+        """Return [N] what each Gaussian covers."""
+        found = np.empty(len(self._gaussians), np.float32)
+        scales, opacities = self._gaussians.scales.numpy(), self._gaussians.opacities.numpy()
+        for start in range(0, len(found), _AT_A_TIME):
+            part = slice(start, start + _AT_A_TIME)
+            found[part] = cover(scales[part], opacities[part])
+        return found
+
+    def part(self, number: int) -> Shown:
+        """Return the Gaussians of a part, counted from 0."""
+        rows = self._rows[number]
+        count = len(self._gaussians)
+        return self._shown(
+            rows, len(rows) if count <= self._most else max(1, self._most * len(rows) // count)
+        )
+
+    def _shown(self, rows: NDArray[np.integer], most: int, copies: NDArray[np.int64] | None = None) -> Shown:
+        chosen = torch.from_numpy(rows)
+        owners = None if self._owners is None else self._owners[chosen]
+        found = shown_gaussians(self._gaussians.select(chosen), max(1, most), owners, copies)
+        return Shown(found.gaussians, chosen[found.rows].long())
+
+    @cached_property
+    def _rows(self) -> list[NDArray[np.int32]]:
+        """The rows of each part."""
+        means = self._gaussians.means
+        number = np.concatenate([self._numbers(part) for part in means.split(_AT_A_TIME)])
+        order = number.argsort(kind="stable").astype(np.int32)
+        return np.split(order, np.bincount(number, minlength=len(self)).cumsum()[:-1])
+
+    def _numbers(self, means: Tensor) -> NDArray[np.uint16]:
+        """Return the part of each mean [M, 3]."""
+        if not len(self._ends):
+            return np.zeros(len(means), np.uint16)
+        return self._ends.searchsorted(morton_codes(means, self._around)[0].numpy(), side="right").astype(
+            np.uint16
+        )
+
+
+def _tensors(shown: Shown) -> tuple[Tensor, ...]:
+    gaussians = shown.gaussians
+    return shown.rows, gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh

@@ -1,0 +1,162 @@
+"""Large scenes in parts, and the coarse Gaussians that stand for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from view_samples import field_with_things, random_field, splat_of, table, unpacked
+
+from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
+from scoup.view import parts
+from scoup.view.parts import Parts
+from scoup.view.shown import cover, drawable
+from scoup.view.viewed_field import ViewedField
+from support import KINDS, examples, random_gaussians
+
+CLUSTERS = 4
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "PART_GAUSSIANS", 100)
+    monkeypatch.setattr(parts, "COARSE_GAUSSIANS", 60)
+
+
+@settings(max_examples=examples(30), deadline=None)
+@given(st.integers(1, 700), st.integers(0, 2**31), st.integers(1, 900))
+def test_parts_together_are_the_scene(count: int, seed: int, most: int) -> None:
+    gaussians = random_gaussians(count, seed, kinds=KINDS)
+    cut = Parts(gaussians, most)
+    assert 1 <= len(cut) <= max(1, -(-min(count, most) // 100))
+    shown = [cut.part(number) for number in range(len(cut))]
+    rows = torch.cat([part.rows for part in shown])
+    assert len(rows.unique()) == len(rows) <= max(most, len(cut))
+    can = drawable(gaussians)
+    assert can[rows].all()
+    if count <= most:
+        assert sorted(rows.tolist()) == np.flatnonzero(can).tolist()
+        for part in shown:
+            assert part.gaussians.means.equal(gaussians.means[part.rows])
+    coarse, counts = cut.coarse()
+    assert len(counts) == len(cut)
+    assert sum(counts) == len(coarse.rows) <= max(60, len(cut))
+    starts = np.cumsum([0, *counts])
+    for number, part in enumerate(shown):
+        own = coarse.rows[starts[number] : starts[number + 1]]
+        if count <= most:
+            assert set(own.tolist()) <= set(part.rows.tolist())
+        assert bool(counts[number]) == bool(len(part.rows))
+
+
+def test_a_scene_of_which_nothing_can_be_drawn() -> None:
+    gaussians = random_gaussians(300, 1)
+    gaussians.opacities[:] = 0
+    cut = Parts(gaussians, 300)
+    assert (len(cut), len(cut.part(0).rows), cut.coarse()[1]) == (1, 0, [0])
+
+
+def test_parts_are_of_about_the_same_number_and_near_their_place() -> None:
+    gaussians = random_gaussians(1000, 3)
+    cut = Parts(gaussians, 1000)
+    shown = [cut.part(number) for number in range(len(cut))]
+    assert [len(part.rows) for part in shown] == [100] * 10
+    spread = gaussians.means.var(0).sum()
+    assert torch.stack([part.gaussians.means.var(0).sum() for part in shown]).mean() < 0.7 * spread
+
+
+def test_each_part_merges_the_same_share() -> None:
+    cut = Parts(random_gaussians(1000, 4), 500)
+    counts = [len(cut.part(number).rows) for number in range(len(cut))]
+    assert len(counts) == 5
+    assert all(80 < count <= 100 for count in counts)
+
+
+def test_coarse_gaussians_of_a_sample_cover_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    gaussians = random_gaussians(2000, 5)
+    gaussians.scales[3] = gaussians.scales[1234] = 3.0
+    wanted = Parts(gaussians, 2000).coarse()[0].gaussians
+    monkeypatch.setattr(parts, "_SAMPLE", 400)
+    coarse = Parts(gaussians, 2000).coarse()[0]
+    assert {3, 1234} <= set(coarse.rows.tolist())  # though the sample is of every fifth
+    sums = [cover(some.scales.numpy(), some.opacities.numpy()).sum() for some in (coarse.gaussians, wanted)]
+    assert sums[0] == pytest.approx(sums[1], rel=0.3)
+    again = Parts(gaussians, 2000).coarse()[0]
+    assert again.rows.equal(coarse.rows)
+    assert again.gaussians.means.equal(coarse.gaussians.means)
+
+
+def clustered() -> LanguageField:
+    """Gaussians in far places, all of a place with one code."""
+    field = random_field(400)
+    place = torch.arange(400) % CLUSTERS
+    field.gaussians.means[:] = 0.1 * field.gaussians.means + 50 * place[:, None] * torch.tensor(
+        [1.0, -1.0, 0.5]
+    )
+    field.gaussians.scales.clamp_(max=0.01)
+    field.code_indices[:] = (place % 9)[:, None, None].to(field.code_indices.dtype)
+    field.code_weights[:] = torch.tensor([1.0, 0, 0, 0])
+    return field
+
+
+def test_coarse_gaussians_answer_as_all_do() -> None:
+    viewed = ViewedField(clustered(), table())
+    first, metadata = unpacked(viewed.scene())
+    assert len(metadata["parts"]) == viewed.n_parts == 4
+    assert sum(metadata["parts"]) == len(first["opacities"]) <= 60
+
+    def relevancies(tensors: dict[str, np.ndarray], own: dict, scores: np.ndarray) -> dict[int, set[float]]:
+        """By the place of the Gaussians."""
+        weights = tensors["code_weights"][0] / 65535 * own["weights_scale"]
+        indices = tensors["code_indices"][0].astype(int)
+        cosine = (weights * scores[0][indices]).sum(0)
+        canonical = (weights * first["canonical"][0][:, indices]).sum(1).max(0)
+        found = 1 / (1 + np.exp(-10 * (cosine - canonical)))
+        place = np.rint(splat_of(tensors, own).means[:, 0].numpy() / 50)
+        return {int(each): set(found[place == each].round(5)) for each in np.unique(place)}
+
+    for answer in viewed.answers(["thing 1", "thing 2", "thing 7"]):
+        scores = answer.scores.numpy()
+        wanted: dict[int, set[float]] = {}
+        for number in range(viewed.n_parts):
+            for place, values in relevancies(*unpacked(viewed.part(number)), scores).items():
+                wanted.setdefault(place, set()).update(values)
+        assert len(wanted) == CLUSTERS
+        assert all(len(values) == 1 for values in wanted.values())
+        assert len(set.union(*wanted.values())) > 1
+        assert relevancies(first, metadata, scores) == wanted
+
+
+def test_files_of_parts_have_their_own_ranges_things_and_equal_bytes() -> None:
+    field = field_with_things(400)
+    viewed, again = ViewedField(field, table()), ViewedField(field, table())
+    assert viewed.scene() == again.scene()
+    assert field.thing_table is not None
+    cut = Parts(viewed.gaussians, viewed.most, field.thing_table.owners[:, 1])
+    for number in range(viewed.n_parts):
+        data = viewed.part(number)
+        assert again.part(number) == data
+        tensors, metadata = unpacked(data)
+        shown = cut.part(number)
+        assert set(metadata) == {
+            "version", "means_low", "means_high", "scales_low", "scales_high", "weights_scale",
+        }  # fmt: skip
+        extent = float((shown.gaussians.means.amax(0) - shown.gaussians.means.amin(0)).max())
+        assert (splat_of(tensors, metadata).means - shown.gaussians.means).abs().max() < 2e-7 * extent
+        owners = field.thing_table.owners[shown.rows].T.numpy()
+        np.testing.assert_array_equal(tensors["owners"], np.where(owners == -1, 65535, owners))
+    for wrong in (-1, viewed.n_parts):
+        with pytest.raises(InputError, match=f"there is no part {wrong}; this scene has 4 parts"):
+            viewed.part(wrong)
+
+
+def test_a_small_scene_has_no_parts() -> None:
+    viewed = ViewedField(random_field(120), table())
+    tensors, metadata = unpacked(viewed.scene())
+    assert viewed.n_parts == 0
+    assert "parts" not in metadata
+    assert len(tensors["opacities"]) == 120
+    assert ViewedField(random_field(121), table()).n_parts == 2
