@@ -17,7 +17,8 @@ pytestmark = pytest.mark.usefixtures("here")
 def test_a_word_that_is_not_in_the_table():
     for verb in ("query", "select"):
         message = refused(verb, "f.scoup", "ketle", "--out", "a.ply" if verb == "select" else "answers")
-        assert message.startswith("scene/words.npz: no text embedding named 'ketle'; nearest names: 'kettle'")
+        table = Path("scene/words.npz").absolute()
+        assert message.startswith(f"{table}: no text embedding named 'ketle'; nearest names: 'kettle'")
     assert "no text embedding named 'ketle'" in refused(
         "render", "f.scoup", "--what", "relevancy", "--query", "ketle"
     )
