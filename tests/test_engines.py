@@ -1,7 +1,7 @@
 """The examples that build in shards under Slurm (one node on loopback) and Ray (two nodes of this machine) as they are.
 
 `make test-all` runs these where the engines are installed (Debian: slurm-wlm and munge; pip: ray);
-tests/test_shard_examples.py has stand-ins for them.
+tests/test_shard_examples.py runs what needs no engine.
 """
 
 from __future__ import annotations

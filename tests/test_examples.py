@@ -122,7 +122,7 @@ def test_robot_stream(scene):
 
 def test_every_example_is_run():
     here = Path(__file__)
-    tests = here.read_text() + here.with_name("test_shard_examples.py").read_text()
+    tests = here.read_text() + here.with_name("test_engines.py").read_text()
     assert all(path.name in tests for path in EXAMPLES.glob("*.py"))
 
 
