@@ -39,6 +39,17 @@ def _no_wait_for_the_disk() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _one_light() -> Iterator[None]:
+    """Demo scenes are lit from one direction of the sun and one of the sky: on small scenes, light takes most of the
+    time."""
+    from scoup_lab.synthetic.splat import make_splat
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("scoup_lab.synthetic.scene.make_splat", functools.partial(make_splat, n_directions=1))
+        yield
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """Real data: $SCOUP_TEST_DATA, or ``shared/data`` beside the repository. Mark such tests ``data``."""

@@ -24,7 +24,6 @@ from scoup.coding.exact import EFFORTS
 from scoup.query.label import NONE
 from scoup_lab.bench import usable_backends
 from scoup_lab.synthetic.scene import make_demo_scene
-from synthetic.small_scenes import one_light
 
 SMALL: dict[str, Any] = {"width": 30, "height": 20}
 OF_SCENES: dict[str, Any] = {"scenes": ("table-0",), "size": SceneSize(4000, 160, 120, 6, 2)}
@@ -32,8 +31,7 @@ OF_SCENES: dict[str, Any] = {"scenes": ("table-0",), "size": SceneSize(4000, 160
 
 def ran(study: Study) -> Record:
     """The record of a study, as JSON has it; its table can be made."""
-    with one_light():
-        found = run(study, "test")
+    found = run(study, "test")
     assert json.loads(json.dumps(found)) == found
     return found
 

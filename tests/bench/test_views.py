@@ -17,15 +17,13 @@ import scoup
 from scoup.base.errors import InputError
 from scoup.io import save_regions
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
-from synthetic.small_scenes import one_light
 
 SIZE = SceneSize(4000, 160, 120, 6, 2)
 
 
 @pytest.fixture(scope="module")
 def demo() -> DemoScene:
-    with one_light():
-        return make_demo_scene(0, 3000, 64, 48, 4, 2)
+    return make_demo_scene(0, 3000, 64, 48, 4, 2)
 
 
 def test_its_own_cameras_observe_what_the_scene_has(demo: DemoScene) -> None:
@@ -56,8 +54,7 @@ def test_renders_wait_for_the_regions_of_models(demo: DemoScene, tmp_path: Path)
 
 
 def test_half_of_the_cameras_stands_on_one_side() -> None:
-    with one_light():
-        scene = make_view_scene("yard-0", Path(), SIZE, None)
+    scene = make_view_scene("yard-0", Path(), SIZE, None)
     half = given_half(scene)
     assert len(half) == len(scene.given) // 2
     middle = np.mean([camera.position.numpy() for camera in scene.given], axis=0)
@@ -70,8 +67,7 @@ def test_half_of_the_cameras_stands_on_one_side() -> None:
 @pytest.mark.slow
 def test_rows_of_the_study() -> None:
     choices = ("given", "own", "ring", "given-half", "half-beside")
-    with one_light():
-        record = run(Views(scenes=("table-0",), choices=choices, size=SIZE), "views")
+    record = run(Views(scenes=("table-0",), choices=choices, size=SIZE), "views")
     means = record["means"]["procedural"]
     assert {choice: means[choice]["views"] for choice in choices} == {
         "given": 6, "own": 6, "ring": 6, "given-half": 3, "half-beside": 6

@@ -14,7 +14,6 @@ from scoup.view import export, page
 from scoup.view.page import page_files
 from scoup_lab.evaluate.demonstration import DemoSettings, rows_by_name, run_demo
 from scoup_lab.evaluate.demonstration_sheet import query_sheet
-from synthetic.small_scenes import one_light
 from view.view_samples import PAGE
 
 TINY = ("--n-gaussians", 3000, "--width", 96, "--height", 72, "--views", 4)
@@ -26,7 +25,7 @@ METHODS = {"things and votes", "sparse, top-K vote", "sparse, no top-K", "dense 
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """The folder of a demo, which nobody writes into, and what the command printed."""
     out = tmp_path_factory.mktemp("demonstration") / "demo"
-    with one_light(), pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         for module in (page, export):  # whether or not the page is built here
             patch.setattr(module, "page_files", lambda: PAGE)
         return out, run_json("demo", "--out", out, *TINY)
@@ -57,8 +56,7 @@ def test_without_its_page_the_demo_says_how_to_get_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page, "page_files", lambda: page_files(tmp_path))
-    with one_light():
-        code, printed, err = run("demo", "--out", tmp_path / "demo", *TINY)
+    code, printed, err = run("demo", "--out", tmp_path / "demo", *TINY)
     assert (code, err) == (0, "")
     assert not (tmp_path / "demo" / "demo.html").exists()
     assert "tools/build_viewer.py" in printed
@@ -83,8 +81,7 @@ def test_demo_finds_things(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_another_layout_is_queried_for_what_it_shows(tmp_path: Path) -> None:
     size = DemoSettings(n_gaussians=12000, width=160, height=120, n_building=6, layout=YARD)
-    with one_light():
-        result = run_demo(tmp_path, size)
+    result = run_demo(tmp_path, size)
     assert {"fountain", "gnome"} <= {row.name for row in rows_by_name(result)}
     assert query_sheet(result).ndim == 3
     note = (tmp_path / "scene" / "README.txt").read_text()

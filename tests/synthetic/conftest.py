@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from scoup_lab.synthetic import DemoScene, make_demo_scene
-from synthetic.small_scenes import SMALL
+from scoup_lab.synthetic import DemoScene
+from synthetic.small_scenes import SMALL, well_lit_scene
 
 
 @pytest.fixture(scope="session")
 def scene() -> DemoScene:
-    return make_demo_scene(**SMALL)
+    return well_lit_scene(**SMALL)

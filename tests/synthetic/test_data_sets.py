@@ -17,7 +17,6 @@ from scoup_lab.evaluate.protocols import PIXELS, threed_ovs
 from scoup_lab.evaluate.scenes import Places
 from scoup_lab.synthetic import TABLE, make_demo_scene
 from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
-from synthetic.small_scenes import one_light
 
 
 @pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"])
@@ -77,8 +76,7 @@ def test_labels_of_mipnerf360_may_have_their_own_size(synthetic_data_sets: Path)
 
 def test_a_scene_for_each_seed(tmp_path: Path) -> None:
     size = DataSetSize(n_gaussians=2000, width=48, height=36, n_views=2, n_labelled=1)
-    with one_light():
-        names = write_data_set("lerf-ovs", tmp_path, size=size, seeds=(4, 5))
+    names = write_data_set("lerf-ovs", tmp_path, size=size, seeds=(4, 5))
     assert names == ("table_4", "table_5")
     assert PIXELS["lerf-ovs"].find(tmp_path) == list(names)
     first, second = (load_gaussians(tmp_path / name / "point_cloud.ply") for name in names)
