@@ -49,6 +49,7 @@ def test_what_cannot_be_seen_is_refused(case: str) -> None:
         choose_cameras(Gaussians(**parts), width=64, height=48)
 
 
+@pytest.mark.usefixtures("few_candidates")
 def test_a_fog_of_large_gaussians_is_refused() -> None:
     with pytest.raises(InputError, match="gaussians: nothing can be seen clearly"):
         choose_cameras(random_gaussians(3000, seed=1), width=64, height=48)
@@ -91,12 +92,14 @@ def test_what_is_not_a_direction_is_refused(up: tuple[float, ...]) -> None:
         choose_cameras(random_gaussians(50, seed=1), width=64, height=48, up=up)
 
 
+@pytest.mark.usefixtures("few_candidates")
 @pytest.mark.parametrize("size", [(8192, 16), (16, 4096)])
 def test_images_may_be_long_and_narrow(size: tuple[int, int]) -> None:
     (camera,) = choose_cameras(random_gaussians(300, seed=1), width=size[0], height=size[1], count=1)
     assert (camera.width, camera.height) == size
 
 
+@pytest.mark.usefixtures("few_candidates")
 @pytest.mark.parametrize("places", [8, 20])
 def test_many_gaussians_may_be_at_one_place(places: int) -> None:
     gaussians = random_gaussians(300, seed=1)
@@ -110,6 +113,7 @@ def test_up_may_have_any_length(length: float) -> None:
     torch.testing.assert_close(up, torch.tensor([0, 0.5, 0.5], dtype=torch.float64).sqrt())
 
 
+@pytest.mark.usefixtures("few_candidates")
 def test_names_of_cameras_beside_are_not_taken_again() -> None:
     gaussians = random_gaussians(300, seed=1)
     first = choose_cameras(gaussians, width=64, height=48, count=2)
@@ -117,6 +121,7 @@ def test_names_of_cameras_beside_are_not_taken_again() -> None:
     assert second.names == ("own_002.png", "own_003.png")
 
 
+@pytest.mark.usefixtures("few_candidates")
 def test_where_nothing_is_opaque_all_that_is_seen_is_covered(tmp_path: Path) -> None:
     gaussians = replace(random_gaussians(300, seed=1), opacities=torch.full((300,), 0.3))
     cameras = choose_cameras(gaussians, width=64, height=48, count=3)

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="limits and peaks are those of Linux"
 )
 
-COUNT, SEED = 50, 7
+COUNT, SEED = 30, 7
 EXPECTED = {
     "good": "refused",
     "accepting": "accepted",
