@@ -17,7 +17,7 @@ PART_GAUSSIANS = 250_000
 """About so many Gaussians are loaded at a time."""
 COARSE_GAUSSIANS = 60_000
 """The first picture of a large scene shows so many: about 2 MB."""
-_SAMPLE = 1 << 19  # Gaussians, of which the coarse ones are made: many times as many
+_SAMPLE = 1 << 18  # Gaussians, of which the coarse ones are made: more than four times as many
 _AT_A_TIME = 1 << 16  # rows whose numbers in double precision stay in the cache
 
 
