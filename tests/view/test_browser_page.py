@@ -194,6 +194,10 @@ def test_one_text_has_a_colour_bar_of_its_relevancy(visit: Visit, viewed: Viewed
 def test_something_absent_lights_up_only_if_wanted(visit: Visit, viewed: ViewedField, camera: Camera):
     plain = visit.picture()
     visit.ask(ABSENT)
+    assert difference(visit.picture(), plain) < ALIKE
+    assert visit.page.locator("#outlines").is_hidden()
+    swatch = visit.row(ABSENT).locator(".swatch")
+    assert swatch.evaluate("each => getComputedStyle(each).backgroundColor") == "rgba(0, 0, 0, 0)"
     visit.choose("Only the selection")
     assert difference(visit.picture(), plain) < ALIKE
     visit.tab("View")
@@ -272,6 +276,7 @@ def test_a_selection_is_saved_and_loaded_back(visit: Visit, viewed: ViewedField,
 
 def test_a_picture_is_saved(visit: Visit, tmp_path: Path):
     visit.ask("kettle")
+    visit.choose("Codes")
     with visit.page.expect_download() as download:
         visit.page.get_by_role("button", name="Save picture").click()
     download.value.save_as(tmp_path / "picture.png")

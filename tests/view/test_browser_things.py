@@ -20,6 +20,7 @@ from browser_support import (
     visiting,
 )
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.ndimage import binary_dilation
 
 import scoup
@@ -44,13 +45,15 @@ COUNT_DRAWS = """() => {
     gl[name] = (...arguments_) => { window.draws += 1; return own(...arguments_); };
   }
 }"""
-OUTLINE = """() => {
-  const canvas = document.getElementById("outline");
+OUTLINE = """id => {
+  const canvas = document.getElementById(id);
   if (canvas.hidden) return null;
   const { width, height } = canvas;
   const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
   return { width, height, data: Array.from(data) };
 }"""
+CLICKED = (0.25, 0.66, 1)
+"""The colour of what is selected by a click."""
 LEVELS = {None: "automatic", 0: "s (fine)", 1: "m (medium)", 2: "l (coarse)"}
 
 
@@ -182,12 +185,15 @@ def test_clicks_select_things_their_groups_and_parts(visit: Visit, viewed: Viewe
     assert visit.state()["things"]["selected"] == []
 
 
-def outline(visit: Visit) -> NDArray[np.bool_] | None:
-    """The white line over the picture, [H, W]; None where there is none."""
-    found = visit.page.evaluate(OUTLINE)
+def outline(
+    visit: Visit, canvas: str = "outline", color: tuple[float, ...] = (1, 1, 1)
+) -> NDArray[np.bool_] | None:
+    """The line of a colour over the picture, [H, W]; None where there is none."""
+    found = visit.page.evaluate(OUTLINE, canvas)
     if found is None:
         return None
-    return np.array(found["data"], np.uint8).reshape(found["height"], found["width"], 4)[..., 0] == 255
+    pixels = np.array(found["data"], np.uint8).reshape(found["height"], found["width"], 4)
+    return (pixels == [*(np.floor(255 * np.array(color) + 0.5)), 255]).all(2)
 
 
 def point_at(visit: Visit, viewed: ViewedField, name: str, number: int | None) -> None:
@@ -200,16 +206,23 @@ def point_at(visit: Visit, viewed: ViewedField, name: str, number: int | None) -
     visit.until(f"window.scoupViewer.state().things.hovered === {'null' if number is None else number}")
 
 
-def ring(viewed: ViewedField, number: int, width: int, height: int) -> NDArray[np.bool_]:
-    """The pixels around those that a thing covers where the page opens, [H, W]."""
-    table = viewed.field.thing_table
-    assert table is not None
+def is_around(viewed: ViewedField, mask: torch.Tensor, drawn: NDArray[np.bool_] | None) -> bool:
+    """Whether a line, [H, W], is around what some of the Gaussians cover where the page opens."""
+    assert drawn is not None
     assert viewed.field.cameras is not None
-    alone = viewed.gaussians.select((table.owners == number).any(1))
-    projection = raster.project(alone, viewed.field.cameras[0].resized(width, height))
+    alone = viewed.gaussians.select(mask)
+    projection = raster.project(alone, viewed.field.cameras[0].resized(*drawn.shape[::-1]))
     covered = (raster.render_channels(projection, torch.zeros(len(alone), 1))[1] > 0.5).numpy()
     assert 0.01 < covered.mean() < 0.5
-    return binary_dilation(covered) & ~covered
+    wanted = binary_dilation(covered) & ~covered
+    return min(binary_dilation(wanted)[drawn].mean(), binary_dilation(drawn)[wanted].mean()) > 0.95
+
+
+def of_thing(viewed: ViewedField, number: int) -> torch.Tensor:
+    """[N] the Gaussians of a thing."""
+    table = viewed.field.thing_table
+    assert table is not None
+    return (table.owners == number).any(1)
 
 
 def test_what_is_under_the_pointer_gets_an_outline(visit: Visit, viewed: ViewedField) -> None:
@@ -220,11 +233,7 @@ def test_what_is_under_the_pointer_gets_an_outline(visit: Visit, viewed: ViewedF
     for name, number in (("kettle", 3), ("mug", 4)):
         point_at(visit, viewed, name, number)
         assert visit.page.locator("#hovering").inner_text() == name
-        drawn = outline(visit)
-        assert drawn is not None
-        wanted = ring(viewed, number, drawn.shape[1], drawn.shape[0])
-        assert (binary_dilation(wanted)[drawn]).mean() > 0.95
-        assert (binary_dilation(drawn)[wanted]).mean() > 0.95
+        assert is_around(viewed, of_thing(viewed, number), outline(visit))
     point_at(visit, viewed, "lamp", None)  # of no thing
     assert outline(visit) is None
     assert visit.page.evaluate("window.draws") == 0  # the scene is not drawn again for it
@@ -237,6 +246,42 @@ def test_what_is_under_the_pointer_gets_an_outline(visit: Visit, viewed: ViewedF
     visit.page.evaluate("window.scoupViewer.flyTo('left.png')")
     assert outline(visit) is None  # that was for another view
     assert visit.page.locator("#hovering").is_hidden()
+
+
+def test_what_is_selected_gets_an_outline_while_the_camera_rests(
+    visit: Visit, viewed: ViewedField, tmp_path: Path
+) -> None:
+    visit.until("Boolean(window.scoupViewer.state().things)")
+    assert outline(visit, "outlines") is None
+    assert pick(visit, viewed, "mug") == [4]
+    assert is_around(viewed, of_thing(viewed, 4), outline(visit, "outlines", CLICKED))
+    visit.page.keyboard.press("Escape")
+    visit.settle()
+    assert outline(visit, "outlines") is None
+    visit.ask("kettle", "mug")
+    for mode in ("Heat", "Colour"):
+        visit.choose(mode)
+        for query in visit.state()["queries"]:
+            found = outline(visit, "outlines", query["color"])
+            assert is_around(viewed, selected(viewed, query["text"]), found)
+    with visit.page.expect_download() as download:
+        visit.page.get_by_role("button", name="Save picture").click()
+    download.value.save_as(tmp_path / "picture.png")
+    saved = np.asarray(Image.open(tmp_path / "picture.png").convert("RGB")).astype(int)
+    changed = np.abs(saved - visit.picture()).max(2) > 30
+    assert 0.01 < changed.mean() < 0.2
+    # Not while the camera moves.
+    before = outline(visit, "outlines", visit.state()["queries"][0]["color"])
+    is_hidden = "document.getElementById('outlines').hidden"
+    assert visit.page.evaluate(f"(window.scoupViewer.flyTo('left.png'), {is_hidden})")
+    visit.settle()
+    after = outline(visit, "outlines", visit.state()["queries"][0]["color"])
+    assert before is not None
+    assert after is not None
+    assert after.any()
+    assert not np.array_equal(after, before)
+    visit.choose("Only the selection")
+    assert outline(visit, "outlines") is None
 
 
 def test_things_are_named_measured_hidden_and_saved(

@@ -1,14 +1,11 @@
 // What is under the pointer: the name of the thing and its outline. The scene is not drawn again for it.
 import type { Eye } from "./camera";
 import { byId } from "./dom";
-import { drawOutline, membersOf, silhouette } from "./outline";
+import { membersOf, Silhouette } from "./outline";
 import type { Scene } from "./scene_data";
 import type { Things } from "./things";
 
-/** Outlines are found in so many columns at most. */
-const MOST_COLUMNS = 480;
-/** Pixels of the picture in one of an outline, at least. */
-const LINE = 2;
+const WHITE = [1, 1, 1] as const;
 
 export class Hovering {
   private readonly label = byId("hovering");
@@ -56,10 +53,9 @@ export class Hovering {
     this.label.hidden = this.outline.hidden = hovered === null;
     if (hovered === null) return;
     this.label.textContent = this.things.nameOf(hovered);
-    const { clientWidth, clientHeight } = this.canvas;
-    const shrunk = Math.max(LINE, clientWidth / MOST_COLUMNS);
-    const [width, height] = [clientWidth, clientHeight].map((side) => Math.max(1, Math.round(side / shrunk)));
-    const members = membersOf(scene, this.things.of(hovered));
-    drawOutline(this.outline, silhouette(scene, members, this.eye.record(width, height), shrunk), width, height);
+    const silhouette = new Silhouette(this.eye, this.canvas);
+    silhouette.add(scene, membersOf(scene, this.things.of(hovered)));
+    silhouette.prepare(this.outline);
+    silhouette.outline(this.outline, WHITE);
   }
 }

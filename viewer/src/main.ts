@@ -80,7 +80,7 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
     ask: (texts) => viewer.ask(texts),
     set: ({ mode, ...change }) => viewer.state.set(mode === undefined ? change : { ...change, chosenMode: mode }),
     flyTo: (name) => viewer.flyTo(viewer.metadata.cameras.find((camera) => camera.name === name)!, false),
-    render: () => viewer.stage.drawn(),
+    render: () => viewer.drawn(),
     pixels: () => {
       const canvas = viewer.stage.snapshot();
       const { width, height } = canvas;

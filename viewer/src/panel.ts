@@ -1,7 +1,7 @@
 // The panel beside the picture: texts, modes, levels, sliders.
 import { byId, counted, element } from "./dom";
 import type { Metadata } from "./scene_data";
-import { HEAT, type Mode } from "./shader";
+import { HEAT, type Color, type Mode } from "./shader";
 import type { Query, State } from "./state";
 
 export const MODE_NAMES: readonly [Mode, string][] = [
@@ -112,7 +112,10 @@ export class Panel {
       row.hide.setAttribute("aria-label", `${action} ${text}`);
       showFacts(row.facts, this.facts(query));
       const isHeat = this.state.isHeat && this.state.visible()[0] === query;
-      row.swatch.style.background = isHeat ? `linear-gradient(to right,${HEAT_STOPS})` : css(query.color);
+      // The border has the colour of its outline; what lights nothing up has none.
+      row.swatch.style.border = isHeat ? `2px solid ${css(query.color)}` : "";
+      const plain = present || this.state.absent ? css(query.color) : "transparent";
+      row.swatch.style.background = isHeat ? `linear-gradient(to right,${HEAT_STOPS})` : plain;
       row.all.classList.toggle("hidden", query.hidden);
       row.all.classList.toggle("absent", !present);
     }
@@ -175,7 +178,7 @@ function showFacts(out: HTMLElement, facts: [string, string][]): void {
   out.replaceChildren(...parts.flatMap((part, number) => (number ? [", ", part] : [part])));
 }
 
-function css(color: [number, number, number]): string {
+function css(color: Color): string {
   return `rgb(${color.map((part) => Math.round(part * 255)).join(",")})`;
 }
 

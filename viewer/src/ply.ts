@@ -43,16 +43,19 @@ export function owned(scene: Scene, numbers: number[], rest: boolean): number[] 
   return rows;
 }
 
+/** Whether a Gaussian answers a query. */
+export function answers(scene: Scene, query: ShownQuery): (i: number) => boolean {
+  if (!query.things) return (i) => votes(scene, i, query);
+  const things = new Set(query.things);
+  return (i) => things.has(scene.owner(i, query.level));
+}
+
 /** Gaussians that answer any query, or all others. */
 export function selected(scene: Scene, queries: ShownQuery[], rest: boolean): number[] {
-  const answering = queries.map((query) => {
-    if (!query.things) return (i: number) => votes(scene, i, query);
-    const things = new Set(query.things);
-    return (i: number) => things.has(scene.owner(i, query.level));
-  });
+  const answering = queries.map((query) => answers(scene, query));
   const rows = [];
   for (let i = 0; i < scene.count; i++) {
-    if (answering.some((answers) => answers(i)) !== rest) rows.push(i);
+    if (answering.some((isAnswer) => isAnswer(i)) !== rest) rows.push(i);
   }
   return rows;
 }

@@ -21,8 +21,11 @@ export const HEAT: readonly (readonly [number, number, number])[] = [
   [252, 255, 164],
 ];
 
+/** Red, green and blue, 0..1. */
+export type Color = readonly [number, number, number];
+
 /** Colour of what is selected by a click. */
-export const SELECTED: readonly [number, number, number] = [0.25, 0.66, 1];
+export const SELECTED: Color = [0.25, 0.66, 1];
 /** Bits of a thing in its texture, above those of the queries that select it. */
 export const MARKS = { selected: 1 << 8, hidden: 1 << 9 } as const;
 
@@ -148,7 +151,7 @@ bool clicked = (marks & ${MARKS.selected}u) != 0u;
 int several = int(texelFetch(${inputs.queries}, ivec2(0, 1), 0).w);
 int level = ${inputs.level};
 if (${inputs.mode} == 0) {
-  if (asked) ${out}.rgba.rgb = selected ? mix(plain, tint, 0.9 * ${inputs.opacity}) : plain * (1.0 - 0.35 * ${inputs.opacity});
+  if (asked) ${out}.rgba.rgb = selected ? mix(plain, tint, 0.5 * ${inputs.opacity}) : plain * (1.0 - 0.35 * ${inputs.opacity});
 } else if (${inputs.mode} == 1) {
   if (asked) {
     float share = clamp((amount - 0.08) / 0.5, 0.0, 1.0);
@@ -180,6 +183,6 @@ if (${inputs.mode} == 0) {
 } else {
   ${out}.rgba.rgb = vec3(relevancy);
 }
-if (clicked && ${inputs.mode} != 2) ${out}.rgba.rgb = mix(${out}.rgba.rgb, vec3(${SELECTED.join(",")}), 0.6);
+if (clicked && ${inputs.mode} != 2) ${out}.rgba.rgb = mix(${out}.rgba.rgb, vec3(${SELECTED.join(",")}), 0.25);
 if ((marks & ${MARKS.hidden}u) != 0u) ${out}.rgba.a = 0.0;`;
 }

@@ -5,7 +5,7 @@ import { World } from "./camera";
 import { pause } from "./pause";
 import type { Progress } from "./safetensors";
 import { NO_OWNER, type Scene } from "./scene_data";
-import { body, BY_THINGS, functions, MARKS, MODES, MOST_QUERIES, WIDTH, type Inputs, type Mode } from "./shader";
+import { body, BY_THINGS, functions, MARKS, MODES, MOST_QUERIES, WIDTH, type Color, type Inputs, type Mode } from "./shader";
 
 /** Gaussians between two moments in which the browser may draw. */
 const AT_A_TIME = 40000;
@@ -22,7 +22,7 @@ export interface ShownQuery {
   things: number[] | null;
   span: [number, number];
   /** 0..1. */
-  color: [number, number, number];
+  color: Color;
 }
 
 export interface Look {

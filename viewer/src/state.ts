@@ -1,11 +1,9 @@
 // What is on the screen: texts, mode, level, threshold, opacity.
 import type { Answer, PictureRequest, Selection } from "./answers";
 import type { CameraRecord } from "./scene_data";
-import { MOST_QUERIES, type Mode } from "./shader";
+import { MOST_QUERIES, type Color, type Mode } from "./shader";
 import type { Look, ShownQuery } from "./splat";
 import type { Things } from "./things";
-
-type Color = [number, number, number];
 
 /** Of texts, in their order: easy to tell apart on grey, for the colour-blind too. */
 const COLORS: readonly Color[] = [
@@ -130,7 +128,7 @@ export class State {
     const level = mode === "codes" ? this.look().level : this.level;
     const answering = mode === "heat" || mode === "mask" ? visible : [];
     const texts = answering.map(({ answer }) => answer.text);
-    const colors = answering.map(({ color }): Color => [255 * color[0], 255 * color[1], 255 * color[2]]);
+    const colors = answering.map(({ color }): [number, number, number] => [255 * color[0], 255 * color[1], 255 * color[2]]);
     return { camera, mode, texts, colors, opacity: this.opacity, level, threshold: this.threshold, always: this.absent, quality };
   }
 }

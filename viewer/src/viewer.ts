@@ -17,6 +17,7 @@ import { partsBySight } from "./parts";
 import { hidePlace, showPlace } from "./place_panel";
 import { owned, plyOf, selected } from "./ply";
 import { Scene, type CameraRecord, type Metadata } from "./scene_data";
+import { SelectionOutline } from "./selection_outline";
 import { RemoteStage, SplatStage, type Stage } from "./stage";
 import { State } from "./state";
 import { showTab } from "./tabs";
@@ -42,6 +43,7 @@ export class Viewer {
   /** The point that was clicked last, until the camera moves. */
   private clicked: [number, number] | null = null;
   private hovering: Hovering | null = null;
+  private readonly outlines: SelectionOutline | null;
   /** Resolves when the page holds the whole scene. */
   whole = Promise.resolve();
 
@@ -61,6 +63,7 @@ export class Viewer {
     this.exact = scene && server
       ? new ExactPicture(byId("picture"), byId("badge"), byId("exact-show"), this.eye, this.state, server, onError)
       : null;
+    this.outlines = scene ? new SelectionOutline(() => this.scene!, this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
     this.cameras = new CameraList(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
@@ -111,6 +114,7 @@ export class Viewer {
         await (this.stage as SplatStage).refine(parts[number], coarse[number], coarse);
       }
       this.scene = Scene.joined(parts);
+      this.outlines?.changed();
       this.describe();
     } catch (error) {
       this.say(`A part of the scene is missing: ${(error as Error).message}`);
@@ -216,6 +220,7 @@ export class Viewer {
     this.panel.update();
     this.thingPanel?.update();
     this.stage.update();
+    this.outlines?.changed();
     this.exact?.changed();
   }
 
@@ -224,6 +229,7 @@ export class Viewer {
     this.clicked = null;
     this.hovering?.leave();
     this.cameras.mark(this.eye.at?.name ?? null);
+    this.outlines?.moved();
     this.exact?.moved();
     this.stage.redraw();
   }
@@ -249,6 +255,7 @@ export class Viewer {
     this.canvas.addEventListener("pointerleave", () => this.hovering?.leave());
     new ResizeObserver(() => {
       this.hovering?.leave();
+      this.outlines?.moved();
       this.exact?.moved();
       this.stage.redraw();
     }).observe(byId("stage"));
@@ -297,13 +304,25 @@ export class Viewer {
     setTimeout(() => (note.textContent = ""), NOTE_SECONDS * 1000);
   }
 
+  /** Once all that was asked for is drawn. */
+  async drawn(): Promise<void> {
+    await Promise.all([this.stage.drawn(), this.outlines?.drawn()]);
+  }
+
+  /** What is seen of the scene with what is selected, [W x H] RGBA. */
+  snapshot(): HTMLCanvasElement {
+    const picture = this.stage.snapshot();
+    this.outlines?.drawOn(picture);
+    return picture;
+  }
+
   private savePicture(): void {
     const exact = byId<HTMLImageElement>("picture");
     if (!exact.hidden) {
       void fetch(exact.src).then((response) => response.blob()).then((blob) => save(blob, "exact_picture.jpg"));
       return;
     }
-    this.stage.snapshot().toBlob((blob) => blob && save(blob, "picture.png"), "image/png");
+    this.snapshot().toBlob((blob) => blob && save(blob, "picture.png"), "image/png");
   }
 
   async saveSelection(): Promise<void> {
