@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import mean
 from typing import Any, ClassVar
 
@@ -20,21 +20,19 @@ from scoup.query.localize import localize
 from scoup.query.presence import PRESENT_FROM
 from scoup.query.presets import QUERY_PRESETS
 from scoup.query.question import Question
-from scoup.query.segment import choose_level, level_masks
+from scoup.query.segment import segment
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 
-RULES = ("peak", "mask", "everyday", "always", "asked", "best level", "localisation")
+RULES = ("peak", "always", "asked", "localisation")
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
 COMPARED = (
     ("default", "dense"),
     ("default", "paper"),
     ("default", "votes"),
-    ("default", "one-round"),
-    ("default", "best-effort"),
     ("paper", "dense"),
 )
 
@@ -49,10 +47,8 @@ class Answers(StudyOfScenes):
     are simulated everywhere but on desk: figures compare ways with each other and cannot be set against published ones.
 
     All ways are scored by the same rules. peak: the protocol of LERF-OVS, threshold 0.6, the level with the largest
-    relevancy. mask: the same threshold, the level with the largest mean relevancy in its mask. everyday: the same
-    beside everyday words. always: as `scoup query --always` answers. asked: as `scoup query` answers; a text that it
-    calls absent scores 0, and ways that are no field, which cannot judge presence, have none. best level: the stable
-    threshold on the votes, with the best level for each pair, which no rule can know. localisation: by the protocol of
+    relevancy. always: as `scoup query --always` answers. asked: as `scoup query` answers; a text that it calls absent
+    scores 0, and ways that are no field, which cannot judge presence, have none. localisation: by the protocol of
     LERF-OVS, 1 where the point is right.
     """
 
@@ -60,7 +56,7 @@ class Answers(StudyOfScenes):
     """Draws of the kitchen, layouts of benchmarks.scenes with a seed, desk and desk-all."""
     cases: tuple[str, ...] = ("clean",)
     """Faults, see scoup_lab.synthetic.faults."""
-    ways: tuple[str, ...] = ("dense", "votes", "one-round", "default")
+    ways: tuple[str, ...] = ("dense", "votes", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
     seeds: tuple[int, ...] = (2, 3, 4)
     """Of the codebook; scores are means over them."""
@@ -147,14 +143,12 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
     scores: dict[str, list[float]] = {rule: [] for rule in RULES}
     everyday = with_everyday(scene.canonical, scene.everyday)
     fixed, asked = QUERY_PRESETS["scoup"], QUERY_PRESETS["default"]
-    by_mask = replace(fixed, level_choice="mask")
     field = fitted.field if isinstance(fitted, FittedField) else None
     if field is not None:
         field.attach(scene.gaussians, known=True)
     for (frame, view), camera in zip(scene.frames, scene.cameras, strict=True):
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
-        beside = fitted.relevancy(view, queries, everyday)
         if field is not None:
             question = Question(
                 tuple(frame.labels), queries, everyday, scene.everyday, scene.name, present_from=-math.inf
@@ -168,17 +162,10 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
             truth = frame.masks[label]
             hit = any_inside(localize(plain[:, position], fixed).pixels, frame.boxes[label])
             scores["localisation"].append(float(hit))
-            for rule, maps, preset in (
-                ("peak", plain, fixed),
-                ("mask", plain, by_mask),
-                ("everyday", beside, by_mask),
-            ):
-                masks = level_masks(maps[:, position], preset)
-                scores[rule].append(iou(masks.masks[choose_level(masks, preset.level_choice)], truth))
-            votes = level_masks(beside[:, position], asked)
-            scores["best level"].append(max(iou(mask, truth) for mask in votes.masks))
+            scores["peak"].append(iou(segment(plain[:, position], fixed).mask, truth))
             if field is None:
-                scores["always"].append(iou(votes.masks[choose_level(votes, asked.level_choice)], truth))
+                votes = segment(fitted.relevancy(view, queries[[position]], everyday)[:, 0], asked)
+                scores["always"].append(iou(votes.mask, truth))
     return scores
 
 

@@ -11,6 +11,7 @@ import torch
 from tests.coding.plain_adam import plain_adam
 
 from benchmarks.study import Record, Study, report
+from scoup.base.counts import counted
 from scoup.coding.adam import LEARNING_RATE, LOGIT_SCALE, AdamSettings, solve_adam
 from scoup.coding.exact import EFFORTS, solve_exact
 from scoup.coding.kmeans import spherical_kmeans
@@ -64,7 +65,24 @@ class Coding(Study):
 
     @staticmethod
     def table(record: Record) -> str:
-        return compared_table(record["sizes"])
+        """Return what the others take, and how many times as long as the exact solver that is."""
+        body = []
+        for size in record["sizes"]:
+            network, run = size[AUTOENCODER], size.get("adam")
+            measured = {GRAM} if run and run["epochs"] == PAPER_EPOCHS else set()
+            lines = [(name, of["median"], size["whole_adam_s"][name]) for name, of in size["epoch_s"].items()]
+            named = f"{AUTOENCODER}, {counted(network['threads'], 'thread')}"
+            for name, median, seconds in [
+                *lines,
+                (named, network["step_s"]["median"], network["all_epochs_s"]),
+            ]:
+                how = "measured" if name in measured else "extrapolated"
+                times = (seconds / size["exact"][preset]["seconds"]["median"] for preset in ("fast", "best"))
+                cells = [f"{size['regions']:,}", name, milliseconds(median), f"{seconds:.1f} ({how})"]
+                body.append([*cells, *(f"{each:.0f}" for each in times)])
+        return markdown(
+            ["regions", "form", "median, ms", "whole fit, s", "times fast", "times best"], body, left=2
+        )
 
     def _size(self, count: int) -> Record:
         """Return all figures for one number of regions."""
@@ -84,7 +102,6 @@ class Coding(Study):
             AUTOENCODER: {
                 "threads": self.threads,
                 "step_s": step,
-                "epochs": 0,
                 "all_epochs_s": LANGSPLAT.epochs * steps * step["median"],
             },
         }
@@ -126,35 +143,6 @@ class Coding(Study):
         return {"epochs": self.adam_epochs, "seconds": stopwatch.seconds["adam"][0], "loss": loss}
 
 
-def compared_table(sizes: list[Record]) -> str:
-    """Return what the others take, and how many times as long as the exact solver that is."""
-    headers = ["regions", "form", "least, ms", "median, ms", "of", "whole fit, s", "times fast", "times best"]
-    body = []
-    for size in sizes:
-        fitted, run = size[AUTOENCODER], size.get("adam")
-        measured = {GRAM} if run and run["epochs"] == PAPER_EPOCHS else set()
-        lines = [
-            (name, spent, "an epoch", size["whole_adam_s"][name], name in measured)
-            for name, spent in size["epoch_s"].items()
-        ]
-        name = f"{AUTOENCODER}, {fitted['threads']} thread" + ("" if fitted["threads"] == 1 else "s")
-        whole = fitted["epochs"] == LANGSPLAT.epochs
-        lines.append((name, fitted["step_s"], "a step", fitted["all_epochs_s"], whole))
-        for name, spent, unit, seconds, is_measured in lines:
-            how = "measured" if is_measured else "extrapolated"
-            times = (
-                f"{seconds / size['exact'][preset]['seconds']['median']:.0f}" for preset in ("fast", "best")
-            )
-            cells = [
-                f"{size['regions']:,}",
-                name,
-                milliseconds(spent["least"]),
-                milliseconds(spent["median"]),
-            ]
-            body.append([*cells, unit, f"{seconds:.1f} ({how})", *times])
-    return markdown(headers, body, left=2)
-
-
 def _spent(timing: Timing, units: int) -> dict[str, float]:
-    """Return least and median seconds of one of so many units."""
-    return {"least": min(timing.seconds) / units, "median": timing.median / units}
+    """Return median seconds of one of so many units."""
+    return {"median": timing.median / units}

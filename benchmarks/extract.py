@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
@@ -21,7 +20,7 @@ from scoup.base.errors import InputError
 from scoup.extract import Masks, mask_settings
 from scoup.extract.automatic_masks import automatic_masks
 from scoup.models.onnx_sam import open_onnx_sam
-from scoup.models.sam import EncodedImage, PointModel, Sam, SamImage, open_sam
+from scoup.models.sam import EncodedImage, PointModel, open_sam
 from scoup.scene.regions import LEVELS
 from scoup_lab.bench import markdown
 from scoup_lab.data.labels import LabelledFrame, read_labels
@@ -39,7 +38,6 @@ WAYS = {
 SECOND = "fast, SAM 2 tiny"
 FOUND = 0.5  # IoU from which a thing has a region, and a region its like
 UNLABELLED = 5  # photographs without labels
-DECODED = 48  # points whose decoding is timed in both decoders
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +64,6 @@ class Extraction(Study):
         paths = sorted((folder / "images_2").glob("*.jpg"))
         unlabelled = spread([path for path in paths if path.stem not in frames], UNLABELLED)
         sam = open_sam(str(self.weights))
-        if "decoder" not in known:
-            yield "decoder", _decoders(sam, read_pixels(paths[0]))
         ways: dict[str, tuple[Any, Any]] = {name: (sam, settings) for name, settings in WAYS.items()}
         if self.onnx is not None:
             ways[SECOND] = (open_onnx_sam(f"onnx:{self.onnx}"), _FAST)
@@ -94,13 +90,10 @@ class Extraction(Study):
                 yield f"{path.stem}: {name}", figures
 
     def record(self, rows: dict[str, Any]) -> Record:
-        decoder = rows["decoder"]
-        views = {key: figures for key, figures in rows.items() if key != "decoder"}
-        names = list(dict.fromkeys(key.split(": ", 1)[1] for key in views))
+        names = list(dict.fromkeys(key.split(": ", 1)[1] for key in rows))
         return {
-            "decoder": decoder,
             "rows": [
-                _summary(name, [row for key, row in views.items() if key.endswith(f": {name}")])
+                _summary(name, [row for key, row in rows.items() if key.endswith(f": {name}")])
                 for name in names
             ],
         }
@@ -118,10 +111,7 @@ class Extraction(Study):
         ]  # fmt: skip
         head = ["", "points", "regions", "things with a region", "IoU of the best"]
         head += [*(f"at level {level}" for level in LEVELS), "regions as with all points", "CPU seconds"]
-        ratio = record["decoder"]["transformers"] / record["decoder"]["shared"]
-        return (
-            markdown(head, body) + f"\nDecoder: {ratio:.1f} times as fast as transformers', side by side.\n"
-        )
+        return markdown(head, body)
 
 
 @dataclass
@@ -166,25 +156,6 @@ class _TimedImage:
 
 def read_pixels(path: Path) -> NDArray[np.uint8]:
     return np.asarray(Image.open(path).convert("RGB"))
-
-
-def _decoders(sam: Sam, image: NDArray[np.uint8]) -> Record:
-    """Return seconds a point of the decoder here and of transformers', in turns, the best of three."""
-    encoded = sam.encode(image)
-    assert isinstance(encoded, SamImage)
-    shared = encoded.decode
-    embedding = getattr(shared, "__self__").embedding  # noqa: B009 - functions have no such attribute
-    points = torch.rand(DECODED, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 500
-    best = {"shared": float("inf"), "transformers": float("inf")}
-    for _ in range(3):
-        for name in best:
-            start = time.process_time()
-            if name == "shared":
-                shared(points)
-            else:
-                sam.predict(embedding, points)
-            best[name] = min(best[name], (time.process_time() - start) / DECODED)
-    return best
 
 
 def _best(found: dict[str, Masks], frame: LabelledFrame) -> dict[str, list[float]]:

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from scipy import ndimage
 
 from benchmarks.data import data_folder
 from benchmarks.desk import DESKS, Desk
@@ -26,21 +24,15 @@ from scoup.scene.regions import LEVELS, Regions
 from scoup_lab.bench import markdown
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.art.meshes import Floats
-from scoup_lab.synthetic.observe import REFERENCE_WIDTH
 from scoup_lab.synthetic.words import unit
 
 COLUMNS = {
     "regions": "regions per view",
     "within": "cosine within a thing",
-    "within_5": "5 %",
     "between": "between things",
     "own": "with its name",
-    "own_spread": "sd",
     "others": "with other names",
-    "others_spread": "sd",
-    "found": "things with a region",
-    **{name: name for name in FATES},
-    "border": "border error",
+    **{name: name for name in FATES[:3]},
 }
 
 
@@ -49,9 +41,8 @@ class Likeness(Study):
     """Compare regions of draws of the kitchen with those of the real desk, per level.
 
     Only labelled things in labelled views count. A thing's region is the one with the largest IoU, from 0.5. Cosines:
-    median and 5th percentile between regions of one thing in two views; median between mean embeddings of two things;
-    mean and standard deviation between a region and names. Border error: median over things of the mean distance
-    from the region's border to that of the thing, in pixels of an image 480 wide.
+    medians between regions of one thing in two views, and between mean embeddings of two things; means between a region
+    and names.
     """
 
     seeds: tuple[int, ...] = (1, 2)
@@ -103,7 +94,6 @@ def likeness(
         of_thing: dict[str, list[Floats]] = defaultdict(list)
         counts: list[int] = []
         fates: list[str] = []
-        borders: list[float] = []
         for frame, camera in frames:
             shown = regions.load_labels(camera.name, frame.width, frame.height)[place].numpy()
             rows = torch.nn.functional.normalize(regions.load_embeddings(camera.name, level), dim=1).numpy()
@@ -114,12 +104,10 @@ def likeness(
                 fates.append(became)
                 if iou >= FOUND:
                     of_thing[label].append(rows[number])
-                    borders.append(border_error(shown == number, truth) * REFERENCE_WIDTH / frame.width)
         found[level] = {
             "regions": mean(counts),
             **_cosines(of_thing, labels, vectors),
-            **{name: fates.count(name) / len(fates) for name in ("found", *FATES)},
-            "border": float(np.median(borders)),
+            **{name: fates.count(name) / len(fates) for name in FATES[:3]},
         }
     return found
 
@@ -137,28 +125,11 @@ def _cosines(
     means = unit(np.stack([rows.mean(0) for rows in stacked.values()]))
     figures = {
         "within": np.median(within),
-        "within_5": np.quantile(within, 0.05),
         "between": np.median(_pairs(means)),
         "own": cosines[own].mean(),
-        "own_spread": cosines[own].std(),
         "others": cosines[~own].mean(),
-        "others_spread": cosines[~own].std(),
     }
     return {key: float(value) for key, value in figures.items()}
-
-
-def border_error(region: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
-    """Return the mean distance in pixels from the border of a region [H, W] to the border of the truth; an edge of the
-    image is not a border."""
-    of_region, of_truth = _border(region), _border(truth)
-    if not of_region.any() or not of_truth.any():
-        return 0.0
-    distances = np.asarray(ndimage.distance_transform_edt(~of_truth))
-    return float(distances[of_region].mean())
-
-
-def _border(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return mask & ~np.asarray(ndimage.binary_erosion(mask, border_value=1), np.bool_)
 
 
 def _pairs(rows: Floats) -> Floats:

@@ -98,10 +98,10 @@ class Views(Study):
     """Build fields from cameras chosen for the bare splat, from the given cameras and from baselines.
 
     All are asked in the labelled views of the scene, which no field is built from, and scored by the same rules: mIoU
-    of `scoup query --always`, localisation by the protocol of LERF-OVS, and coverage, the share of Gaussians with an
-    opacity of .5 or more that have a code. "given" and "own" have the same number of views. In "given-half"
-    the given cameras stand on one side and leave out a part; "half-beside" adds as many chosen ones as were left out.
-    "own-number" has as many views as `scoup views` decides; "ring" puts the cameras around the splat.
+    of `scoup query --always`, and localisation by the protocol of LERF-OVS. "given" and "own" have the same number of
+    views. In "given-half" the given cameras stand on one side and leave out a part; "half-beside" adds as many chosen
+    ones as were left out. "own-number" has as many views as `scoup views` decides; "ring" puts the cameras around the
+    splat.
 
     Masks and embeddings are simulated from the truth at the cameras, and so do not suffer where a splat looks bad from
     there; but on desk they are of real models. There "photographs" are the given ones, and all other rows are of
@@ -144,10 +144,8 @@ class Views(Study):
         except NotObserved as reason:
             return {"left out": str(reason)}
         fitted = WAYS["default"].uplift(seen.inputs(), MethodSettings(self.seed))
-        opaque = scene.gaussians.opacities >= OPAQUE
         return {
             "views": len(cameras),
-            "coverage": float(fitted.coded().any(0)[opaque].float().mean()),
             "pairs": seen.pairs,
             "scores": {rule: [round(each, 3) for each in of] for rule, of in score(seen, fitted).items()},
         }
@@ -156,7 +154,7 @@ class Views(Study):
         if "left out" in figures:
             return f"left out: {figures['left out']}"
         means = "  ".join(f"{rule} {mean(figures['scores'][rule]):.3f}" for rule in SCORES)
-        return f"{figures['views']} views  {means}  coverage {figures['coverage']:.3f}"
+        return f"{figures['views']} views  {means}"
 
     def record(self, rows: dict[str, Any]) -> Record:
         """Return means over the scenes of a group, and paired differences; each scene counts alike."""
@@ -179,11 +177,11 @@ class Views(Study):
     def table(record: Record) -> str:
         """Return one row per group and choice, then the differences."""
         body = [
-            [group, choice, f"{of['views']:g}", *(f"{of[rule]:.3f}" for rule in (*SCORES, "coverage"))]
+            [group, choice, f"{of['views']:g}", *(f"{of[rule]:.3f}" for rule in SCORES)]
             for group, choices in record["means"].items()
             for choice, of in choices.items()
         ]
-        headers = ["scenes", "cameras", "views", "mIoU", "localisation", "coverage"]
+        headers = ["scenes", "cameras", "views", "mIoU", "localisation"]
         differences = [
             [group, pair, *(difference_cell(of[rule]) for rule in SCORES)]
             for group, pairs in record["differences"].items()
@@ -206,7 +204,7 @@ def _rows(found: Record, names: Sequence[str], choice: str) -> dict[str, Record]
 
 def _means(rows: Mapping[str, Record]) -> Record:
     scores = {rule: mean(mean(row["scores"][rule]) for row in rows.values()) for rule in SCORES}
-    return {key: mean(row[key] for row in rows.values()) for key in ("views", "coverage")} | scores
+    return {"views": mean(row["views"] for row in rows.values())} | scores
 
 
 def _differences(ones: Mapping[str, Record], others: Mapping[str, Record]) -> Record:

@@ -24,11 +24,9 @@ WAYS = {
     "dense": METHODS["dense"],
     "paper": METHODS["paper"],
     "votes": Method("votes", SparseUplift(things=False)),
-    "one-round": Method("one-round", SparseUplift(rounds=1)),
-    "best-effort": Method("best-effort", SparseUplift(effort="best")),
     "default": METHODS["sparse"],
 }
-"""By name; those between "paper" and "default" change one thing of the default each."""
+"""By name; "votes" is the default without things."""
 
 
 @dataclass(frozen=True, kw_only=True)
