@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import zlib
 from collections.abc import Mapping
@@ -110,7 +111,7 @@ def _array(data: NDArray[np.uint8], dtype: str, shape: list[int], data_offsets: 
     kind, (first, end) = np.dtype(_TYPES[dtype]), data_offsets
     if min([first, *shape], default=0) < 0 or not first <= end <= len(data):
         raise ValueError("an array beyond the file")
-    if int(np.prod(shape, dtype=object)) * kind.itemsize != end - first or first % kind.itemsize:
+    if math.prod(shape) * kind.itemsize != end - first or first % kind.itemsize:
         raise ValueError("an array of another size than it says")
     array = data[first:end].view(kind).reshape(shape)
     array.setflags(write=False)
