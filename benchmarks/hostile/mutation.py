@@ -57,13 +57,6 @@ def _flip(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
     return bytes(result)
 
 
-def _set(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    place = _place(random, data)
-    width = random.choice((1, 1, 2, 4, 8, 64))
-    byte = random.choice((0, 255, 127, 128, 1, random.randrange(256)))
-    return data[:place] + bytes([byte]) * len(data[place : place + width]) + data[place + width :]
-
-
 def _number(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
     """Return a number of one to eight bytes in the place of whatever is there, often at a multiple of its width."""
     kind = random.choice("bhiiqqfd")
@@ -101,40 +94,19 @@ def _near(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
     )
 
 
-def _remove(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    place = _place(random, data)
-    return data[:place] + data[place + _length(random) :]
-
-
-def _repeat(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    place = _place(random, data)
-    piece = data[place : place + _length(random)] * random.choice((1, 1, 2, 100))
-    return data[:place] + piece[:LONGEST] + data[place:]
-
-
-def _insert(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    place = _place(random, data)
-    size = _length(random)
-    piece = random.choice((bytes(size), b"\xff" * size, random.randbytes(size)))
-    return data[:place] + piece + data[place:]
-
-
-def _move(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    source, place, size = _place(random, data), _place(random, data), _length(random)
-    piece = data[source : source + size]
-    return data[:place] + piece + data[place + len(piece) :]
+def _replace(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    """Return the data with a piece inserted or in place of another: bytes of one value, random, or of a valid file."""
+    place, size = _place(random, data), _length(random)
+    other = random.choice((data, *others))
+    source = _place(random, other)
+    pieces = (b"", bytes(size), b"\xff" * size, random.randbytes(size), other[source : source + size])
+    piece = (random.choice(pieces) * random.choice((1, 1, 2, 100)))[:LONGEST]
+    return data[:place] + piece + data[place + random.choice((0, len(piece), _length(random))) :]
 
 
 def _splice(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
     other = random.choice(others) if others else data
-    if random.random() < 0.5:
-        return data[: _place(random, data)] + other[_place(random, other) :]
-    place, source, size = _place(random, data), _place(random, other), _length(random)
-    return data[:place] + other[source : source + size] + data[place + size :]
-
-
-def _lengthen(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    return data + random.choice((b"\0", b"\n", bytes(4096), random.randbytes(100), data[:LONGEST]))
+    return data[: _place(random, data)] + other[_place(random, other) :]
 
 
 def _other_number(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
@@ -221,6 +193,5 @@ def _is_text(data: bytes) -> bool:
 
 
 Way = Callable[[Random, bytes, Sequence[bytes]], bytes]
-_OF_BYTES: tuple[Way, ...] = (_flip, _flip, _set, _set, _number, _number, _number, _near, _remove, _repeat, _insert,
-                              _move, _splice, _lengthen, cut)  # fmt: skip
+_OF_BYTES: tuple[Way, ...] = (*(_flip, _number, _replace) * 4, _near, _splice, cut)
 _OF_TEXT: tuple[Way, ...] = (_other_number, _other_number, _word, _line, _deep, _json, _json, _json)
