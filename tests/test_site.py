@@ -66,15 +66,6 @@ def test_every_option_is_on_the_page_of_verbs(name: str) -> None:
     assert shown == helped - {"--help"}
 
 
-def test_options_are_shown_with_what_follows_them() -> None:
-    text = document_verbs.section("scoup label", VERBS["scoup label"])
-    assert "| `WORD [WORD ...]` |" in text
-    assert "| `--threshold NUMBER` |" in text
-    assert "| `--outputs {sidecar,ids,colors,glb,clouds,maps,sheet} " in text
-    assert "| `--always` |" in text
-    assert "**words**" in text
-
-
 def said_in(folder: Path) -> str:
     """All texts in the code below a folder."""
     texts = []

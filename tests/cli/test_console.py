@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import scoup
-from cli_support import run, run_json
+from cli_support import RUN, run, run_json
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.file_names import slug, unique_slugs
 from scoup.cli.build import Build
@@ -56,15 +56,7 @@ def test_what_cannot_be_parsed_is_bad_input(arguments):
 
 
 def test_frames_of_the_parser_stay_out_of_json():
-    command = [
-        sys.executable,
-        "-c",
-        "from scoup.cli.app import entry; entry()",
-        "info",
-        "x",
-        "--odd",
-        "--json",
-    ]
+    command = [sys.executable, "-c", RUN, "info", "x", "--odd", "--json"]
     said = set()
     for encoding in ("utf-8", "ascii"):
         environment = {**os.environ, "PYTHONIOENCODING": encoding}
@@ -165,8 +157,8 @@ def test_a_device_that_is_not_there():
 
 
 def test_the_command_itself(here):
-    command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()"]
-    done = subprocess.run([*command, "info", "nowhere"], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", RUN, "info", "nowhere"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: nowhere: ")
 

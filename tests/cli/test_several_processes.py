@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -114,15 +115,8 @@ def test_what_needs_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
         ("merge", "alone.scoup.sums", *QUICK, "--out", "k.scoup"): "works in one process",
         (*BUILD, "--sums", "alone.scoup.sums"): "--sums needs one process",
         (*BUILD, "--shard", "1/4"): "not both",
-        (
-            "extract",
-            "scene",
-            "--segmenter",
-            "felzenszwalb",
-            "--embedder",
-            "colors",
-            "--shard",
-            "1/4",
+        tuple(
+            shlex.split("extract scene --segmenter felzenszwalb --embedder colors --shard 1/4")
         ): "not both",
     }.items():
         code, _, err = run(*arguments)

@@ -12,6 +12,7 @@ import pytest
 from cli_support import BUILD, QUICK, RUN, run, write_scene
 from support import HANGS
 
+FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 MARK = "a\x1b[2J\x07\u202eb "
 WORD = f"{MARK}kettle"
 SCENE = f"{MARK}scene"
@@ -28,16 +29,7 @@ VERBS = {
     "catalog": ("catalog", FIELD),
     "render": ("render", FIELD, "--camera", "all", "--out", f"{MARK}pictures"),
     "regions": ("regions", SCENE, "--view", f"{MARK}view_00", "--out", f"{MARK}a.png"),
-    "extract": (
-        "extract",
-        SCENE,
-        "--segmenter",
-        "felzenszwalb",
-        "--embedder",
-        "colors",
-        "--out",
-        f"{MARK}regions",
-    ),
+    "extract": ("extract", SCENE, *FREE, "--out", f"{MARK}regions"),
     "convert": ("convert", SCENE, f"{MARK}compact"),
     "no such view": ("query", FIELD, WORD, "--camera", "view_99", "--out", "a"),
     "no such word": ("query", FIELD, "zebra", "--out", "a"),
@@ -158,8 +150,6 @@ def test_a_photograph_that_is_a_named_pipe_is_skipped() -> None:
     image = Path("scene/images/view_00.png")
     image.unlink()
     os.mkfifo(image)
-    code, _, err = run(
-        "extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "regions"
-    )
+    code, _, err = run("extract", "scene", *FREE, "--out", "regions")
     assert code == 0
     assert "view_00.png: is a named pipe (FIFO), not an image" in err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +20,7 @@ pytestmark = pytest.mark.usefixtures("here")
 def test_features_become_a_field_that_can_be_queried():
     field = LanguageField.load("f.scoup")
     np.save("features.npy", field.gaussian_features("m").numpy())
-    command = (
-        "convert",
-        "features.npy",
-        "new.scoup",
-        "--gaussians",
-        "scene/point_cloud.ply",
-        "--n-atoms",
-        "8",
-    )
+    command = shlex.split("convert features.npy new.scoup --gaussians scene/point_cloud.ply --n-atoms 8")
     code, out, err = run(*command, "--model", "scene/words.npz")
     assert (code, err) == (0, "")
     assert "new.scoup: 150 Gaussians, 8 atoms, levels m, m: mean cosine" in out

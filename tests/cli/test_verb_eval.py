@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -66,16 +67,7 @@ def test_predicted_once_scored_by_other_rules(here: Path) -> None:
     built = field.stat().st_mtime_ns
     assert len(maps) == 2
     run_json(
-        "eval",
-        "lerf-ovs",
-        "lerf-ovs",
-        *QUICK,
-        "--scenes",
-        "table",
-        "--sheets",
-        "none",
-        "--rules",
-        "langsplat",
+        "eval", "lerf-ovs", "lerf-ovs", *QUICK, *shlex.split("--scenes table --sheets none --rules langsplat")
     )
     assert {path: path.stat().st_mtime_ns for path in maps} == maps
     assert field.stat().st_mtime_ns == built

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
@@ -103,20 +104,7 @@ def test_methods_are_compared_on_ref_lerf(here: Path) -> None:
 
 @pytest.mark.parametrize("name", ["scannet", "scenesplat", "ref-lerf"])
 def test_synthetic(here: Path, name: str) -> None:
-    size = (
-        "--scenes",
-        1,
-        "--n-gaussians",
-        2000,
-        "--width",
-        48,
-        "--height",
-        36,
-        "--views",
-        2,
-        "--labelled",
-        1,
-    )
+    size = shlex.split("--scenes 1 --n-gaussians 2000 --width 48 --height 36 --views 2 --labelled 1")
     result = run_json("eval", "synthetic", name, "made", *size)
     assert result["scenes"] == ["table"]
     assert "made" in refused("eval", "synthetic", name, "made", *size)
