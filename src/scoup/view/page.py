@@ -46,7 +46,7 @@ class PageFiles:
     @cached_property
     def packed_program(self) -> bytes:
         """The program, gzipped."""
-        return gzip.compress(self.program, 9, mtime=0)
+        return gzip.compress(self.program, 6, mtime=0)  # a visitor waits for it
 
     def with_settings(self, settings: Mapping[str, Any]) -> str:
         """Return the HTML with the settings of a server, which serves program and style."""

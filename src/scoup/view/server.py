@@ -72,10 +72,11 @@ class _Answers:
         self.page = page
         self.mode = mode
         self.work = Work()
+        self._first: bytes | None = None  # file of the scene
         self._part = lru_cache(_KEPT_PARTS)(viewed.part)
         self._thumbnails: dict[int, bytes] = {}
         if mode != "remote":  # packed while a browser is opened
-            self.work.begin(lambda: self._first)
+            self.work.begin(self._pack_first)
 
     def by_name(self) -> dict[str, Answer]:
         return {"query": self.query, "render": self.render, "point": self.point, "select": self.select}
@@ -100,11 +101,12 @@ class _Answers:
         return Response(status_code=204, headers={"x-scoup-field": self.viewed.identity})
 
     async def scene(self, request: Request) -> Response:
-        return Response(await self.work.run(lambda: self._first), media_type="application/octet-stream")
+        data = self._first or await self.work.run(self._pack_first)
+        return Response(data, media_type="application/octet-stream")
 
-    @cached_property
-    def _first(self) -> bytes:
-        return self.viewed.scene()
+    def _pack_first(self) -> bytes:
+        self._first = self._first or self.viewed.scene()
+        return self._first
 
     async def part(self, request: Request) -> Response:
         parts = self.viewed.n_parts
