@@ -76,7 +76,8 @@ def take(browser: Browser, address: str, options: argparse.Namespace, look: dict
 
 
 def _settle(page: Page) -> None:
-    """Until all is drawn, with the small pictures of the cameras that are in sight; others are not even fetched."""
+    """Until all Gaussians are loaded and drawn, with the small pictures of the cameras that are in sight; others are not even fetched."""
+    page.evaluate("window.scoupViewer.whole")
     page.evaluate("window.scoupViewer.render()")
     page.wait_for_function(IN_SIGHT_IS_LOADED)
     page.wait_for_timeout(500)
