@@ -166,7 +166,15 @@ def test_several_texts_have_a_colour_each(visit: Visit, camera: Camera):
 
 
 def test_the_legend_says_what_the_library_says(visit: Visit, viewed: ViewedField):
+    visit.ask("kettle")
+    answer = viewed.answers(["kettle"])[0]
+    low, high = answer.spans[answer.level].tolist()
+    legend = visit.page.locator("#legend")  # a colour bar, where there is one text
+    assert [part.strip() for part in legend.inner_text().split("\n")] == [
+        f"{low:.2f}", f"{high:.2f}", "relevancy to “kettle”"
+    ]  # fmt: skip
     visit.ask("mug", ABSENT)
+    assert not legend.is_visible()
     answer = viewed.answers(["mug"])[0]
     said = visit.row("mug").inner_text()
     assert f"level {viewed.field.levels[answer.level]}, score {answer.score:.2f}" in said
@@ -174,18 +182,6 @@ def test_the_legend_says_what_the_library_says(visit: Visit, viewed: ViewedField
     assert f"z-score {answer.z_score:.2f}" in said
     assert "not in this scene" in visit.row(ABSENT).inner_text()
     assert "standard deviations" in (visit.row("mug").get_by_text("z-score").get_attribute("title") or "")
-
-
-def test_one_text_has_a_colour_bar_of_its_relevancy(visit: Visit, viewed: ViewedField):
-    visit.ask("kettle")
-    answer = viewed.answers(["kettle"])[0]
-    low, high = answer.spans[answer.level].tolist()
-    legend = visit.page.locator("#legend")
-    assert [part.strip() for part in legend.inner_text().split("\n")] == [
-        f"{low:.2f}", f"{high:.2f}", "relevancy to “kettle”"
-    ]  # fmt: skip
-    visit.ask("mug")
-    assert not legend.is_visible()
     visit.tab("View")
     assert "kettle 0." in visit.page.locator("#threshold-value").inner_text()
 
@@ -207,8 +203,12 @@ def test_something_absent_lights_up_only_if_wanted(visit: Visit, viewed: ViewedF
 
 
 def test_levels_and_thresholds_select_as_the_library_does(visit: Visit, viewed: ViewedField, camera: Camera):
-    visit.ask(MIXED)
+    visit.ask("dishes")  # a group, which the coarse level knows
     visit.choose("Only the selection")
+    pixels = patches(visit.picture(), camera)
+    assert {name for name, patch in pixels.items() if patch.mean() > 40} == {"kettle", "mug"}
+    visit.page.get_by_role("button", name="Remove dishes").click()
+    visit.ask(MIXED)
     sizes = set()
     names = {None: "automatic", 0: "s (fine)", 1: "m (medium)", 2: "l (coarse)"}
     for level, threshold in itertools.product(names, (None, 0.3, 0.99)):
@@ -225,14 +225,7 @@ def test_levels_and_thresholds_select_as_the_library_does(visit: Visit, viewed: 
     assert len(sizes) >= 5  # they did not all mean the same
 
 
-def test_the_coarse_level_knows_groups(visit: Visit, camera: Camera):
-    visit.ask("dishes")
-    visit.choose("Only the selection")
-    pixels = patches(visit.picture(), camera)
-    assert {name for name, patch in pixels.items() if patch.mean() > 40} == {"kettle", "mug"}
-
-
-def test_codes_and_confidence(visit: Visit, camera: Camera):
+def test_codes_and_confidence_are_seen_and_saved(visit: Visit, camera: Camera, tmp_path: Path):
     pixels = plain = patches(visit.picture(), camera)
     for mode in ("Confidence", "Codes"):
         visit.choose(mode)
@@ -241,6 +234,12 @@ def test_codes_and_confidence(visit: Visit, camera: Camera):
             assert np.abs(patch - plain[name]).mean() > 10
     means = [patch.mean(0) for patch in pixels.values()]  # unlike things have codes of unlike colours
     assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(means, 2)) > 20
+    with visit.page.expect_download() as download:
+        visit.page.get_by_role("button", name="Save picture").click()
+    download.value.save_as(tmp_path / "picture.png")
+    saved = np.asarray(Image.open(tmp_path / "picture.png").convert("RGB"))
+    assert difference(saved, visit.picture()) < ALIKE
+    assert saved.max() > 100
 
 
 def test_a_click_reads_what_is_there(visit: Visit, camera: Camera):
@@ -272,17 +271,6 @@ def test_a_selection_is_saved_and_loaded_back(visit: Visit, viewed: ViewedField,
         torch.testing.assert_close(saved.opacities[order], own.opacities[own_order], atol=3e-3, rtol=0)
         torch.testing.assert_close(saved.scales[order], own.scales[own_order], atol=0, rtol=0.02)
         torch.testing.assert_close(saved.sh[order, 0], own.sh[own_order, 0], atol=8e-3, rtol=0)
-
-
-def test_a_picture_is_saved(visit: Visit, tmp_path: Path):
-    visit.ask("kettle")
-    visit.choose("Codes")
-    with visit.page.expect_download() as download:
-        visit.page.get_by_role("button", name="Save picture").click()
-    download.value.save_as(tmp_path / "picture.png")
-    saved = np.asarray(Image.open(tmp_path / "picture.png").convert("RGB"))
-    assert difference(saved, visit.picture()) < ALIKE
-    assert saved.max() > 100
 
 
 @both_pages
