@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +11,6 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.data import make_features
 from benchmarks.desk import DESKS, Desk
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
@@ -25,7 +23,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
-from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
+from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.faults import LevelSums, as_region_sums, level_sums, perturbed
 from scoup_lab.synthetic.scene import LABELLED_LEVELS
 from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
@@ -102,11 +100,8 @@ class DrawName(NamedTuple):
 
 
 def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
-    """Return a scene by name: "kitchen" as given, one of its draws (``DrawName``,
-    ``benchmarks.kitchen_draws``), "desk" or "desk-all" (``benchmarks.desk``), or a layout of
-    ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
-    if name == "kitchen":
-        return _kitchen(data, size.kitchen_scale)
+    """Return a scene by name: a draw of the kitchen (``DrawName``, ``benchmarks.kitchen_draws``), "desk" or "desk-all"
+    (``benchmarks.desk``), or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
     if name in DESKS:
         return _desk(name, data)
     draw = DrawName.parse(name)
@@ -125,21 +120,6 @@ def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
     }
     texts = Texts(demo.canonical, words, demo.text_vectors(words), DISTRACTORS)
     return prepared(name, demo.gaussians, demo.building, demo.regions, frames, texts, members)
-
-
-def _kitchen(data: Path, scale: float) -> AnswerScene:
-    kitchen = data / "kitchen"
-    gaussians = scoup.load_gaussians(kitchen / "scene" / "model.splat")
-    cameras = scoup.load_cameras(kitchen)
-    frames = [
-        (frame.resized(camera.width, camera.height), camera)
-        for frame, camera in match_frames(read_labels(kitchen / "label"), cameras.scaled(scale))
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        regions = scoup.load_regions(make_features(kitchen, Path(folder)), cameras)
-        truth = Truth.open(data, scale)
-        members = truth.members(_labels(frames))
-        return prepared("kitchen", gaussians, cameras, regions, frames, texts_of(data, truth), members)
 
 
 def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:

@@ -79,6 +79,6 @@ def _group_of(name: str) -> str:
         return "desk (real)"
     draw = DrawName.parse(name)
     if draw is None:
-        return "kitchen draws" if name == "kitchen" else "procedural"
+        return "procedural"
     kind = f", {KINDS[draw.kind].title}" if draw.kind else ""
     return f"kitchen draws{kind}" + (f", noise x {draw.noise:g}" if draw.noise != 1 else "")
