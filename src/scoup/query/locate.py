@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,21 +112,25 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
         part.index_select(0, rows).cpu()  # much faster than part[rows]
         for part in (field.gaussians.means, field.gaussians.scales, field.gaussians.opacities)
     )
-    usable = torch.isfinite(means).all(1) & torch.isfinite(scales).all(1)
-    members, means = members[usable], means[usable].double()
-    relevancy = answer.relevancy[members].double()
-    weights = opacities[usable].double().clamp(0, 1) * relevancy
+    if not (torch.isfinite(means).all() and torch.isfinite(scales).all()):
+        usable = torch.isfinite(means).all(1) & torch.isfinite(scales).all(1)
+        members, means, opacities = members[usable], means[usable], opacities[usable]
+    means, relevancy = means.double(), answer.relevancy.index_select(0, members).double()
+    weights = opacities.double().clamp(0, 1) * relevancy
     if not len(members) or not weights.any():
         return Location(None, None, 0.0, members[:0], answer)
     parts = torch.from_numpy(rough_parts(means.numpy()))
     part = int(torch.bincount(parts, weights).argmax())
-    own = parts == part
-    points = ThingPoints.of_one_thing(means[own], weights[own])
+    own = true_rows(parts == part)
+    members, means, weights, relevancy = (
+        each.index_select(0, own) for each in (members, means, weights, relevancy)
+    )
+    points = ThingPoints.of_one_thing(means, weights)
     position, box = torch.from_numpy(points.medians()[0]), points.boxes()[0]
-    confidence = float((relevancy[own] * weights[own]).sum() / weights[own].sum())
+    confidence = float((relevancy * weights).sum() / weights.sum())
     things = answering_things(field, answer.mask, answer.level, answer.threshold)
     numbers = () if things is None else tuple(things.tolist())
-    return Location(position, box, confidence, members[own], answer, numbers)
+    return Location(position, box, confidence, members, answer, numbers)
 
 
 def answering_things(
@@ -168,7 +173,9 @@ def rough_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
         return connected_parts(points)
     places, order = morton_codes(torch.from_numpy(points))[0].sort()
     differing = places[1:] ^ places[:-1]
-    coarser = next(step for step in range(64) if int((differing >> 3 * step > 0).sum()) < MOST_LINKED)
+    coarser = bisect_left(
+        range(21), True, key=lambda step: int((differing >> 3 * step > 0).sum()) < MOST_LINKED
+    )
     cells = torch.empty_like(order)
     cells[order] = torch.nn.functional.pad(differing >> 3 * coarser > 0, (1, 0)).cumsum(0)
     own = cells.numpy()

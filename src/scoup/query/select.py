@@ -22,8 +22,9 @@ ABSOLUTE_THRESHOLD = 0.6
 """Default threshold on relevancy that is not rescaled. The most stable one nearly always selects something, but here
 nothing is to be selected where nothing is relevant enough."""
 
-MOST_TEXTS, MOST_BYTES = 16, 64 << 20
-"""So many texts are compared with all Gaussians at a time, if their relevancy fits into so many bytes."""
+MOST_TEXTS, MOST_BYTES = 16, 192 << 20
+"""So many texts are compared with all Gaussians at a time, if their relevancy fits into so many bytes: of a million
+Gaussians at three levels, all of them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,7 +79,9 @@ def finite_rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """Return boolean [N]: rows that are finite in all arrays [N, ...]."""
     kept = np.ones(len(arrays[0]), bool)
     for array in arrays:
-        kept &= np.isfinite(array).all(tuple(range(1, array.ndim)))
+        finite = np.isfinite(array)
+        if not finite.all():  # row by row takes ten times as long
+            kept &= finite.all(tuple(range(1, array.ndim)))
     return kept
 
 
