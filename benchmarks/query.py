@@ -7,6 +7,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from benchmarks.query_verbs import verb_seconds
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
@@ -26,7 +29,8 @@ STAGES = {
     "first location": "location in the scene, first text",
     "further location": "location in the scene, further text",
     "same location": "location in the scene, same text again",
-    "ten locations": "location in the scene, ten further texts in one question",
+    "ten locations": "location in the scene, ten further texts in one question, some of half of the Gaussians",
+    "ten things": "location in the scene, ten further texts in one question, each of about 1 % of the Gaussians",
     "quarter": "whole answer, new camera, at a quarter of the width",
     "scoup query": "`scoup query`: splat and field read, one text, one camera, no pictures",
     "scoup info": "`scoup info`",
@@ -83,6 +87,7 @@ class Query(Study):
                 for stage in ("further location", "same location"):
                     clock(stage, fresh.location, asked[2 * number + 1])
                 clock("ten locations", fresh.location, batch)
+                clock("ten things", fresh.location, self._things(fresh, number))
                 clock("quarter", fresh.answer, asked[2 * number + 1], camera, scale=0.25)
         least = {stage: min(times[1:]) for stage, times in clock.seconds.items()}
         least["query, new camera"] = least["project"] + least["first relevancy"] + least["place and mask"]
@@ -100,6 +105,12 @@ class Query(Study):
             ["", "ms"],
             [[said, f"{1e3 * least[name]:,.0f}"] for name, said in STAGES.items() if name in least],
         )
+
+    @staticmethod
+    def _things(field: LanguageField, number: int) -> Tensor:
+        """Return ten further vectors [10, D] like embeddings of things: atoms of the middle level."""
+        chosen = torch.arange(10 * number, 10 * number + 10) % field.n_atoms
+        return torch.nn.functional.normalize(field.codebook[len(field.levels) // 2, chosen], dim=1)
 
     def _field(self) -> LanguageField:
         """Return a field over the room whose codes are made up."""
