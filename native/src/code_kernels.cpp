@@ -23,7 +23,6 @@ class CodeSink {
         int entry = 0;
         for (int i = 0; i < count; ++i) {
             first_entry_[i] = entry;
-            if ((stage.painting >> i & 1) == 0) continue;
             const int64_t first = row(projected_[stage.slot[i]]);
             const Index* index = indices_ + first;
             const float* weight = from_stored(weights_ + first, levels_ * k_, scratch_.row);

@@ -47,7 +47,6 @@ SCOUP_INLINE int next(Members& set) {
 struct Stage {
     alignas(64) float u[kStage], ku[kStage], skew[kStage], v[kStage], kv[kStage], peak[kStage];
     Members painters[kBlocks];  // the Gaussians that reach each block
-    Members painting;           // those that reach a block which is not finished
     uint32_t slot[kStage];
     // What the ellipses are found by: the tile's first pixel centre from theirs, and as in Projected.
     alignas(64) float dx[kStage], dy[kStage], slope[kStage], tip[kStage], reach[kStage], rise[kStage], pixels[kStage];
@@ -156,8 +155,6 @@ SCOUP_INLINE Transmittance walk_tile(const Tile& tile, Sink& sink) {
         for (int64_t i = kStage; i < left && i < 2 * kStage; ++i)
             __builtin_prefetch(tile.projected + tile.slots[first + i]);
         stage_gaussians(tile, tile.slots + first, count, stage);
-        stage.painting = 0;
-        for (Blocks blocks = unfinished; blocks != 0;) stage.painting |= stage.painters[next(blocks)];
         sink.begin(stage, count);
         for (Blocks blocks = unfinished; blocks != 0;) {
             const int block = next(blocks);
