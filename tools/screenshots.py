@@ -76,7 +76,7 @@ def take(browser: Browser, address: str, options: argparse.Namespace, look: dict
 
 
 def _settle(page: Page) -> None:
-    """Until all Gaussians are loaded and drawn, with the small pictures of the cameras that are in sight; others are not even fetched."""
+    """Wait until all Gaussians are drawn, and the small pictures of the cameras in sight; others are not fetched."""
     page.evaluate("window.scoupViewer.whole")
     page.evaluate("window.scoupViewer.render()")
     page.wait_for_function(IN_SIGHT_IS_LOADED)
