@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import IO, Any
+from typing import Any
 
 import scoup
 from benchmarks.chromium import COUNTER, chromium, frames_per_second, program
@@ -233,15 +233,10 @@ def start_seconds(path: Path) -> dict[str, float]:
 
 
 @contextmanager
-def served(
-    path: Path,
-    program: Sequence[str] = PROGRAM,
-    log: IO[str] | int = subprocess.DEVNULL,
-    options: Sequence[str] = (),
-) -> Iterator[tuple[str, int]]:
+def served(path: Path, options: Sequence[str] = ()) -> Iterator[tuple[str, int]]:
     """Run `scoup view` on a field in a process of its own; yields its address and its number once it answers."""
-    command = [*program, "view", str(path), "--port", "0", "--json", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as process:
+    command = [*PROGRAM, "view", str(path), "--port", "0", "--json", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
         printed = ""
         while not printed.endswith("}\n"):

@@ -13,7 +13,7 @@ SMALL: dict[str, Any] = {"n_gaussians": 30_000, "width": 240, "height": 180, "n_
 """The size of the scene that tests share."""
 
 
-def well_lit_scene(*size: int, **sizes: int) -> DemoScene:
+def well_lit_scene(*size: Any, **sizes: Any) -> DemoScene:
     """As in the demo; other tests have one direction of light (conftest.py)."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scoup_lab.synthetic.scene.make_splat", make_splat)
