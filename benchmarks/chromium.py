@@ -98,9 +98,3 @@ def drag(page: Page, place: tuple[int, int]) -> tuple[int, float]:
     seconds = time.monotonic() - started
     page.mouse.up()
     return frames, seconds
-
-
-def frames_per_second(page: Page, place: tuple[int, int]) -> float:
-    """Return frames per second during a ``drag``."""
-    frames, seconds = drag(page, place)
-    return frames / seconds
