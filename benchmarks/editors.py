@@ -189,7 +189,7 @@ def page_costs(address: str, count: int, moved: str = "") -> dict[str, float]:
         spent = processor_seconds(browser) - before
         memory = sum(proportional_bytes(process["id"]) for process in processes(browser))
     files = [url for url in dict.fromkeys(asked) if url.startswith("http") and "/api/" not in url]
-    scenes = [url for url in files if re.search(r"scene\.(bin|ply)(\?|$)", url)]
+    scenes = [url for url in files if re.search(r"scene\.(bin|ply)(\?|$)|/part/", url)]
     return {
         "program, bytes": sum(len(gzip.compress(_read(url))) for url in files if url not in scenes),
         "scene, bytes": sum(len(_read(url)) for url in scenes),

@@ -48,8 +48,8 @@ export class SplatStage implements Stage {
   private moving = 0;
   /** In a row; two are slow enough. */
   private slowFrames = 0;
-  /** Whether a frame is being timed. */
-  private clocked = false;
+  /** Frames that the browser still draws. */
+  private unfinished = 0;
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
@@ -110,10 +110,14 @@ export class SplatStage implements Stage {
     this.soon();
   }
 
-  /** The camera rests a while after its last movement; frames do not count, for sorting causes some. */
+  /**
+   * The camera rests a while after its last movement and the frame that shows it: the browser hands over no movement
+   * while it draws. Other frames do not count, for sorting causes some.
+   */
   private move(): void {
     clearTimeout(this.moving);
     this.moving = window.setTimeout(() => {
+      if (this.unfinished) return; // whose end is waited for
       this.moving = 0;
       this.soon();
     }, REST_SECONDS * 1000);
@@ -150,18 +154,20 @@ export class SplatStage implements Stage {
     this.soon();
   }
 
-  /** Find whether frames are too slow for whole pictures; that lasts, as the browser stays the same. */
+  /** Wait for a frame, and find whether frames are too slow for whole pictures; that lasts, as the browser stays the same. */
   private async clock(): Promise<void> {
-    if (this.clocked || this.isSlow) return;
     const gl = this.renderer.getContext() as WebGL2RenderingContext;
     const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     if (!fence) return;
     gl.flush();
-    this.clocked = true;
+    const isAlone = this.unfinished === 0;
+    this.unfinished += 1;
     const begun = performance.now();
     while (gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.UNSIGNALED) await pause(0.02);
     gl.deleteSync(fence);
-    this.clocked = false;
+    this.unfinished -= 1;
+    if (this.moving && !this.unfinished) this.move();
+    if (this.isSlow || !isAlone) return;
     // The first frame alone may wait for programs and textures.
     this.slowFrames = performance.now() - begun > SLOW_SECONDS * 1000 ? this.slowFrames + 1 : 0;
   }
