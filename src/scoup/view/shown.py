@@ -89,7 +89,7 @@ class _Arrays:
         parts = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh[:, 0]
         return cls(*(part.numpy()[rows] for part in parts))
 
-    def select(self, rows: NDArray[np.int64]) -> _Arrays:
+    def select(self, rows: NDArray[np.int64] | slice) -> _Arrays:
         return _Arrays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def gaussians(self) -> Gaussians:
@@ -187,8 +187,9 @@ def _merged(
     for start in range(0, len(group), _AT_A_TIME):
         part = slice(start, start + _AT_A_TIME)
         x, y, z = (drawn.means[part] - means[group[part]]).astype(np.float32).T
-        own = _Arrays(*(getattr(drawn, field.name)[part] for field in fields(drawn)))
-        spreads[:, part] = own.covariances() + np.stack([x * x, y * y, z * z, x * y, x * z, y * z])
+        spreads[:, part] = drawn.select(part).covariances() + np.stack(
+            [x * x, y * y, z * z, x * y, x * z, y * z]
+        )
     xx, yy, zz, xy, xz, yz = (mean(spread) for spread in spreads)
 
     chosen = np.sort((-total).argsort(kind="stable")[:most])
