@@ -9,7 +9,6 @@ import { SELECTED, type Color } from "./shader";
 import type { ShownQuery } from "./splat";
 import type { State } from "./state";
 
-const REST_SECONDS = 0.25;
 /** Gaussians between two looks at the clock. */
 const AT_A_TIME = 1000;
 /** After which the browser may do something else. */
@@ -24,12 +23,15 @@ export class SelectionOutline {
   /** Counts what makes the lines wrong. */
   private changes = 0;
   private drawing = false;
-  /** The timer that ends a movement of the camera; 0 while it rests. */
-  private moving = 0;
+  private moving = false;
 
-  /** @param scene what the page shows now, which may be a coarse one at first */
+  /**
+   * @param scene what the page shows now, which may be a coarse one at first
+   * @param rest once the camera rests and its picture is drawn
+   */
   constructor(
     private readonly scene: () => Scene,
+    private readonly rest: () => Promise<void>,
     private readonly eye: Eye,
     private readonly state: State,
     private readonly picture: HTMLElement,
@@ -45,15 +47,15 @@ export class SelectionOutline {
     this.again();
   }
 
-  /** The camera has moved: no lines until it rests. */
-  moved(): void {
-    clearTimeout(this.moving);
+  /** The camera has moved, and the stage knows: no lines until it rests. */
+  async moved(): Promise<void> {
     this.canvas.hidden = true;
     this.changes += 1;
-    this.moving = window.setTimeout(() => {
-      this.moving = 0;
-      this.again();
-    }, REST_SECONDS * 1000);
+    if (this.moving) return;
+    this.moving = true;
+    await this.rest();
+    this.moving = false;
+    this.again();
   }
 
   /** Once all lines are drawn. */

@@ -63,7 +63,7 @@ export class Viewer {
     this.exact = scene && server
       ? new ExactPicture(byId("picture"), byId("badge"), byId("exact-show"), this.eye, this.state, server, onError)
       : null;
-    this.outlines = scene ? new SelectionOutline(() => this.scene!, this.eye, this.state, this.canvas) : null;
+    this.outlines = scene ? new SelectionOutline(() => this.scene!, () => this.stage.drawn(), this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
     this.cameras = new CameraList(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
@@ -229,9 +229,9 @@ export class Viewer {
     this.clicked = null;
     this.hovering?.leave();
     this.cameras.mark(this.eye.at?.name ?? null);
-    this.outlines?.moved();
     this.exact?.moved();
     this.stage.redraw();
+    void this.outlines?.moved();
   }
 
   private listen(): void {
@@ -255,9 +255,9 @@ export class Viewer {
     this.canvas.addEventListener("pointerleave", () => this.hovering?.leave());
     new ResizeObserver(() => {
       this.hovering?.leave();
-      this.outlines?.moved();
       this.exact?.moved();
       this.stage.redraw();
+      void this.outlines?.moved();
     }).observe(byId("stage"));
     byId("save-picture").addEventListener("click", () => this.savePicture());
     byId("save-selection").addEventListener("click", () => void this.saveSelection());
