@@ -8,7 +8,7 @@ namespace {
 // Walks a tile and writes its pixels that lie inside the image.
 template <class Sink>
 SCOUP_INLINE void render_with(Sink& sink, const Tile& tile, const ChannelImage& out, int channels) {
-    const Transmittance transmittance = walk_tile(tile, sink);
+    const Transmittance transmittance = walk_blocks(tile, sink);
     for (int block = 0; block < kBlocks; ++block)
         for (int lane = 0; lane < kLanes; ++lane) {
             const int x = tile.x + block_x(block) + lane_x(lane), y = tile.y + block_y(block) + lane_y(lane);

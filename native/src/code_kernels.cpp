@@ -114,7 +114,7 @@ class TileCodes {
     template <class Index, class Weight>
     void walk(const Tile& tile, const GaussianCodes& codes, const Index* indices, const Weight* weights) {
         CodeSink<Index, Weight> sink(codes, indices, weights, tile.projected, scratch_);
-        walk_tile(tile, sink);
+        walk_blocks(tile, sink);
     }
 
     int n_atoms_, levels_;

@@ -18,7 +18,7 @@ struct Counter {
 
 TileCounts count(const Tile& tile) {
     Counter counter;
-    walk_tile(tile, counter);
+    walk_blocks(tile, counter);
     return counter.counts;
 }
 

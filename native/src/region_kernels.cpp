@@ -20,9 +20,7 @@ class TileRegions {
 
     // Each block holds a few combinations, each in some of its lanes.
     CombinationSet in_block[kBlocks];
-    Blocks blocks_of[kPixels];            // of each combination
-    uint16_t part[kPixels][kBlocks];      // of each combination in each of its blocks, a place in `lanes`
-    Ints lanes[kPixels];
+    uint16_t lanes[kPixels][kBlocks];  // bits, of each combination in each block
     Blocks pure = 0;  // blocks all of whose lanes, or all that lie inside the image, have the same combination
     bool whole = true;  // all pixels of the tile that lie inside the image have the same combination
 
@@ -30,58 +28,65 @@ class TileRegions {
 
     SCOUP_INLINE TileRegions(const Tile& tile, const CombinationMap& map) {
         __builtin_memset(table_, 0xff, sizeof table_);
-        int parts = 0;
         for (int block = 0; block < kBlocks; ++block) {
             in_block[block] = {};
-            int16_t of_lane[kLanes];
-            int empty = 0;
-            for (int lane = 0; lane < kLanes; ++lane)
-                of_lane[lane] = place_of(tile, map, tile.x + block_x(block) + lane_x(lane),
-                                         tile.y + block_y(block) + lane_y(lane));
-            const int parts_before = parts;
-            for (int lane = 0; lane < kLanes; ++lane) {
-                const int16_t here = of_lane[lane];
-                empty += here == kNone;
-                if (here < 0) continue;
-                Ints same{};
-                for (int other = 0; other < kLanes; ++other) {
-                    if (of_lane[other] != here) continue;
-                    same[other] = -1;
-                    of_lane[other] = kTaken;
-                }
-                blocks_of[here] |= Blocks{1} << block;
-                part[here][block] = uint16_t(parts);
-                lanes[parts++] = same;
+            const Ints numbers_here = numbers_of(tile, map, tile.x + block_x(block), tile.y + block_y(block));
+            int parts = 0;
+            bool empty = false;
+            for (uint32_t left = kAllLanes; left != 0;) {
+                const int32_t number = numbers_here[__builtin_ctz(left)];
+                const uint32_t same = bits(numbers_here == number);
+                left &= ~same;
+                empty |= number < 0 && number != kOutside;
+                if (number < 0) continue;
+                const int here = place_of(number);
+                lanes[here][block] = uint16_t(same);
                 in_block[block].words[here / 64] |= uint64_t{1} << (here % 64);
+                ++parts;
             }
-            if (empty == 0 && parts == parts_before + 1) pure |= Blocks{1} << block;
-            if (empty != 0) whole = false;
+            if (!empty && parts == 1) pure |= Blocks{1} << block;
+            whole &= !empty;
         }
         words = (count + 63) / 64;
         whole &= count == 1;
     }
 
   private:
-    static constexpr int16_t kNone = -1, kOutside = -2, kTaken = -3;
+    static constexpr int32_t kOutside = INT32_MIN;
+    static constexpr uint32_t kAllLanes = (1u << kLanes) - 1;
 
-    // The place of a pixel's combination among the tile's; kNone where no level has a region.
-    SCOUP_INLINE int16_t place_of(const Tile& tile, const CombinationMap& map, int x, int y) {
-        if (x >= tile.width || y >= tile.height) return kOutside;
-        const int32_t number = map.numbers[int64_t(y) * map.width + x];
-        if (number < 0) return kNone;
-        if (last_ >= 0 && numbers[last_] == number) return int16_t(last_);
+    // The combinations of a block's pixels by their numbers in the view; negative where no level has a region.
+    static SCOUP_INLINE Ints numbers_of(const Tile& tile, const CombinationMap& map, int x, int y) {
+        const int32_t* const first = map.numbers + int64_t(y) * map.width + x;
+        Ints found;
+        if (x + kBlockWidth <= tile.width && y + kBlockHeight <= tile.height) {
+            int32_t rows[kLanes];
+            for (int row = 0; row < kBlockHeight; ++row)
+                __builtin_memcpy(rows + row * kBlockWidth, first + row * int64_t(map.width), kBlockWidth * sizeof(int32_t));
+            __builtin_memcpy(&found, rows, sizeof found);
+        } else {
+            for (int lane = 0; lane < kLanes; ++lane) {
+                const bool inside = x + lane_x(lane) < tile.width && y + lane_y(lane) < tile.height;
+                found[lane] = inside ? first[int64_t(lane_y(lane)) * map.width + lane_x(lane)] : kOutside;
+            }
+        }
+        return found;
+    }
+
+    // The place of a combination among the tile's.
+    SCOUP_INLINE int place_of(int32_t number) {
+        if (last_ >= 0 && numbers[last_] == number) return last_;
         for (uint32_t slot = uint32_t(number) * 0x9e3779b1u >> 23;; slot = (slot + 1) % kTable) {
             int found = table_[slot];
             if (found < 0) {
                 found = count++;
                 table_[slot] = int16_t(found);
                 numbers[found] = number;
-                blocks_of[found] = 0;
+                for (int block = 0; block < kBlocks; ++block) lanes[found][block] = 0;
             } else if (numbers[found] != number) {
                 continue;
             }
-            last_ = found;
-            return int16_t(found);
+            return last_ = found;
         }
     }
 
@@ -102,21 +107,24 @@ class WholeTileSink {
     SCOUP_INLINE WholeTileSink(int32_t number, const Projected* projected, Records& out)
         : number_(number), projected_(projected), out_(out) {}
 
-    SCOUP_INLINE void begin(const Stage&, int) {
-        for (int i = 0; i < kStage; ++i) totals_[i] = Floats{};
-    }
-    SCOUP_INLINE void paint(int, int i, Floats weight) { totals_[i] += weight; }
-    SCOUP_INLINE void end(const Stage& stage, int count) {
+    SCOUP_INLINE void begin(const Stage& stage, int count) {
+        stage_ = &stage;
         if (__builtin_expect(out_.count + count > out_.capacity, 0)) out_.reserve(out_, count);
-        for (int i = 0; i < count; ++i) write(out_, projected_[stage.slot[i]].id, number_, sum(totals_[i]));
     }
+    SCOUP_INLINE void paint(int, Floats weight) { total_ += weight; }
+    SCOUP_INLINE void painted(int i, Blocks) {
+        write(out_, projected_[stage_->slot[i]].id, number_, sum(total_));
+        total_ = Floats{};
+    }
+    SCOUP_INLINE void end(const Stage&, int) {}
     SCOUP_INLINE void soon(const Projected&) {}
 
   private:
     const int32_t number_;
     const Projected* projected_;
     Records& out_;
-    Floats totals_[kStage];
+    const Stage* stage_ = nullptr;
+    Floats total_{};
 };
 
 // Adds up each Gaussian's weights over the lanes of each combination, and writes a record of each sum.
@@ -125,50 +133,47 @@ class RecordSink {
     SCOUP_INLINE RecordSink(const TileRegions& regions, const Projected* projected, Records& out)
         : regions_(regions), projected_(projected), out_(out) {}
 
-    SCOUP_INLINE void begin(const Stage&, int) {
-        for (int i = 0; i < kStage; ++i) painted_[i] = 0;
-    }
-    SCOUP_INLINE void paint(int block, int i, Floats weight) {
-        weights_[i][block] = weight;
-        painted_[i] |= Blocks{1} << block;
-    }
-
-    SCOUP_INLINE void end(const Stage& stage, int count) {
+    SCOUP_INLINE void begin(const Stage& stage, int count) {
+        stage_ = &stage;
         if (__builtin_expect(out_.count + count * regions_.count > out_.capacity, 0))
             out_.reserve(out_, count * regions_.count);
-        for (int i = 0; i < count; ++i) {
-            if (painted_[i] == 0) continue;
-            const uint32_t id = projected_[stage.slot[i]].id;
-            if (regions_.words == 1)
-                record<1>(id, painted_[i], weights_[i]);
-            else
-                record<kWords>(id, painted_[i], weights_[i]);
-        }
     }
-
+    SCOUP_INLINE void paint(int block, Floats weight) {
+        weights_[block] = weight;
+        total_ += weight;
+        touched_ |= regions_.in_block[block].words[0];
+    }
+    SCOUP_INLINE void painted(int i, Blocks blocks) {
+        if (blocks == 0) return;
+        const uint32_t id = projected_[stage_->slot[i]].id;
+        if (regions_.words == 1)
+            record<1>(id, blocks);
+        else
+            record<kWords>(id, blocks);
+        total_ = Floats{};
+        touched_ = 0;
+    }
+    SCOUP_INLINE void end(const Stage&, int) {}
     SCOUP_INLINE void soon(const Projected&) {}
 
   private:
     template <int Words>
-    SCOUP_INLINE void record(uint32_t id, Blocks painted, const Floats* weights) {
-        uint64_t touched[Words] = {};
-        for (Blocks blocks = painted; blocks != 0;) {
+    SCOUP_INLINE void record(uint32_t id, Blocks painted) {
+        uint64_t touched[Words] = {touched_};
+        for (Blocks blocks = painted; Words > 1 && blocks != 0;) {
             const int block = next(blocks);
-            for (int w = 0; w < Words; ++w) touched[w] |= regions_.in_block[block].words[w];
+            for (int w = 1; w < Words; ++w) touched[w] |= regions_.in_block[block].words[w];
         }
         // Most Gaussians lie inside one combination.
-        if (Words == 1 && (touched[0] & (touched[0] - 1)) == 0 && (painted & ~regions_.pure) == 0) {
-            Floats total{};
-            while (painted != 0) total += weights[next(painted)];
-            return write(out_, id, regions_.numbers[__builtin_ctzll(touched[0])], sum(total));
-        }
+        if (Words == 1 && (touched[0] & (touched[0] - 1)) == 0 && (painted & ~regions_.pure) == 0)
+            return write(out_, id, regions_.numbers[__builtin_ctzll(touched[0])], sum(total_));
         for (int w = 0; w < Words; ++w)
             while (touched[w] != 0) {
                 const int c = 64 * w + next(touched[w]);
                 Floats total{};
-                for (Blocks blocks = painted & regions_.blocks_of[c]; blocks != 0;) {
+                for (Blocks blocks = painted; blocks != 0;) {
                     const int block = next(blocks);
-                    total += only(regions_.lanes[regions_.part[c][block]], weights[block]);
+                    total += only(mask_of(regions_.lanes[c][block]), weights_[block]);
                 }
                 write(out_, id, regions_.numbers[c], sum(total));
             }
@@ -177,8 +182,10 @@ class RecordSink {
     const TileRegions& regions_;
     const Projected* projected_;
     Records& out_;
-    Blocks painted_[kStage];
-    Floats weights_[kStage][kBlocks];
+    const Stage* stage_ = nullptr;
+    Floats total_{};
+    uint64_t touched_ = 0;
+    Floats weights_[kBlocks];
 };
 
 void collect(const Tile& tile, const CombinationMap& map, Records& out) {
@@ -187,11 +194,11 @@ void collect(const Tile& tile, const CombinationMap& map, Records& out) {
     if (regions.count == 0) return;
     if (regions.whole) {
         WholeTileSink sink(regions.numbers[0], tile.projected, out);
-        walk_tile(tile, sink);
+        walk_gaussians(tile, sink);
         return;
     }
     RecordSink sink(regions, tile.projected, out);
-    walk_tile(tile, sink);
+    walk_gaussians(tile, sink);
 }
 
 }  // namespace

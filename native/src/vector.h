@@ -110,6 +110,17 @@ SCOUP_INLINE uint32_t bits(Ints mask) {
 #endif
 }
 
+// The mask of the lanes whose bits are set.
+SCOUP_INLINE Ints mask_of(uint32_t set) {
+#if defined(__AVX512DQ__)
+    return (Ints)_mm512_movm_epi32(__mmask16(set));
+#else
+    Ints own;
+    for (int lane = 0; lane < kLanes; ++lane) own[lane] = 1 << lane;
+    return (own & int32_t(set)) != 0;
+#endif
+}
+
 SCOUP_INLINE bool any(Ints mask) { return bits(mask) != 0; }
 
 SCOUP_INLINE int smaller(int a, int b) { return a < b ? a : b; }

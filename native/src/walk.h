@@ -3,7 +3,7 @@
 // A tile of 16 x 16 pixels is cut into blocks of 4 x (lanes / 4) pixels, one vector each; blocks fit small round
 // footprints better than rows of pixels do. Gaussians are staged sixteen at a time: their offsets from the tile, and
 // which of them reach which block, are worked out side by side. Then each unfinished block is painted by those that
-// reach it, with its transmittance in a register.
+// reach it: a block after the other, with its transmittance in a register, or a Gaussian after the other.
 #pragma once
 
 #include "tile.h"
@@ -21,7 +21,6 @@ constexpr int kStage = 16;
 
 using Blocks = uint64_t;   // a set of blocks
 using Members = uint32_t;  // a set of the Gaussians of a stage
-constexpr Blocks kAllBlocks = kBlocks == 64 ? ~Blocks{0} : (Blocks{1} << (kBlocks % 64)) - 1;
 
 // The pixel of a lane, from the first of its block.
 SCOUP_INLINE int lane_x(int lane) { return lane % kBlockWidth; }
@@ -53,7 +52,7 @@ struct Stage {
 };
 
 // Which of the stage's Gaussians first .. first + kLanes - 1 reach which block, one row of blocks at a time. The
-// geometry is that of visit_tiles in binning.h.
+// geometry is that of spans in project_kernels.cpp.
 SCOUP_INLINE void find_painters(Stage& stage, int first) {
     const Floats ku = load(stage.ku + first), kv = load(stage.kv + first), peak = load(stage.peak + first);
     const Floats dx = load(stage.dx + first), dy = load(stage.dy + first), slope = load(stage.slope + first);
@@ -96,6 +95,19 @@ SCOUP_INLINE void stage_gaussians(const Tile& tile, const uint32_t* slots, int c
     for (int block = 0; block < kBlocks; ++block) stage.painters[block] &= staged;
 }
 
+// Which blocks each of a stage's Gaussians reaches.
+SCOUP_INLINE void find_blocks(const Stage& stage, Blocks reached[kStage]) {
+    constexpr int kHalf = 32;  // bits of a lane
+    for (int first = 0; first < kStage; first += kLanes)
+        for (int half = 0; half < kBlocks; half += kHalf) {
+            Ints found{};
+            for (int b = 0; b < kHalf && half + b < kBlocks; ++b)
+                found |= mask_of(stage.painters[half + b] >> first) & int32_t(1u << b);
+            for (int lane = 0; lane < kLanes; ++lane)
+                reached[first + lane] = (half == 0 ? 0 : reached[first + lane]) | Blocks{uint32_t(found[lane])} << half;
+        }
+}
+
 // What is left of the light at a tile's pixels.
 struct Transmittance {
     Floats running[kBlocks];  // 0 once a pixel is finished, and outside the image
@@ -123,6 +135,7 @@ struct Transmittance {
 struct BlockPixels {
     Floats x, y;
 
+    SCOUP_INLINE BlockPixels() = default;
     SCOUP_INLINE explicit BlockPixels(int block) {
         for (int lane = 0; lane < kLanes; ++lane) x[lane] = float(lane_x(lane)), y[lane] = float(lane_y(lane));
         x += float(block_x(block));
@@ -139,23 +152,36 @@ SCOUP_INLINE Floats alpha_of(const Tile& tile, const Stage& stage, int i, const 
     return only(exponent >= kLog2AlphaMin, smaller(alpha, all(tile.alpha_max)));
 }
 
-// Walks the Gaussians of a tile front to back and tells the sink:
+// Stages the Gaussians of a tile front to back, sixteen at a time, and calls paint(stage, count) for each stage until it
+// returns false: all pixels are finished. The sink is told:
 //   begin(stage, count)  these Gaussians come next
-//   paint(b, i, e)       Gaussian i of the stage has the weights e in block b; front to back within a block
 //   end(stage, count)    the stage is done
 //   soon(p)              this Gaussian comes in the next stage: a chance to prefetch what belongs to it
-template <class Sink>
-SCOUP_INLINE Transmittance walk_tile(const Tile& tile, Sink& sink) {
-    Transmittance transmittance(tile);
+template <class Sink, class Paint>
+SCOUP_INLINE void for_stages(const Tile& tile, Sink& sink, const Paint& paint) {
     Stage stage{};
-    Blocks unfinished = transmittance.unfinished();
-    for (int64_t first = 0; first < tile.count && unfinished != 0; first += kStage) {
+    bool going_on = true;
+    for (int64_t first = 0; first < tile.count && going_on; first += kStage) {
         const int64_t left = tile.count - first;
         const int count = int(left < kStage ? left : kStage);
         for (int64_t i = kStage; i < left && i < 2 * kStage; ++i)
             __builtin_prefetch(tile.projected + tile.slots[first + i]);
         stage_gaussians(tile, tile.slots + first, count, stage);
         sink.begin(stage, count);
+        going_on = paint(stage, count);
+        sink.end(stage, count);
+        for (int64_t i = kStage; i < left && i < 2 * kStage; ++i) sink.soon(tile.projected[tile.slots[first + i]]);
+    }
+}
+
+// Walks the Gaussians of a tile, a block after the other within a stage: for what is added up by pixel. The sink is also
+// told
+//   paint(b, i, e)       Gaussian i of the stage has the weights e in block b; front to back within a block
+template <class Sink>
+SCOUP_INLINE Transmittance walk_blocks(const Tile& tile, Sink& sink) {
+    Transmittance transmittance(tile);
+    Blocks unfinished = transmittance.unfinished();
+    for_stages(tile, sink, [&](const Stage& stage, int) __attribute__((always_inline)) {
         for (Blocks blocks = unfinished; blocks != 0;) {
             const int block = next(blocks);
             Members painters = stage.painters[block];
@@ -179,10 +205,39 @@ SCOUP_INLINE Transmittance walk_tile(const Tile& tile, Sink& sink) {
             transmittance.last[block] = last;
             if (!any(going_on)) unfinished &= ~(Blocks{1} << block);
         }
-        sink.end(stage, count);
-        for (int64_t i = kStage; i < left && i < 2 * kStage; ++i) sink.soon(tile.projected[tile.slots[first + i]]);
-    }
+        return unfinished != 0;
+    });
     return transmittance;
+}
+
+// Walks the Gaussians of a tile one after the other: for what is added up by Gaussian. The sink is also told
+//   paint(b, e)          the next Gaussian of the stage has the weights e in block b
+//   painted(i, blocks)   it was the i-th, and these were all its blocks
+template <class Sink>
+SCOUP_INLINE void walk_gaussians(const Tile& tile, Sink& sink) {
+    Transmittance transmittance(tile);
+    BlockPixels pixels[kBlocks];
+    for (int block = 0; block < kBlocks; ++block) pixels[block] = BlockPixels(block);
+    Blocks unfinished = transmittance.unfinished();
+    for_stages(tile, sink, [&](const Stage& stage, int count) __attribute__((always_inline)) {
+        Blocks reached[kStage];
+        find_blocks(stage, reached);
+        for (int i = 0; i < count; ++i) {
+            const Blocks blocks = reached[i] & unfinished;
+            for (Blocks left = blocks; left != 0;) {
+                const int block = next(left);
+                const Floats before = transmittance.running[block];
+                const Floats alpha = alpha_of(tile, stage, i, pixels[block]);
+                const Floats after = before - alpha * before;
+                const Ints drawn = after >= tile.keep;
+                transmittance.running[block] = only(drawn, after);
+                sink.paint(block, only(drawn, alpha * before));
+            }
+            sink.painted(i, blocks);
+        }
+        unfinished = transmittance.unfinished();
+        return unfinished != 0;
+    });
 }
 
 }  // namespace
