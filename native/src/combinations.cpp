@@ -49,22 +49,28 @@ class Numbering {
 
 // Combinations of some of the pixels, by numbers of their own.
 Numbering number_pixels(const int32_t* labels, int32_t levels, int64_t pixels, int64_t first, int64_t last, int32_t* map) {
+    constexpr int64_t kAtOnce = 1024;
     Numbering numbering(levels);
-    std::vector<int32_t> row(size_t(levels), -1), before(size_t(levels), -1);
-    int32_t number_before = -1;
-    for (int64_t pixel = first; pixel < last; ++pixel) {
-        bool any = false, same = true;
+    std::vector<int32_t> row(size_t(levels), -1);
+    int32_t number = -1;
+    for (int64_t start = first; start < last; start += kAtOnce) {
+        const int64_t count = std::min(kAtOnce, last - start);
+        uint8_t differs[kAtOnce] = {start == first};  // from the pixel before; most pixels do not
         for (int32_t level = 0; level < levels; ++level) {
-            const int32_t label = std::max(labels[level * pixels + pixel], -1);
-            row[size_t(level)] = label;
-            any |= label >= 0;
-            same &= label == before[size_t(level)];
+            const int32_t* here = labels + level * pixels + start;
+            for (int64_t i = start == first; i < count; ++i) differs[i] |= here[i] != here[i - 1];
         }
-        if (!same) {  // most pixels are like their neighbour
-            number_before = any ? numbering.number(row.data()) : -1;
-            before.swap(row);
+        for (int64_t i = 0; i < count; ++i) {
+            if (differs[i] != 0) {
+                bool any = false;
+                for (int32_t level = 0; level < levels; ++level) {
+                    row[size_t(level)] = std::max(labels[level * pixels + start + i], -1);
+                    any |= row[size_t(level)] >= 0;
+                }
+                number = any ? numbering.number(row.data()) : -1;
+            }
+            map[start + i] = number;
         }
-        map[pixel] = number_before;
     }
     return numbering;
 }
