@@ -17,7 +17,7 @@ namespace {
 
 constexpr size_t kLargePage = size_t(2) << 20;
 constexpr size_t kLarge = 2 * kLargePage;
-constexpr size_t kMostKept = size_t(512) << 20;
+constexpr size_t kMostKept = size_t(256) << 20;
 
 void* system_allocate(size_t boundary, size_t bytes) {
 #if defined(_WIN32)
@@ -101,7 +101,9 @@ static_assert(std::is_trivially_destructible_v<Kept>);
 
 Block allocate(size_t bytes) {
     const size_t boundary = bytes < kLarge ? 64 : kLargePage;
-    bytes = (bytes + boundary - 1) / boundary * boundary;
+    size_t step = boundary;
+    while (step < bytes / 8) step *= 2;
+    bytes = (bytes + step - 1) / step * step;
     if (bytes >= kLarge)
         if (const Block block = kept.take(bytes); block.data != nullptr) return block;
     void* data = system_allocate(boundary, bytes);

@@ -14,7 +14,7 @@ constexpr int kBucketBits = 10;  // Gaussians whose records are merged together:
 constexpr int64_t kBucket = 1 << kBucketBits;
 
 // Records of a group of neighbouring tiles.
-struct Group : Records {
+struct alignas(64) Group : Records {  // a cache line of its own: counts rise all the time, on several threads
     Group() {
         reserve = [](Records& r, int64_t more) {
             const int64_t capacity = std::max<int64_t>({r.count + more, r.capacity + r.capacity / 2, 4096});

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 
-BUCKET = 256  # Gaussians whose entries lie together; a place in a bucket takes one byte
+BUCKET_BITS = 8
+BUCKET = 1 << BUCKET_BITS  # Gaussians whose entries lie together; a place in a bucket takes one byte
 MOST_COMBINATIONS = 1 << 16  # per part of a view; views with more have several parts
 
 
@@ -132,13 +133,15 @@ def pack(
         if len(table) > MOST_COMBINATIONS:
             mine = np.flatnonzero((combinations >= first) & (combinations < first + MOST_COMBINATIONS))
         own = gaussians[mine]
-        bucket = own // BUCKET
-        begins = np.flatnonzero(np.diff(bucket, prepend=-1))
+        bucket = own >> BUCKET_BITS
+        begins = np.flatnonzero(bucket[1:] != bucket[:-1]) + 1
+        if len(own):
+            begins = np.insert(begins, 0, 0)
         parts.append(
             Entries(
                 bucket[begins].astype(np.uint32),
                 np.append(begins, len(own)).astype(np.uint32),
-                (own & (BUCKET - 1)).astype(np.uint8),
+                own.astype(np.uint8),  # wraps around: what is left is counted from the bucket
                 (combinations[mine] - first).astype(np.uint16),
                 weights[mine].astype(weight_type, copy=False),
                 table[first : first + MOST_COMBINATIONS],
