@@ -31,16 +31,20 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_parts_together_are_the_scene(count: int, seed: int, most: int) -> None:
     gaussians = random_gaussians(count, seed, kinds=KINDS)
     cut = Parts(gaussians, most)
-    assert 1 <= len(cut) <= max(1, -(-min(count, most) // 100))
+    assert 1 <= len(cut) <= -(-count // 100)
     shown = [cut.part(number) for number in range(len(cut))]
     rows = torch.cat([part.rows for part in shown])
     assert len(rows.unique()) == len(rows) <= max(most, len(cut))
     can = drawable(gaussians)
     assert can[rows].all()
-    if count <= most:
-        assert sorted(rows.tolist()) == np.flatnonzero(can).tolist()
-        for part in shown:
-            assert part.gaussians.means.equal(gaussians.means[part.rows])
+    whole = [cut.part(number, whole=True) for number in range(len(cut))]
+    assert sorted(torch.cat([part.rows for part in whole]).tolist()) == np.flatnonzero(can).tolist()
+    for part, own in zip(shown, whole, strict=True):
+        assert own.gaussians.means.equal(gaussians.means[own.rows])
+        assert (
+            part.rows.equal(own.rows) if count <= most else set(part.rows.tolist()) <= set(own.rows.tolist())
+        )
+    assert cut.merges == (count > most)
     coarse, counts = cut.coarse()
     assert len(counts) == len(cut)
     assert sum(counts) == len(coarse.rows) <= max(60, len(cut))
@@ -71,8 +75,8 @@ def test_parts_are_of_about_the_same_number_and_near_their_place() -> None:
 def test_each_part_merges_the_same_share() -> None:
     cut = Parts(random_gaussians(1000, 4), 500)
     counts = [len(cut.part(number).rows) for number in range(len(cut))]
-    assert len(counts) == 5
-    assert all(80 < count <= 100 for count in counts)
+    assert len(counts) == 10
+    assert all(40 < count <= 50 for count in counts)
 
 
 def test_coarse_gaussians_of_a_sample_cover_as_much(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,11 +75,11 @@ export interface Source {
   /** What the page shows first: all Gaussians, or few of a large scene. */
   scene(progress: Progress): Promise<Packed>;
   /**
-   * A part of a large scene.
+   * A part of a large scene; a server's with none of its Gaussians merged if it is wanted whole.
    *
    * @throws NotNow if it is to be asked for again later
    */
-  part(number: number, count: number): Promise<Packed>;
+  part(number: number, count: number, whole?: boolean): Promise<Packed>;
   /** The things of the field, in the order of their numbers; none where it has none. */
   things(): Promise<Thing[]>;
   /** The facts of a scene without its Gaussians. */

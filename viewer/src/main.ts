@@ -12,8 +12,8 @@ import { Viewer } from "./viewer";
 export interface ViewerHandle {
   /** Something is shown, and can be asked. */
   ready: Promise<void>;
-  /** All Gaussians of the page are shown. */
-  whole: Promise<void>;
+  /** All parts of the scene are shown, and whole ones where the camera looks. */
+  readonly whole: Promise<void>;
   state(): object;
   ask(texts: string[]): Promise<void>;
   set(change: { mode?: Mode; level?: number | null; threshold?: number | null; opacity?: number }): void;
@@ -68,7 +68,9 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
   });
   return {
     ready,
-    whole: ready.then(() => viewer.whole),
+    get whole() {
+      return ready.then(() => viewer.whole);
+    },
     state: () => {
       const { state, eye } = viewer;
       const queries = state.queries.map(({ answer, color, hidden }) => ({ ...answer, scores: undefined, color, hidden }));

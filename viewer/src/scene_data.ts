@@ -23,6 +23,8 @@ export interface Metadata {
   present_from: number | null;
   /** Of a large scene, whose parts are loaded later: how many of these Gaussians stand for each part. */
   parts?: number[];
+  /** If parts are merged: how many Gaussians whole parts may have together. */
+  most?: number;
   /** Things of all levels; missing where the field has none. */
   n_things?: number;
   cameras: CameraRecord[];

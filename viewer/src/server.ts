@@ -25,10 +25,10 @@ export class LiveServer implements Server {
     return unpack(await download(await this.get("scene.bin"), progress));
   }
 
-  async part(number: number, count: number): Promise<Packed> {
+  async part(number: number, count: number, whole = false): Promise<Packed> {
     let bytes: Uint8Array<ArrayBuffer>;
     try {
-      const response = await fetch(`part/${number}-of-${count}`);
+      const response = await fetch(`part/${number}-of-${count}${whole ? "?whole" : ""}`);
       // After a restart, another field may answer.
       if (response.ok && response.headers.get("x-scoup-field") !== this.identity) throw new Error(ANOTHER);
       bytes = await download(await checked(response), () => {});

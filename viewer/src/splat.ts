@@ -37,6 +37,9 @@ export interface Look {
   clean: boolean;
 }
 
+/** What the shader reads of each Gaussian of a piece. */
+type Textures = Record<"indices" | "weights" | "owners" | "confidence", THREE.DataTexture>;
+
 /**
  * A scene that is drawn, in one piece or several; `update` changes only small textures and numbers.
  *
@@ -46,7 +49,7 @@ export interface Look {
 export class Splat {
   readonly world = new THREE.Scene();
   readonly spark: SparkRenderer;
-  private readonly meshes = new Map<Scene, SplatMesh>();
+  private readonly pieces = new Map<Scene, { mesh: SplatMesh; textures: Textures }>();
   private readonly canonical: THREE.DataTexture;
   private readonly codeColors: THREE.DataTexture;
   private readonly scores: THREE.DataTexture;
@@ -104,23 +107,25 @@ export class Splat {
     // Textures are made of whole arrays only.
     const { extArrays } = splats;
     const mesh = new SplatMesh({ extSplats: new ExtSplats({ extArrays, numSplats: scene.count }) });
-    mesh.objectModifier = this.modifier(scene);
+    const textures = texturesOf(scene);
+    mesh.objectModifier = this.modifier(scene, textures);
     await mesh.initialized;
     mesh.updateGenerator();
     for (const piece of instead) this.remove(piece);
-    this.meshes.set(scene, mesh);
+    this.pieces.set(scene, { mesh, textures });
     this.world.add(mesh);
   }
 
   private remove(scene: Scene): void {
-    const mesh = this.meshes.get(scene)!;
-    this.meshes.delete(scene);
+    const { mesh, textures } = this.pieces.get(scene)!;
+    this.pieces.delete(scene);
     this.world.remove(mesh);
     mesh.dispose();
+    for (const texture of Object.values(textures)) texture.dispose();
   }
 
   get count(): number {
-    return [...this.meshes.keys()].reduce((sum, { count }) => sum + count, 0);
+    return [...this.pieces.keys()].reduce((sum, { count }) => sum + count, 0);
   }
 
   get isSorting(): boolean {
@@ -162,13 +167,11 @@ export class Splat {
     this.mode.value = MODES.indexOf(look.mode);
     this.level.value = look.level;
     this.opacity.value = look.opacity;
-    for (const mesh of this.meshes.values()) mesh.updateVersion();
+    for (const { mesh } of this.pieces.values()) mesh.updateVersion();
   }
 
-  private modifier(scene: Scene) {
+  private modifier(scene: Scene, { indices, weights, owners, confidence }: Textures) {
     const sizes = { levels: scene.levels, k: scene.k, phrases: scene.phrases, things: scene.metadata.n_things ?? 0 };
-    const [indices, weights] = codeTextures(scene);
-    const [owners, confidence] = [ownerTexture(scene), confidenceTexture(scene)];
     const uniforms = {
       indices: dyno.dynoUsampler2D(indices),
       weights: dyno.dynoUsampler2D(weights),
@@ -230,8 +233,12 @@ function floats(width: number, height: number): THREE.DataTexture {
   return texture;
 }
 
+function texturesOf(scene: Scene): Textures {
+  return { ...codeTextures(scene), owners: ownerTexture(scene), confidence: confidenceTexture(scene) };
+}
+
 /** Indices and weights, four atoms a texel. */
-function codeTextures(scene: Scene): [THREE.DataTexture, THREE.DataTexture] {
+function codeTextures(scene: Scene): Pick<Textures, "indices" | "weights"> {
   const { count, levels, k } = scene;
   const blocks = Math.ceil(k / 4);
   const height = Math.max(1, Math.ceil((count * levels * blocks) / WIDTH));
@@ -249,10 +256,10 @@ function codeTextures(scene: Scene): [THREE.DataTexture, THREE.DataTexture] {
       }
     }
   }
-  return [
-    integers(indices, height, isByte ? THREE.UnsignedByteType : THREE.UnsignedShortType, isByte ? "RGBA8UI" : "RGBA16UI"),
-    integers(weights, height, THREE.UnsignedShortType, "RGBA16UI"),
-  ];
+  return {
+    indices: integers(indices, height, isByte ? THREE.UnsignedByteType : THREE.UnsignedShortType, isByte ? "RGBA8UI" : "RGBA16UI"),
+    weights: integers(weights, height, THREE.UnsignedShortType, "RGBA16UI"),
+  };
 }
 
 function integers(

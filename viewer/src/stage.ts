@@ -72,12 +72,16 @@ export class SplatStage implements Stage {
     this.update();
   }
 
-  /** Show a part of the scene in place of the coarse Gaussians that stand for it. */
-  async refine(part: Scene, instead: Scene, coarse: Scene[]): Promise<void> {
+  /**
+   * Show a part of the scene in place of the Gaussians that stand for it.
+   *
+   * @param pieces what is shown before the first part comes; drawn while the camera moves from then on
+   */
+  async swap(part: Scene, instead: Scene, pieces: Scene[]): Promise<void> {
     let splat = this.splat!;
     if (!this.coarse) {
       splat = this.splatOf(part);
-      for (const piece of coarse) await splat.add(piece, () => {});
+      for (const piece of pieces) await splat.add(piece, () => {});
     }
     await splat.add(part, () => {}, [instead]);
     this.coarse ??= this.splat;

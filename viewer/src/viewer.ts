@@ -13,7 +13,7 @@ import { Hovering } from "./hovering";
 import { listenToKeys } from "./keys";
 import { Panel } from "./panel";
 import { hits, placeAlong, type Painted } from "./picking";
-import { partsBySight } from "./parts";
+import { Parts } from "./parts";
 import { hidePlace, showPlace } from "./place_panel";
 import { owned, plyOf, selected } from "./ply";
 import { Scene, type CameraRecord, type Metadata } from "./scene_data";
@@ -44,7 +44,9 @@ export class Viewer {
   private clicked: [number, number] | null = null;
   private hovering: Hovering | null = null;
   private readonly outlines: SelectionOutline | null;
-  /** Resolves when the page holds the whole scene. */
+  /** Parts of which some are merged; null while that changes. */
+  private parts: Parts | null = null;
+  /** Resolves when the page holds all parts of the scene, and those that are near whole. */
   whole = Promise.resolve();
 
   private constructor(
@@ -89,7 +91,7 @@ export class Viewer {
     if (scene && metadata.n_things) void viewer.listThings();
     if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
     viewer.stage.redraw();
-    if (metadata.parts) viewer.whole = viewer.refine(scene!);
+    if (metadata.parts) viewer.whole = viewer.loadParts(scene!);
     return viewer;
   }
 
@@ -103,23 +105,38 @@ export class Viewer {
     return this.stage instanceof SplatStage ? this.stage.drawing : 0;
   }
 
-  /** Show the parts of the scene in place of its coarse Gaussians, first those of which most is seen. */
-  private async refine(scene: Scene): Promise<void> {
-    const coarse = scene.coarseParts();
-    const parts: Scene[] = [];
-    const camera = () => this.eye.record(this.canvas.clientWidth, this.canvas.clientHeight);
+  /** Show the parts of the scene in place of its coarse Gaussians. */
+  private async loadParts(scene: Scene): Promise<void> {
+    const stage = this.stage as SplatStage;
+    const parts: Parts = new Parts(scene, this.source, (part, instead) => stage.swap(part, instead, parts.coarse));
+    if (!(await this.change(parts, () => parts.load(this.camera)))) return;
+    if (scene.metadata.most) await this.unmerge(parts, scene.metadata.most);
+  }
+
+  /** Once the camera rests, show whole what is near. */
+  private async unmerge(parts: Parts, most: number): Promise<void> {
+    this.parts = null;
+    await this.stage.drawn();
+    await this.change(parts, () => parts.unmerge(this.camera, most));
+    this.parts = parts;
+  }
+
+  /** Take over what parts show now; false if one is missing. */
+  private async change(parts: Parts, change: () => Promise<boolean>): Promise<boolean> {
     try {
-      for await (const [number, packed] of partsBySight(coarse, this.source, camera)) {
-        parts[number] = scene.part(packed);
-        await (this.stage as SplatStage).refine(parts[number], coarse[number], coarse);
+      if (await change()) {
+        this.scene = parts.joined();
+        this.outlines?.changed();
+        this.describe();
       }
-      this.scene = Scene.joined(parts);
-      this.outlines?.changed();
-      this.describe();
+      return true;
     } catch (error) {
       this.say(`A part of the scene is missing: ${(error as Error).message}`);
+      return false;
     }
   }
+
+  private readonly camera = () => this.eye.record(this.canvas.clientWidth, this.canvas.clientHeight);
 
   /** Ask texts; several are separated by commas. */
   async ask(texts: string[]): Promise<void> {
@@ -232,6 +249,7 @@ export class Viewer {
     this.exact?.moved();
     this.stage.redraw();
     void this.outlines?.moved();
+    if (this.parts && this.metadata.most) this.whole = this.unmerge(this.parts, this.metadata.most);
   }
 
   private listen(): void {

@@ -25,7 +25,7 @@ class Parts:
     """A large scene, cut along a Z-order curve into parts of about equal numbers of Gaussians.
 
     Parts and coarse Gaussians are made when they are asked for. Of a scene with more than ``most``, each part merges as
-    large a share as the others.
+    large a share as the others, unless it is asked for whole.
 
     Args:
         gaussians: of the field, on the CPU.
@@ -40,7 +40,7 @@ class Parts:
         self._sample, self._step = rows[drawable(gaussians.select(torch.from_numpy(rows)))], step
         self._around = gaussians.means[torch.from_numpy(self._sample)]
         places = np.sort(morton_codes(self._around)[0].numpy())
-        count = -(-min(len(gaussians), most) // PART_GAUSSIANS) if len(places) else 1
+        count = -(-len(gaussians) // PART_GAUSSIANS) if len(places) else 1
         self._ends = places[[len(places) * part // count for part in range(1, count)]]
 
     def __len__(self) -> int:
@@ -77,13 +77,16 @@ class Parts:
             found[part] = cover(scales[part], opacities[part])
         return found
 
-    def part(self, number: int) -> Shown:
-        """Return the Gaussians of a part, counted from 0."""
+    @property
+    def merges(self) -> bool:
+        """Return whether parts have fewer Gaussians than the scene, unless they are asked for whole."""
+        return len(self._gaussians) > self._most
+
+    def part(self, number: int, whole: bool = False) -> Shown:
+        """Return the Gaussians of a part, counted from 0; ``whole`` without merging any."""
         rows = self._rows[number]
-        count = len(self._gaussians)
-        return self._shown(
-            rows, len(rows) if count <= self._most else max(1, self._most * len(rows) // count)
-        )
+        merges = self.merges and not whole
+        return self._shown(rows, self._most * len(rows) // len(self._gaussians) if merges else len(rows))
 
     def _shown(self, rows: NDArray[np.integer], most: int, copies: NDArray[np.int64] | None = None) -> Shown:
         chosen = torch.from_numpy(rows)

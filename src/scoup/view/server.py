@@ -113,7 +113,8 @@ class _Answers:
         number = _number(request, parts)
         if request.path_params["count"] != str(parts):
             raise HTTPException(404)
-        data = await self.work.run(lambda: self._part(number))
+        whole = "whole" in request.query_params
+        data = await self.work.run(lambda: self._part(number, whole=whole))
         headers = {"x-scoup-field": self.viewed.identity}
         return Response(data, media_type="application/octet-stream", headers=headers)
 

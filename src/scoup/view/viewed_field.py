@@ -50,7 +50,7 @@ class ViewedField:
         encoder: of texts; by default the one that the field names. If that cannot be opened, the field is shown all the
             same, and ``words_problem`` says why no text can be asked.
         words: the vocabulary that a click chooses from; by default everyday words, or the names of the table.
-        most: Gaussians that the page shows at most (``shown_gaussians``).
+        most: Gaussians that the page shows at most (``shown_gaussians``), and as many again of parts that are near.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class ViewedField:
         """Return the file that the page loads first (``scene_data``).
 
         Of a large scene it has few Gaussians, to be seen until the parts are there. Its ``parts`` say how many of them
-        stand for each part.
+        stand for each part, its ``most`` how many Gaussians whole parts may have together if parts are merged.
 
         Args:
             effort: of compression, 1 to 9.
@@ -158,6 +158,8 @@ class ViewedField:
         else:
             shown, counts = self._parts.coarse()
             metadata = {**metadata, "parts": counts}
+            if self._parts.merges and not exported:
+                metadata["most"] = self.most
         return scene_data(self.field, shown, canonical, metadata, effort)
 
     @property
@@ -165,11 +167,11 @@ class ViewedField:
         """How many parts the page loads after its first file; 0 of a small scene."""
         return 0 if self._parts is None else len(self._parts)
 
-    def part(self, number: int, effort: int = 1) -> bytes:
-        """Return the file of a part of a large scene, counted from 0 (``part_data``)."""
+    def part(self, number: int, effort: int = 1, whole: bool = False) -> bytes:
+        """Return the file of a part of a large scene, counted from 0 (``part_data``); ``whole`` without merging."""
         if self._parts is None or not 0 <= number < len(self._parts):
             raise InputError(f"there is no part {number}; this scene has {self.n_parts:,} parts")
-        return part_data(self.field, self._parts.part(number), effort)
+        return part_data(self.field, self._parts.part(number, whole), effort)
 
     @cached_property
     def _parts(self) -> Parts | None:
