@@ -1,7 +1,9 @@
 #include "region_sums.h"
 
 #include <algorithm>
+#include <array>
 #include <cstdlib>
+#include <utility>
 #include <vector>
 
 #include "projection_tile.h"
@@ -69,57 +71,47 @@ Bucketed collect(const Projection& projection, const CombinationMap& map, int n_
     return all;
 }
 
-// Merges the records of a bucket in place; the order in which equal ones are added is the order they came in.
+// Sorts the records of a bucket by Gaussian, then combination, and merges equal ones, in place. Branches that cannot be
+// foreseen would cost more than the passes over all records do.
 class Merger {
   public:
     // Returns how many are left, from the first on.
     int64_t operator()(Record* records, int64_t count) {
-        starts_.assign(kBucket + 1, 0);
-        for (int64_t r = 0; r < count; ++r) ++starts_[(records[r].id & (kBucket - 1)) + 1];
-        for (size_t g = 0; g < size_t(kBucket); ++g) starts_[g + 1] += starts_[g];
-        sorted_.resize(size_t(count));
+        if (count == 0) return 0;
+        other_.resize(std::max(other_.size(), size_t(count)));
+        Record *from = records, *to = other_.data();
+        const auto sort_by = [&](const auto& digit) {
+            places_.fill(0);
+            for (int64_t r = 0; r < count; ++r) ++places_[digit(from[r])];
+            uint32_t place = 0;
+            for (uint32_t& next : places_) place += std::exchange(next, place);
+            for (int64_t r = 0; r < count; ++r) to[places_[digit(from[r])]++] = from[r];
+            std::swap(from, to);
+        };
+        uint32_t bits = 0;  // of all combinations
+        for (int64_t r = 0; r < count; ++r) bits |= uint32_t(records[r].combination);
+        for (int shift = 0; shift < 32 && bits >> shift != 0; shift += kBucketBits)
+            sort_by([shift](const Record& record) { return uint32_t(record.combination) >> shift & (kBucket - 1); });
+        sort_by([](const Record& record) { return record.id & (kBucket - 1); });
+
+        int64_t last = -1;  // of those that are left
+        uint32_t id = 0;
+        int32_t combination = -1;
+        double weight = 0;
         for (int64_t r = 0; r < count; ++r) {
-            const Record& record = records[r];
-            sorted_[starts_[record.id & (kBucket - 1)]++] = {record.combination, record.weight};
+            const Record next = from[r];
+            const bool is_new = (next.id != id) | (next.combination != combination);
+            weight = (is_new ? 0.0 : weight) + double(next.weight);
+            id = next.id, combination = next.combination;
+            last += is_new;
+            records[last] = {id, combination, float(weight)};
         }
-        const uint32_t first_id = count > 0 ? records[0].id & ~uint32_t(kBucket - 1) : 0;
-        int64_t written = 0;
-        uint32_t at = 0;
-        for (uint32_t g = 0; g < uint32_t(kBucket); ++g) {
-            const uint32_t until = starts_[g];
-            sort(at, until);
-            while (at < until) {
-                const int32_t combination = sorted_[at].combination;
-                double weight = 0;
-                for (; at < until && sorted_[at].combination == combination; ++at) weight += double(sorted_[at].weight);
-                records[written++] = {first_id + g, combination, float(weight)};
-            }
-        }
-        return written;
+        return last + 1;
     }
 
   private:
-    struct Entry {
-        int32_t combination;
-        float weight;
-    };
-
-    void sort(uint32_t first, uint32_t last) {
-        const auto before = [](const Entry& a, const Entry& b) { return a.combination < b.combination; };
-        if (last - first > 32) {
-            std::stable_sort(sorted_.begin() + first, sorted_.begin() + last, before);
-            return;
-        }
-        for (uint32_t e = first + 1; e < last; ++e) {  // the usual handful
-            const Entry entry = sorted_[e];
-            uint32_t at = e;
-            for (; at > first && before(entry, sorted_[at - 1]); --at) sorted_[at] = sorted_[at - 1];
-            sorted_[at] = entry;
-        }
-    }
-
-    std::vector<uint32_t> starts_;
-    std::vector<Entry> sorted_;
+    std::array<uint32_t, kBucket> places_;
+    std::vector<Record> other_;
 };
 
 }  // namespace
