@@ -100,10 +100,13 @@ static_assert(std::is_trivially_destructible_v<Kept>);
 }  // namespace
 
 Block allocate(size_t bytes) {
-    const size_t boundary = bytes < kLarge ? 64 : kLargePage;
-    size_t step = boundary;
+    // Arrays of views differ a little in size. Rounded to one of eight sizes between two powers of two, a view's fit where
+    // those of an earlier one were.
+    size_t step = 64;
     while (step < bytes / 8) step *= 2;
     bytes = (bytes + step - 1) / step * step;
+    const size_t boundary = bytes < kLarge ? 64 : kLargePage;
+    bytes = (bytes + boundary - 1) / boundary * boundary;
     if (bytes >= kLarge)
         if (const Block block = kept.take(bytes); block.data != nullptr) return block;
     void* data = system_allocate(boundary, bytes);

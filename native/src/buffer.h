@@ -1,7 +1,7 @@
 // Memory for arrays.
 //
 // Getting fresh pages from the system for every view costs as much as projecting it. Large blocks are therefore asked
-// for in large pages, and up to 512 MB of them are kept for the next view when they are given back.
+// for in large pages, and up to 256 MB of them are kept for the next view when they are given back.
 #pragma once
 
 #include <cstddef>

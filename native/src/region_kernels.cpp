@@ -37,7 +37,7 @@ class TileRegions {
                 const int32_t number = numbers_here[__builtin_ctz(left)];
                 const uint32_t same = bits(numbers_here == number);
                 left &= ~same;
-                empty |= number < 0 && number != kOutside;
+                empty |= number == kNone;
                 if (number < 0) continue;
                 const int here = place_of(number);
                 lanes[here][block] = uint16_t(same);
@@ -52,10 +52,10 @@ class TileRegions {
     }
 
   private:
-    static constexpr int32_t kOutside = INT32_MIN;
+    static constexpr int32_t kNone = -1, kOutside = -2;
     static constexpr uint32_t kAllLanes = (1u << kLanes) - 1;
 
-    // The combinations of a block's pixels by their numbers in the view; negative where no level has a region.
+    // The combinations of a block's pixels by their numbers in the view; kNone where no level has a region.
     static SCOUP_INLINE Ints numbers_of(const Tile& tile, const CombinationMap& map, int x, int y) {
         const int32_t* const first = map.numbers + int64_t(y) * map.width + x;
         Ints found;
@@ -64,10 +64,12 @@ class TileRegions {
             for (int row = 0; row < kBlockHeight; ++row)
                 __builtin_memcpy(rows + row * kBlockWidth, first + row * int64_t(map.width), kBlockWidth * sizeof(int32_t));
             __builtin_memcpy(&found, rows, sizeof found);
+            found = found < 0 ? Ints{} + kNone : found;
         } else {
             for (int lane = 0; lane < kLanes; ++lane) {
                 const bool inside = x + lane_x(lane) < tile.width && y + lane_y(lane) < tile.height;
-                found[lane] = inside ? first[int64_t(lane_y(lane)) * map.width + lane_x(lane)] : kOutside;
+                const int32_t number = inside ? first[int64_t(lane_y(lane)) * map.width + lane_x(lane)] : kOutside;
+                found[lane] = inside && number < 0 ? kNone : number;
             }
         }
         return found;
@@ -146,10 +148,7 @@ class RecordSink {
     SCOUP_INLINE void painted(int i, Blocks blocks) {
         if (blocks == 0) return;
         const uint32_t id = projected_[stage_->slot[i]].id;
-        if (regions_.words == 1)
-            record<1>(id, blocks);
-        else
-            record<kWords>(id, blocks);
+        regions_.words == 1 ? record_few(id, blocks) : record_many(id, blocks);
         total_ = Floats{};
         touched_ = 0;
     }
@@ -157,25 +156,38 @@ class RecordSink {
     SCOUP_INLINE void soon(const Projected&) {}
 
   private:
-    template <int Words>
-    SCOUP_INLINE void record(uint32_t id, Blocks painted) {
-        uint64_t touched[Words] = {touched_};
-        for (Blocks blocks = painted; Words > 1 && blocks != 0;) {
-            const int block = next(blocks);
-            for (int w = 1; w < Words; ++w) touched[w] |= regions_.in_block[block].words[w];
-        }
+    SCOUP_INLINE Floats weights_of(int combination, int block) const {
+        return only(mask_of(regions_.lanes[combination][block]), weights_[block]);
+    }
+
+    SCOUP_INLINE void record_few(uint32_t id, Blocks painted) {
         // Most Gaussians lie inside one combination.
-        if (Words == 1 && (touched[0] & (touched[0] - 1)) == 0 && (painted & ~regions_.pure) == 0)
-            return write(out_, id, regions_.numbers[__builtin_ctzll(touched[0])], sum(total_));
-        for (int w = 0; w < Words; ++w)
-            while (touched[w] != 0) {
-                const int c = 64 * w + next(touched[w]);
-                Floats total{};
-                for (Blocks blocks = painted; blocks != 0;) {
-                    const int block = next(blocks);
-                    total += only(mask_of(regions_.lanes[c][block]), weights_[block]);
+        if ((touched_ & (touched_ - 1)) == 0 && (painted & ~regions_.pure) == 0)
+            return write(out_, id, regions_.numbers[__builtin_ctzll(touched_)], sum(total_));
+        for (uint64_t set = touched_; set != 0;) {
+            const int c = next(set);
+            Floats total{};
+            for (Blocks blocks = painted; blocks != 0;) total += weights_of(c, next(blocks));
+            write(out_, id, regions_.numbers[c], sum(total));
+        }
+    }
+
+    // Looks only at the combinations of each block: not all of many for each of many blocks.
+    SCOUP_INLINE void record_many(uint32_t id, Blocks painted) {
+        CombinationSet touched{};
+        for (Blocks blocks = painted; blocks != 0;) {
+            const int block = next(blocks);
+            for (int w = 0; w < kWords; ++w)
+                for (uint64_t set = regions_.in_block[block].words[w]; set != 0;) {
+                    const int bit = next(set), c = 64 * w + bit;
+                    totals_[c] = (touched.words[w] >> bit & 1 ? totals_[c] : Floats{}) + weights_of(c, block);
+                    touched.words[w] |= uint64_t{1} << bit;
                 }
-                write(out_, id, regions_.numbers[c], sum(total));
+        }
+        for (int w = 0; w < kWords; ++w)
+            for (uint64_t set = touched.words[w]; set != 0;) {
+                const int c = 64 * w + next(set);
+                write(out_, id, regions_.numbers[c], sum(totals_[c]));
             }
     }
 
@@ -186,6 +198,7 @@ class RecordSink {
     Floats total_{};
     uint64_t touched_ = 0;
     Floats weights_[kBlocks];
+    Floats totals_[kPixels];
 };
 
 void collect(const Tile& tile, const CombinationMap& map, Records& out) {
