@@ -26,6 +26,7 @@ from browser_support import (
 from view_samples import unpacked
 
 from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera, Cameras
 from scoup.view import parts
@@ -76,7 +77,7 @@ def test_a_large_scene_is_seen_coarsely_first(
     held, busy = threading.Event(), [True]
     part = viewed.part
 
-    def part_when(number: int, whole: bool = False) -> bytes:
+    def part_when(number: int, whole: bool) -> bytes:
         assert held.wait(HANGS)
         if busy:
             busy.clear()
@@ -113,7 +114,7 @@ def test_the_part_that_is_seen_comes_first(browser: Browser) -> None:
 def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
     viewed = ViewedField(things_field(), table())
 
-    def damaged(number: int, whole: bool = False) -> bytes:
+    def damaged(number: int, whole: bool) -> bytes:
         raise InputError("scene.scoup: damaged")
 
     monkeypatch.setattr(viewed, "part", damaged)
@@ -137,43 +138,72 @@ def test_an_exported_page_loads_its_parts_one_by_one(
         assert sorted(asked) == [f"part_{number}.js" for number in range(viewed.n_parts)]
 
 
+def four_places() -> LanguageField:
+    """Four parts far from each other, and cameras near the first, near the last, and far from all."""
+    generator = torch.Generator().manual_seed(3)
+    means = torch.rand(800, 3, generator=generator)
+    means[:, 0] += 30 * (torch.arange(800) // 200)
+    gaussians = splat(means, 0.03, torch.rand(800, 3, generator=generator))
+    places = (("first.png", 0.5, 2), ("last.png", 90.5, 2), ("far.png", 45.5, 400))
+    cameras = [
+        Camera.look_at((x, -distance, 0.5), (x, 0, 0.5), name, 400, 300, 400) for name, x, distance in places
+    ]
+    return coded(gaussians, torch.zeros(800, 3, dtype=torch.int64), generator, Cameras(cameras))
+
+
+def fly(visit: Visit, name: str) -> None:
+    visit.page.evaluate("name => window.scoupViewer.flyTo(name)", name)
+    visit.page.evaluate("window.scoupViewer.whole")
+    visit.settle()
+
+
+def asked_whole(visit: Visit) -> list[str]:
+    return [address.rsplit("/", 1)[1] for address in visit.requests if "?whole" in address]
+
+
 @pytest.mark.usefixtures("in_parts")
 def test_what_is_near_is_shown_whole(browser: Browser) -> None:
     """Of merged parts, as many as there is room for, and others where the camera goes."""
-    generator = torch.Generator().manual_seed(3)
-    means = torch.rand(800, 3, generator=generator)
-    means[:, 0] += 30 * (torch.arange(800) // 200)  # four parts
-    gaussians = splat(means, 0.03, torch.rand(800, 3, generator=generator))
-    main = torch.zeros(800, 3, dtype=torch.int64)
-    cameras = Cameras(
-        [
-            Camera.look_at((x, -distance, 0.5), (x, 0, 0.5), name, 400, 300, 400)
-            for name, x, distance in (("first.png", 0.5, 2), ("last.png", 90.5, 2), ("far.png", 45.5, 400))
-        ]
-    )
-    field = coded(gaussians, main, generator, cameras)
-    pictures = {}
+    field, pictures = four_places(), {}
     with opened(ViewedField(field, table())) as viewer, visiting(browser, viewer.address) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
         for name in ("first.png", "last.png"):
-            visit.page.evaluate("name => window.scoupViewer.flyTo(name)", name)
-            visit.settle()
+            fly(visit, name)
             pictures[name] = visit.picture()
     viewed = ViewedField(field, table(), most=300)
     merged = [len(unpacked(viewed.part(number))[0]["opacities"]) for number in range(4)]
     assert max(merged) <= 75
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
-        visit.page.evaluate("window.scoupViewer.whole")
         for name, near in (("first.png", 0), ("last.png", 3), ("far.png", 3), ("first.png", 0)):
-            visit.page.evaluate("name => window.scoupViewer.flyTo(name)", name)
-            visit.page.evaluate("window.scoupViewer.whole")
-            visit.settle()
+            fly(visit, name)
             count = sum(merged) - merged[near] + 200
             assert visit.state()["drawing"] == visit.state()["gaussians"] == count
             if name in pictures:
                 assert difference(visit.picture(), pictures[name]) < ALIKE
-        asked = [address.rsplit("/", 1)[1] for address in visit.requests if "?whole" in address]
-        assert asked == ["0-of-4?whole", "3-of-4?whole", "0-of-4?whole"]
+        assert asked_whole(visit) == ["0-of-4?whole", "3-of-4?whole", "0-of-4?whole"]
+
+
+@pytest.mark.usefixtures("in_parts")
+def test_what_cannot_be_had_whole_stays_merged(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+    viewed = ViewedField(four_places(), table(), most=300)
+    part = viewed.part
+    merged = sum(len(unpacked(part(number))[0]["opacities"]) for number in range(4))
+
+    def damaged(number: int, whole: bool) -> bytes:
+        if whole and number == 0:
+            raise InputError("scene.scoup: damaged")
+        return part(number, whole=whole)
+
+    monkeypatch.setattr(viewed, "part", damaged)
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        fly(visit, "first.png")
+        assert visit.page.inner_text("#message") == "A part of the scene stays merged: scene.scoup: damaged"
+        assert visit.state()["gaussians"] == merged
+        for name in ("last.png", "first.png"):
+            fly(visit, name)
+            assert visit.state()["gaussians"] > merged
+        assert asked_whole(visit) == ["0-of-4?whole", "3-of-4?whole"]
+        assert "400" in visit.problems.pop()
 
 
 def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> None:

@@ -15,7 +15,7 @@ from PIL import Image
 
 pytest.importorskip("starlette", reason="needs scoup[view]")
 from starlette.testclient import TestClient
-from view_samples import PAGE, WORDS, camera_record, unpacked, viewed_field
+from view_samples import PAGE, WORDS, camera_record, table, unpacked, viewed_field
 
 from scoup.view.guard import MOST_BYTES, Guard, is_loopback
 from scoup.view.server import application
@@ -74,6 +74,43 @@ def test_a_large_scene_comes_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
         assert data.headers["x-scoup-field"] == viewed.identity
     for wrong in ("2-of-2", "0-of-3", "-1-of-2", "x-of-2", f"{'1' * 5000}-of-2", "0"):
         assert client.get(f"/part/{wrong}").status_code == 404
+
+
+def test_merged_parts_are_sent_whole_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.view.parts.COARSE_GAUSSIANS", 10)
+    monkeypatch.setattr("scoup.view.parts.PART_GAUSSIANS", 40)
+    whole = viewed_field(count=80)
+    merged = ViewedField(whole.field, table(), most=40)
+    assert "most" not in unpacked(whole.scene())[1]
+    assert "most" not in unpacked(merged.scene(exported=True))[1]
+    assert unpacked(merged.scene())[1]["most"] == 40
+    client = TestClient(application(merged, PAGE, Guard.of("127.0.0.1")), LOCAL)
+    monkeypatch.setattr("scoup.view.server._MOST_PACKED", 1)  # one part at a time is kept
+    for address, data in (
+        ("/part/1-of-2?whole", whole.part(1)),
+        ("/part/1-of-2", merged.part(1)),
+        ("/part/0-of-2?whole", whole.part(0)),
+        ("/part/1-of-2?whole", whole.part(1)),
+    ):
+        assert client.get(address).content == data
+    counts = [
+        len(unpacked(client.get(f"/part/0-of-2{end}").content)[0]["opacities"]) for end in ("", "?whole")
+    ]
+    assert counts[0] <= 20 < counts[1] == 40
+
+
+def test_parts_are_packed_once_for_all_visitors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.view.parts.COARSE_GAUSSIANS", 10)
+    monkeypatch.setattr("scoup.view.parts.PART_GAUSSIANS", 40)
+    viewed, packed = viewed_field(count=80), []
+    part = viewed.part
+    monkeypatch.setattr(
+        viewed, "part", lambda number, whole: packed.append(number) or part(number, whole=whole)
+    )
+    client = TestClient(application(viewed, PAGE, Guard.of("127.0.0.1")), LOCAL)
+    for number in (0, 1, 0, 1):
+        assert client.get(f"/part/{number}-of-2").content == part(number)
+    assert packed == [0, 1]
 
 
 def test_the_scene_and_the_answers_fit_together(client: TestClient, viewed: ViewedField) -> None:

@@ -12,7 +12,7 @@ import { Viewer } from "./viewer";
 export interface ViewerHandle {
   /** Something is shown, and can be asked. */
   ready: Promise<void>;
-  /** All parts of the scene are shown, and whole ones where the camera looks. */
+  /** All parts of the scene are shown, and whole ones where the camera is near. To be read again after a movement. */
   readonly whole: Promise<void>;
   state(): object;
   ask(texts: string[]): Promise<void>;

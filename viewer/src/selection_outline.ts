@@ -20,6 +20,7 @@ type Group = [isIn: (gaussian: number) => boolean, color: Color];
 export class SelectionOutline {
   private readonly canvas = byId<HTMLCanvasElement>("outlines");
   private selection = "";
+  private of: Scene | null = null;
   /** Counts what makes the lines wrong. */
   private changes = 0;
   private drawing = false;
@@ -41,9 +42,10 @@ export class SelectionOutline {
   changed(): void {
     const { things } = this.state;
     const texts = this.texts().map(({ text, level, threshold, things, color }) => [text, level, threshold, things, color]);
-    const selection = JSON.stringify([this.scene().count, texts, this.clicked(), [...(things?.hidden ?? [])]]);
-    if (selection === this.selection) return;
-    this.selection = selection;
+    const selection = JSON.stringify([texts, this.clicked(), [...(things?.hidden ?? [])]]);
+    const scene = this.scene();
+    if (selection === this.selection && scene === this.of) return;
+    [this.selection, this.of] = [selection, scene];
     this.again();
   }
 

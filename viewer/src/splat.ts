@@ -121,7 +121,10 @@ export class Splat {
     this.pieces.delete(scene);
     this.world.remove(mesh);
     mesh.dispose();
-    for (const texture of Object.values(textures)) texture.dispose();
+    for (const texture of Object.values(textures)) {
+      texture.dispose();
+      texture.source.data = null; // materials, which live on, would keep it
+    }
   }
 
   get count(): number {

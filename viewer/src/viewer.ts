@@ -46,7 +46,7 @@ export class Viewer {
   private readonly outlines: SelectionOutline | null;
   /** Parts of which some are merged; null while that changes. */
   private parts: Parts | null = null;
-  /** Resolves when the page holds all parts of the scene, and those that are near whole. */
+  /** Resolves when the page holds all parts of the scene, and those whole that are near since the last movement. */
   whole = Promise.resolve();
 
   private constructor(
@@ -109,31 +109,34 @@ export class Viewer {
   private async loadParts(scene: Scene): Promise<void> {
     const stage = this.stage as SplatStage;
     const parts: Parts = new Parts(scene, this.source, (part, instead) => stage.swap(part, instead, parts.coarse));
-    if (!(await this.change(parts, () => parts.load(this.camera)))) return;
+    try {
+      await parts.load(this.camera);
+      this.take(parts);
+    } catch (error) {
+      this.say(`A part of the scene is missing: ${(error as Error).message}`);
+      return;
+    }
     if (scene.metadata.most) await this.unmerge(parts, scene.metadata.most);
   }
 
-  /** Once the camera rests, show whole what is near. */
+  /** Show whole what is near. */
   private async unmerge(parts: Parts, most: number): Promise<void> {
     this.parts = null;
-    await this.stage.drawn();
-    await this.change(parts, () => parts.unmerge(this.camera, most));
+    try {
+      await parts.unmerge(() => this.stage.drawn(), this.camera, most);
+    } catch (error) {
+      this.say(`A part of the scene stays merged: ${(error as Error).message}`);
+    }
+    this.take(parts);
     this.parts = parts;
   }
 
-  /** Take over what parts show now; false if one is missing. */
-  private async change(parts: Parts, change: () => Promise<boolean>): Promise<boolean> {
-    try {
-      if (await change()) {
-        this.scene = parts.joined();
-        this.outlines?.changed();
-        this.describe();
-      }
-      return true;
-    } catch (error) {
-      this.say(`A part of the scene is missing: ${(error as Error).message}`);
-      return false;
-    }
+  /** From now on the scene is what its parts show. */
+  private take(parts: Parts): void {
+    if (this.scene === parts.joined()) return;
+    this.scene = parts.joined();
+    this.outlines?.changed();
+    this.describe();
   }
 
   private readonly camera = () => this.eye.record(this.canvas.clientWidth, this.canvas.clientHeight);
@@ -244,8 +247,13 @@ export class Viewer {
   private moved(): void {
     byId("marker").hidden = true;
     this.clicked = null;
-    this.hovering?.leave();
     this.cameras.mark(this.eye.at?.name ?? null);
+    this.reframed();
+  }
+
+  /** The picture has another camera or size. */
+  private reframed(): void {
+    this.hovering?.leave();
     this.exact?.moved();
     this.stage.redraw();
     void this.outlines?.moved();
@@ -271,12 +279,7 @@ export class Viewer {
       if (event.pointerType === "mouse" && !event.buttons) this.hovering?.at(event.offsetX, event.offsetY);
     });
     this.canvas.addEventListener("pointerleave", () => this.hovering?.leave());
-    new ResizeObserver(() => {
-      this.hovering?.leave();
-      this.exact?.moved();
-      this.stage.redraw();
-      void this.outlines?.moved();
-    }).observe(byId("stage"));
+    new ResizeObserver(() => this.reframed()).observe(byId("stage"));
     byId("save-picture").addEventListener("click", () => this.savePicture());
     byId("save-selection").addEventListener("click", () => void this.saveSelection());
     byId("copy-command").addEventListener("click", () => void this.copied(this.command()));

@@ -36,8 +36,8 @@ class View(TextOptions):
     """File of words, one per line: the choices of a click, and all that an exported page can be asked. Default:
     everyday words, or all names of a word table."""
     most: int = 1_000_000
-    """Most Gaussians that the page shows; neighbours are merged until no more are left. A live page shows as many again
-    unmerged where the camera is near. Pictures of the server show all."""
+    """Most Gaussians that the page shows; neighbours are merged until no more are left. From 250,000 on, a live page
+    shows up to as many again unmerged where the camera is near. Pictures of the server show all."""
     remote: Flag = False
     """Send only rendered pictures: for scenes too large for the browser."""
     host: str = "127.0.0.1"

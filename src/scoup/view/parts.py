@@ -14,7 +14,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.view.shown import Shown, cover, drawable, shown_gaussians
 
 PART_GAUSSIANS = 250_000
-"""About so many Gaussians are loaded at a time."""
+"""A part is about so many Gaussians of the scene, before they are merged."""
 COARSE_GAUSSIANS = 60_000
 """The first picture of a large scene shows so many: about 2 MB."""
 _SAMPLE = 1 << 18  # Gaussians, of which the coarse ones are made: more than four times as many

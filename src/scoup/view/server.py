@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Awaitable, Callable
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError, SupersededError, Work
 
 Answer = Callable[[Message, str], Awaitable[Response]]
-_KEPT_PARTS = 4  # of the scene, packed: a scene of the usual size is packed once for all visitors
+_MOST_PACKED = 64 << 20  # bytes of parts: those of a million Gaussians are packed once for all visitors
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
@@ -73,7 +73,7 @@ class _Answers:
         self.mode = mode
         self.work = Work()
         self._first: bytes | None = None  # file of the scene
-        self._part = lru_cache(_KEPT_PARTS)(viewed.part)
+        self._packed: dict[tuple[int, bool], bytes] = {}  # parts; the one sent last comes last
         self._thumbnails: dict[int, bytes] = {}
         if mode != "remote":  # packed while a browser is opened
             self.work.begin(self._pack_first)
@@ -114,9 +114,16 @@ class _Answers:
         if request.path_params["count"] != str(parts):
             raise HTTPException(404)
         whole = "whole" in request.query_params
-        data = await self.work.run(lambda: self._part(number, whole=whole))
+        data = await self.work.run(lambda: self._part(number, whole))
         headers = {"x-scoup-field": self.viewed.identity}
         return Response(data, media_type="application/octet-stream", headers=headers)
+
+    def _part(self, number: int, whole: bool) -> bytes:
+        data = self._packed.pop((number, whole), None) or self.viewed.part(number, whole=whole)
+        self._packed[number, whole] = data
+        while len(self._packed) > 1 and sum(map(len, self._packed.values())) > _MOST_PACKED:
+            del self._packed[next(iter(self._packed))]
+        return data
 
     async def metadata(self, request: Request) -> Response:
         return JSONResponse(await self.work.run(self.viewed.metadata))
