@@ -111,6 +111,11 @@ def test_a_large_scene_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.M
         assert data_of(script, f"window.scoupData.parts[{number}]") == part
     with pytest.raises(OutputExistsError):
         export_page(viewed, tmp_path / "page", split=True)
+    (tmp_path / "page" / "party.js").write_text("mine")
+    monkeypatch.setattr("scoup.view.parts.PART_GAUSSIANS", 60)
+    export_page(viewed_field(), tmp_path / "page", split=True, overwrite=True)
+    names = (*FOLDER_FILES, "part_0.js", "party.js")
+    assert sorted(path.name for path in (tmp_path / "page").iterdir()) == sorted(names)
 
 
 def test_nothing_is_overwritten_unasked_or_left_half_written(

@@ -11,6 +11,7 @@ from typing import Any
 
 from PIL import Image
 
+from scoup.base.atomic import remove
 from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import check_outputs, staged
 from scoup.io import atomic_path, check_output
@@ -61,7 +62,7 @@ def export_page(
         viewed: the field, with its vocabulary.
         out: the HTML file; with ``split`` a folder, whose ``index.html`` is opened.
         split: write the data beside the page, as scripts that it loads.
-        overwrite: replace what is there.
+        overwrite: replace what is there; further parts of an earlier page go, too.
         progress: called for the stages "words" and "pictures".
     """
     out = Path(out)
@@ -97,6 +98,9 @@ def export_page(
             for number, name in enumerate(part_files):  # one after another, as the page loads them
                 script = _assignment(f"window.scoupData.parts[{number}]", part(number))
                 (hidden / name).write_text(script, encoding="utf-8")
+        for other in out.glob("part_[0-9]*.js") if overwrite else ():
+            if other.name not in names:
+                remove(other)
         size = sum((out / name).stat().st_size for name in names)
     else:
         whole = {**data, "parts": [part(number) for number in range(viewed.n_parts)]}
