@@ -216,7 +216,7 @@ HIDDEN = {
     "mask rules": "points|regions|with one at s / m / l|best union of things|24 x 24 points|"
     r"(SAM 2 tiny, )?(smallest first|overlaps up to 0\.9)|"
     r"SAM 2 tiny, (20 x 20 points|with default|overlaps up to 0\.5|parts kept, on top|level by size)",
-    "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)|colours / query|scoup view /.*|(scene|exported page), bytes",
+    "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)",
     "city": "(load|coding|save), s",
 }
 """Headings and first cells of the columns and rows that only the record has."""

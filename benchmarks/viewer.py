@@ -36,9 +36,6 @@ from scoup_lab.bench import markdown, random_scene_cameras, random_scene_gaussia
 from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
 
 ATOMS, KEEP, VIEWS = 128, 4, 24
-RECOLOURING_BYTES = 32
-"""A Gaussian, that viser 1.1.1 sends to every client for each new colouring of a splat (measured before this project's
-viewer was made)."""
 PROGRAM = (sys.executable, "-c", "from scoup.cli.app import entry; entry()")
 START_REPEATS = 3
 
@@ -87,14 +84,13 @@ class ViewerCost(Study):
 
     @staticmethod
     def table(record: Record) -> str:
-        sent = record["sent"]
-        count = round(sent["scene, bytes"] / sent["scene, bytes a Gaussian"])
+        found = {**record["sent"], **record["start"], **record.get("page", {})}
         body = [
             [what, f"{value:,.2f}" if isinstance(value, float) else f"{value:,}"]
-            for what, value in {**sent, **record["start"], **record.get("page", {})}.items()
+            for what, value in found.items()
         ]
-        served = [served_table(record)] if "served" in record else []
-        return "\n\n".join([markdown([f"{count:,} Gaussians", ""], body), *served, merged_table(record)])
+        sent = markdown([f"{record['settings']['n_gaussians']:,} Gaussians", ""], body)
+        return "\n\n".join([sent, served_table(record), merged_table(record)])
 
 
 def served_table(record: Record) -> str:
@@ -211,11 +207,9 @@ def start_seconds(path: Path) -> dict[str, float]:
         with served(path) as (address, _), urllib.request.urlopen(address) as answer:
             answer.read()
             seconds["view"].append(time.perf_counter() - started)
-    info, view = median(seconds["info"]), median(seconds["view"])
     return {
-        "scoup info, s": info,
-        "scoup view until it answers, s": view,
-        "scoup view / scoup info": view / info,
+        "scoup info, s": median(seconds["info"]),
+        "scoup view until it answers, s": median(seconds["view"]),
     }
 
 
@@ -247,18 +241,11 @@ def sent_bytes(path: Path) -> dict[str, float]:
         scene = sum(_size(viewer.address + name) for name in ("scene.bin", *parts))
         page = _size(viewer.address + "viewer.js")
         answer = _size(viewer.address + "api/query", request)
-    query = len(json.dumps(request)) + answer
-    recolouring = RECOLOURING_BYTES * min(count, viewed.most)
     report = export_page(viewed, path.with_suffix(".html"))
     return {
         "program, bytes": page,
-        "scene, bytes": scene,
         "scene, bytes a Gaussian": scene / count,
-        "query, bytes both ways": query,
-        "moving a slider, bytes": 0,
-        "colours of all Gaussians instead, bytes": recolouring,
-        "colours / query": recolouring / query,
-        "exported page, bytes": report.n_bytes,
+        "query, bytes both ways": len(json.dumps(request)) + answer,
         "exported page, bytes a Gaussian": report.n_bytes / count,
         "exported words": report.words,
         "exported words, bytes": report.words_bytes,
