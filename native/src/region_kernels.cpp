@@ -30,14 +30,15 @@ class TileRegions {
         __builtin_memset(table_, 0xff, sizeof table_);
         for (int block = 0; block < kBlocks; ++block) {
             in_block[block] = {};
-            const Ints numbers_here = numbers_of(tile, map, tile.x + block_x(block), tile.y + block_y(block));
+            Ints numbers_here{};
+            uint32_t left = read(tile, map, tile.x + block_x(block), tile.y + block_y(block), numbers_here);
             int parts = 0;
             bool empty = false;
-            for (uint32_t left = kAllLanes; left != 0;) {
+            while (left != 0) {
                 const int32_t number = numbers_here[__builtin_ctz(left)];
-                const uint32_t same = bits(numbers_here == number);
+                const uint32_t same = bits(numbers_here == number) & left;
                 left &= ~same;
-                empty |= number == kNone;
+                empty |= number < 0;
                 if (number < 0) continue;
                 const int here = place_of(number);
                 lanes[here][block] = uint16_t(same);
@@ -52,27 +53,24 @@ class TileRegions {
     }
 
   private:
-    static constexpr int32_t kNone = -1, kOutside = -2;
-    static constexpr uint32_t kAllLanes = (1u << kLanes) - 1;
-
-    // The combinations of a block's pixels by their numbers in the view; kNone where no level has a region.
-    static SCOUP_INLINE Ints numbers_of(const Tile& tile, const CombinationMap& map, int x, int y) {
+    // Reads the combinations of a block's pixels by their numbers in the view, below 0 where no level has a region. Returns
+    // the lanes that lie inside the image.
+    static SCOUP_INLINE uint32_t read(const Tile& tile, const CombinationMap& map, int x, int y, Ints& found) {
         const int32_t* const first = map.numbers + int64_t(y) * map.width + x;
-        Ints found;
         if (x + kBlockWidth <= tile.width && y + kBlockHeight <= tile.height) {
             int32_t rows[kLanes];
             for (int row = 0; row < kBlockHeight; ++row)
                 __builtin_memcpy(rows + row * kBlockWidth, first + row * int64_t(map.width), kBlockWidth * sizeof(int32_t));
             __builtin_memcpy(&found, rows, sizeof found);
-            found = found < 0 ? Ints{} + kNone : found;
-        } else {
-            for (int lane = 0; lane < kLanes; ++lane) {
-                const bool inside = x + lane_x(lane) < tile.width && y + lane_y(lane) < tile.height;
-                const int32_t number = inside ? first[int64_t(lane_y(lane)) * map.width + lane_x(lane)] : kOutside;
-                found[lane] = inside && number < 0 ? kNone : number;
-            }
+            return (1u << kLanes) - 1;
         }
-        return found;
+        uint32_t inside = 0;
+        for (int lane = 0; lane < kLanes; ++lane) {
+            if (x + lane_x(lane) >= tile.width || y + lane_y(lane) >= tile.height) continue;
+            found[lane] = first[int64_t(lane_y(lane)) * map.width + lane_x(lane)];
+            inside |= 1u << lane;
+        }
+        return inside;
     }
 
     // The place of a combination among the tile's.
@@ -109,13 +107,12 @@ class WholeTileSink {
     SCOUP_INLINE WholeTileSink(int32_t number, const Projected* projected, Records& out)
         : number_(number), projected_(projected), out_(out) {}
 
-    SCOUP_INLINE void begin(const Stage& stage, int count) {
-        stage_ = &stage;
+    SCOUP_INLINE void begin(const Stage&, int count) {
         if (__builtin_expect(out_.count + count > out_.capacity, 0)) out_.reserve(out_, count);
     }
     SCOUP_INLINE void paint(int, Floats weight) { total_ += weight; }
-    SCOUP_INLINE void painted(int i, Blocks) {
-        write(out_, projected_[stage_->slot[i]].id, number_, sum(total_));
+    SCOUP_INLINE void painted(const Stage& stage, int i, Blocks) {
+        write(out_, projected_[stage.slot[i]].id, number_, sum(total_));
         total_ = Floats{};
     }
     SCOUP_INLINE void end(const Stage&, int) {}
@@ -125,7 +122,6 @@ class WholeTileSink {
     const int32_t number_;
     const Projected* projected_;
     Records& out_;
-    const Stage* stage_ = nullptr;
     Floats total_{};
 };
 
@@ -135,8 +131,7 @@ class RecordSink {
     SCOUP_INLINE RecordSink(const TileRegions& regions, const Projected* projected, Records& out)
         : regions_(regions), projected_(projected), out_(out) {}
 
-    SCOUP_INLINE void begin(const Stage& stage, int count) {
-        stage_ = &stage;
+    SCOUP_INLINE void begin(const Stage&, int count) {
         if (__builtin_expect(out_.count + count * regions_.count > out_.capacity, 0))
             out_.reserve(out_, count * regions_.count);
     }
@@ -145,9 +140,9 @@ class RecordSink {
         total_ += weight;
         touched_ |= regions_.in_block[block].words[0];
     }
-    SCOUP_INLINE void painted(int i, Blocks blocks) {
+    SCOUP_INLINE void painted(const Stage& stage, int i, Blocks blocks) {
         if (blocks == 0) return;
-        const uint32_t id = projected_[stage_->slot[i]].id;
+        const uint32_t id = projected_[stage.slot[i]].id;
         regions_.words == 1 ? record_few(id, blocks) : record_many(id, blocks);
         total_ = Floats{};
         touched_ = 0;
@@ -194,7 +189,6 @@ class RecordSink {
     const TileRegions& regions_;
     const Projected* projected_;
     Records& out_;
-    const Stage* stage_ = nullptr;
     Floats total_{};
     uint64_t touched_ = 0;
     Floats weights_[kBlocks];

@@ -211,8 +211,8 @@ SCOUP_INLINE Transmittance walk_blocks(const Tile& tile, Sink& sink) {
 }
 
 // Walks the Gaussians of a tile one after the other: for what is added up by Gaussian. The sink is also told
-//   paint(b, e)          the next Gaussian of the stage has the weights e in block b
-//   painted(i, blocks)   it was the i-th, and these were all its blocks
+//   paint(b, e)                the next Gaussian of the stage has the weights e in block b
+//   painted(stage, i, blocks)  it was the i-th of the stage, and these were all its blocks
 template <class Sink>
 SCOUP_INLINE void walk_gaussians(const Tile& tile, Sink& sink) {
     Transmittance transmittance(tile);
@@ -233,7 +233,7 @@ SCOUP_INLINE void walk_gaussians(const Tile& tile, Sink& sink) {
                 transmittance.running[block] = only(drawn, after);
                 sink.paint(block, only(drawn, alpha * before));
             }
-            sink.painted(i, blocks);
+            sink.painted(stage, i, blocks);
         }
         unfinished = transmittance.unfinished();
         return unfinished != 0;

@@ -99,9 +99,8 @@ def test_images_may_be_long_and_narrow(size: tuple[int, int]) -> None:
     assert (camera.width, camera.height) == size
 
 
-@pytest.mark.parametrize(
-    "places", [8, 20]
-)  # some of the parts of all candidates have nothing, or lie at one place
+# Some of the parts of all candidates have nothing, or lie at one place.
+@pytest.mark.parametrize("places", [8, 20])
 def test_many_gaussians_may_be_at_one_place(places: int) -> None:
     gaussians = random_gaussians(300, seed=1)
     means = gaussians.means[torch.arange(300) % places]

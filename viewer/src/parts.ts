@@ -23,7 +23,7 @@ export class Parts {
   private readonly merged = new Map<number, Scene>();
   /** Those that cannot be had whole. */
   private readonly missing = new Set<number>();
-  private whole: Scene | null = null;
+  private all: Scene | null = null;
 
   /** @param first the scene as it is shown before its parts come */
   constructor(private readonly first: Scene, private readonly source: Source, private readonly swap: Swap) {
@@ -33,7 +33,7 @@ export class Parts {
 
   /** All that is shown; the same scene until that changes. */
   joined(): Scene {
-    return (this.whole ??= Scene.joined(this.shown));
+    return (this.all ??= Scene.joined(this.shown));
   }
 
   /** Load all parts. Next is the one that covers most of the picture. */
@@ -90,7 +90,7 @@ export class Parts {
   private async show(number: number, part: Scene): Promise<void> {
     await this.swap(part, this.shown[number]);
     this.shown[number] = part;
-    this.whole = null;
+    this.all = null;
   }
 
   private async part(number: number, whole = false): Promise<Scene> {
