@@ -14,6 +14,7 @@ from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study
 from scoup.query.asking import Encoder
 from scoup.query.thing_shapes import ThingPoints
+from scoup.scene.up import estimate_up
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
 from scoup_lab.synthetic.scene import DemoScene
@@ -133,7 +134,7 @@ def true_things(scene: DemoScene) -> dict[str, Tensor]:
 def middle_and_diagonal(scene: DemoScene, mask: Tensor) -> tuple[Tensor, float]:
     """Return the middle [3] of some Gaussians [N], and the diagonal of the box around them, in world units."""
     means, opacities = scene.gaussians.means[mask].double(), scene.gaussians.opacities[mask].double()
-    box = ThingPoints.of_one_thing(means, opacities).boxes()[0]
+    box = ThingPoints.of_one_thing(means, opacities).boxes(estimate_up(()))[0]
     assert box is not None
     return means.median(0).values, float(box.extent.norm())
 

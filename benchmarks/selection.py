@@ -13,9 +13,9 @@ from benchmarks.study import Record
 from benchmarks.ways import StudyOfScenes, nested
 from scoup.models.words import with_everyday
 from scoup.query.answering import answer_scene
-from scoup.query.neighbours import Neighbourhood
 from scoup.query.question import Question
 from scoup.query.select import select_by_relevancy
+from scoup.scene.neighbours import Neighbourhood
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import bootstrap_interval, iou

@@ -26,9 +26,9 @@ INNER = {
     "io": "images npy reading regions.views splats.ply splats.scenesplat",
     "models": "word_table words",
     "pictures": "colors",
-    "query": "neighbours presets relevancy segment select text_vectors",
+    "query": "presets relevancy segment select text_vectors",
     "raster": "view_sums",
-    "scene": "codes directions field_info gaussians regions things",
+    "scene": "codes directions field_info gaussians neighbours regions things",
     "uplift": "build_settings checkpoint provenance rasterise region_codes region_sums things vote",
     "view": "export page viewed_field",
 }

@@ -13,12 +13,12 @@ from PIL import Image
 
 from scoup.base.errors import InputError
 from scoup.extract.own_views import choose_cameras, save_views
-from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
 from scoup.extract.view_choice import Score, Scores, not_from_behind
 from scoup.pictures import contact_sheet
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.up import checked_direction, estimate_up_of_splat
 from support import make_camera, random_gaussians
 
 

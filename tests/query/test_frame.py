@@ -13,8 +13,8 @@ from torch import Tensor
 
 from query.planted_room import FRONT, Box, planted_room
 from scoup.base.errors import InputError
-from scoup.query.frame import estimate_up
 from scoup.scene.cameras import Camera
+from scoup.scene.up import estimate_up
 from support import examples
 
 DOWN = (
@@ -95,6 +95,7 @@ def test_the_camera_that_sees_most_is_the_viewer() -> None:
     assert planted_room(cameras=[narrow, FRONT]).frame().seen_from == FRONT.name
     alone = planted_room()
     alone.cameras = None
+    assert estimate_up(()).tolist() == [0, 0, 1]
     assert (alone.frame().seen_from, alone.frame().axes[1].tolist()) == ("", [0, 0, 1])
 
 

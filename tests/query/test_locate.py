@@ -19,6 +19,8 @@ from scoup.query.thing_shapes import ThingPoints
 from scoup.scene.gaussians import Gaussians
 from support import examples
 
+UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+
 
 @dataclass
 class Placed:
@@ -26,6 +28,7 @@ class Placed:
 
     gaussians: Gaussians
     thing_table: None = None
+    cameras: None = None
 
 
 def gaussians_at(means: Tensor, opacities: Tensor | None = None) -> Gaussians:
@@ -64,6 +67,7 @@ def test_a_turned_block_is_found_where_it_is() -> None:
         found.box.extent, torch.tensor([2.0, 1.0, 0.5], dtype=torch.float64), atol=0.1, rtol=0
     )
     assert abs(float(found.box.axes[0] @ turn[:, 0])) > 0.99
+    assert found.box.axes[2].tolist() == [0, 0, 1]  # without cameras, +z is up
     assert float(torch.linalg.det(found.box.axes)) == pytest.approx(1)
     assert found.confidence == pytest.approx(0.8, abs=1e-6)
     assert len(found.gaussians) == 4000
@@ -71,6 +75,35 @@ def test_a_turned_block_is_found_where_it_is() -> None:
     assert corners.shape == (8, 3)
     torch.testing.assert_close(corners.mean(0), found.box.centre)
     assert found.record()["box"]["extent"] == pytest.approx(found.box.extent.tolist(), rel=1e-4)
+
+
+@pytest.mark.parametrize("up", [(0.0, 0, 1), (0.0, -1, 0), (0.6, 0.0, -0.8)])
+def test_boxes_stand_upright_with_the_longer_side_first(up: tuple[float, float, float]) -> None:
+    """A tall block, turned about up: its principal axes in space say nothing, for it is lopsided."""
+    axis = torch.tensor(up, dtype=torch.float64)
+    side = torch.linalg.cross(axis, torch.tensor([0.3, 0.5, 0.1], dtype=torch.float64))
+    side = side / side.norm()
+    frame = torch.stack([side, torch.linalg.cross(axis, side), axis])
+    points = block(4000, [1.0, 1.5, 4.0])
+    points[:, 1] *= 0.5 + points[:, 2].abs() / 4  # wider at both ends
+    box = ThingPoints.of_one_thing(points @ frame, torch.ones(4000, dtype=torch.float64)).boxes(axis)[0]
+    assert box is not None
+    torch.testing.assert_close(box.axes[2], axis)
+    assert abs(float(box.axes[0] @ frame[1])) > 0.98
+    assert float(torch.linalg.det(box.axes)) == pytest.approx(1)
+    length, width, height = box.extent.tolist()
+    assert height == pytest.approx(3.92, abs=0.1)
+    assert length == pytest.approx(1.3, abs=0.15)
+    assert width == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_square_box_lies_along_its_sides() -> None:
+    """The principal axes of a square are arbitrary; along its sides the box is half as large as along diagonals."""
+    for degrees in range(0, 90, 15):
+        points = block(3000, [1.0, 1.0, 0.2]) @ turned(math.radians(degrees)).T
+        box = ThingPoints.of_one_thing(points, torch.ones(3000, dtype=torch.float64)).boxes(UP)[0]
+        assert box is not None
+        assert float(box.extent[:2].prod()) < 1.3
 
 
 def test_strays_do_not_move_it() -> None:
@@ -129,7 +162,7 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     random = torch.Generator().manual_seed(seed)
     points = torch.randn(count, 3, generator=random, dtype=torch.float64) * scale
     weights = torch.ones(count, dtype=torch.float64)
-    box = ThingPoints.of_one_thing(points, weights).boxes()[0]
+    box = ThingPoints.of_one_thing(points, weights).boxes(UP)[0]
     assert box is not None
     torch.testing.assert_close(box.axes @ box.axes.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
     along = ((points - box.centre) @ box.axes.T).abs()

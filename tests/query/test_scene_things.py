@@ -165,7 +165,7 @@ def test_places_equal_a_naive_loop(cloud, owners, share) -> None:
     gaussians = Gaussians(numbers[:, :3], ones, ones[:, :3], numbers[:, 3], torch.zeros(count, 1, 3))
     members = [[row for row in range(count) if owners[row] == thing] for thing in range(5)]
     points = ThingPoints.of(gaussians, [torch.tensor(rows, dtype=torch.int64) for rows in members])
-    found, boxes = points.quantiles([share]), points.boxes()
+    found, boxes = points.quantiles([share]), points.boxes(torch.tensor([0.0, 0.6, 0.8]).double())
     flipped = points.quantiles([share], np.broadcast_to(-np.eye(3), (5, 3, 3)))
     for thing, rows in enumerate(members):
         expected = naive_points(gaussians, rows)

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.query.neighbours import Neighbourhood
 from scoup.query.select import ABSOLUTE_THRESHOLD, select_by_relevancy, select_each
 from scoup.query.stable_threshold import stable_thresholds
+from scoup.scene.neighbours import Neighbourhood
 from support import examples
 
 

@@ -10,7 +10,7 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.paths import MOST_STOPS, camera_path, turntable, upwards
+from scoup.scene.paths import MOST_STOPS, camera_path, turntable
 
 UP = np.array([0.2, -0.9, 0.4]) / np.linalg.norm([0.2, -0.9, 0.4])
 
@@ -26,21 +26,6 @@ def ring(count: int, share: float = 1.0, tilt: float = 0.6) -> Cameras:
         Camera.look_at(place, np.zeros(3), f"{number:03d}.png", 40, 30, 35.0, UP)
         for number, place in enumerate(places)
     )
-
-
-@pytest.mark.parametrize("share", [0.3, 1.0])
-def test_up_is_what_level_cameras_tell(share: float) -> None:
-    found = upwards(ring(12, share))
-    assert found is not None
-    assert float(found @ torch.from_numpy(UP)) > 0.9999
-
-
-def test_up_of_views_from_one_side_is_the_mean_of_theirs() -> None:
-    found = upwards(ring(3, 0.01))
-    mean = -torch.stack([camera.viewmat[1, :3] for camera in ring(3, 0.01)]).mean(0)
-    assert found is not None
-    assert torch.allclose(found, mean / mean.norm())
-    assert upwards(Cameras([])) is None
 
 
 def test_a_path_begins_and_ends_at_the_cameras_and_leads_through_them() -> None:

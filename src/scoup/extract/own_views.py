@@ -14,7 +14,6 @@ from scoup.base.atomic import remove
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress, reported
 from scoup.base.staging import staged
-from scoup.extract.scene_up import checked_direction, estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
 from scoup.extract.view_work import ViewWork
@@ -25,6 +24,7 @@ from scoup.pictures.sheet import sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.up import checked_direction, estimate_up_of_splat
 
 ROUNDS = 2  # of moving the best cameras a little
 PARENTS = 24

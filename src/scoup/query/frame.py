@@ -10,13 +10,10 @@ import torch
 from torch import Tensor
 
 from scoup.base.brief import brief
-from scoup.base.errors import InputError
 from scoup.base.records import rounded_vector
 from scoup.query.coded_scene import CodedScene
 from scoup.scene.cameras import Camera
-
-UPRIGHT = 0.01
-"""How much the cameras' own up counts beside their right sides being level."""
+from scoup.scene.up import checked_direction, estimate_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,22 +52,6 @@ class Frame:
         }
 
 
-def estimate_up(cameras: Sequence[Camera]) -> Tensor:
-    """Return the up direction [3] float64 for which the cameras are level: people hold them so.
-
-    It is orthogonal to the right sides of all images as far as possible; where they all point the same way, the
-    images' own up decides.
-    """
-    rotations = torch.stack([torch.as_tensor(camera.viewmat)[:3, :3].double().cpu() for camera in cameras])
-    right, own_up = rotations[:, 0], -rotations[:, 1].mean(0)
-    image_up = own_up / own_up.norm().clamp(min=1e-9)
-    tilt = right.T @ right / len(right) - UPRIGHT * image_up[:, None] * image_up
-    up = torch.linalg.eigh(tilt).eigenvectors[:, 0]
-    # Cameras that look straight down have no up of their own in the scene, but look down.
-    upright = own_up - UPRIGHT * rotations[:, 2].mean(0)
-    return up if float(up @ upright) >= 0 else -up
-
-
 def scene_frame(
     field: CodedScene, camera: Camera | str | int | None = None, up: Sequence[float] | None = None
 ) -> Frame:
@@ -82,15 +63,13 @@ def scene_frame(
         up: world direction; by default estimated from the field's cameras.
     """
     cameras = list(field.cameras or ())
+    direction = estimate_up(cameras) if up is None else checked_direction(up)
     if up is not None:
-        direction, source = torch.as_tensor(up).double().flatten(), "as given"
-        if direction.shape != (3,) or not bool(direction.isfinite().all()) or not float(direction.norm()) > 0:
-            raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")
+        source = "as given"
     elif cameras:
-        direction, source = estimate_up(cameras), f"estimated from {len(cameras)} cameras"
+        source = f"estimated from {len(cameras)} cameras"
     else:
-        direction, source = torch.tensor([0.0, 0.0, 1.0]).double(), "assumed, for the field has no cameras"
-    direction = direction / direction.norm()
+        source = "assumed, for the field has no cameras"
     viewer = field.camera(camera) if camera is not None else _widest(field, cameras)
     if viewer is None:
         away = torch.eye(3, dtype=torch.float64)[int(direction.abs().argmin())]

@@ -1,4 +1,4 @@
-"""The place of a thing in the world: position and oriented box of the Gaussians that answer a query."""
+"""The place of a thing in the world: position and upright box of the Gaussians that answer a query."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.query.answer import SceneAnswer
 from scoup.query.coded_scene import CodedScene
-from scoup.query.neighbours import linked_parts, nearest_points
 from scoup.query.select import true_rows
 from scoup.query.thing_shapes import OrientedBox, ThingPoints
 from scoup.query.things import things_in_mask
 from scoup.raster import morton_codes
+from scoup.scene.neighbours import linked_parts, nearest_points
+from scoup.scene.up import estimate_up
 
 NEIGHBOURS = 8
 """Each Gaussian of an answer is linked to so many of its nearest others in the answer."""
@@ -126,7 +127,7 @@ def location(field: CodedScene, answer: SceneAnswer) -> Location:
         each.index_select(0, own) for each in (members, means, weights, relevancy)
     )
     points = ThingPoints.of_one_thing(means, weights)
-    position, box = torch.from_numpy(points.medians()[0]), points.boxes()[0]
+    position, box = torch.from_numpy(points.medians()[0]), points.boxes(estimate_up(field.cameras or ()))[0]
     confidence = float((relevancy * weights).sum() / weights.sum())
     things = answering_things(field, answer.mask, answer.level, answer.threshold)
     numbers = () if things is None else tuple(things.tolist())

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.query.locate import LONGEST_LINK, NEIGHBOURS, connected_parts
-from scoup.query.neighbours import nearest_points
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import nearest_points
 
 MOST_STEPS = 1000
 

@@ -20,6 +20,7 @@ from scoup.query.question import Question
 from scoup.query.select import true_rows
 from scoup.query.thing_shapes import OrientedBox, ThingPoints
 from scoup.query.things import thing_fits
+from scoup.scene.up import estimate_up
 
 LEAST_SHARE = 0.1
 """Where the votes answer, connected parts with less than this share of the weight of the largest are strays."""
@@ -177,7 +178,7 @@ def _things_of_table(field: CodedScene, numbers: Sequence[int]) -> list[Thing]:
 def _parts(field: CodedScene, members: Sequence[Tensor], level: str) -> list[Thing | None]:
     """Parts of a selection from the Gaussians of each; None for those without a usable Gaussian."""
     points = ThingPoints.of(field.gaussians, members)
-    shapes = zip(points.medians(), points.boxes(), members, strict=True)
+    shapes = zip(points.medians(), points.boxes(estimate_up(field.cameras or ())), members, strict=True)
     return [
         box and Thing(None, level, None, "", None, None, torch.from_numpy(position.copy()), box, own, None)
         for position, box, own in shapes

@@ -13,10 +13,10 @@ from torch import Tensor
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.query.coded_scene import CodedScene
-from scoup.query.neighbours import Neighbourhood
 from scoup.query.selection import above_thresholds, stretched_counts
 from scoup.query.smoothing import rescale
 from scoup.query.stable_threshold import STABILITY, thresholds_of_counts
+from scoup.scene.neighbours import Neighbourhood
 
 ABSOLUTE_THRESHOLD = 0.6
 """Default threshold on relevancy that is not rescaled. The most stable one nearly always selects something, but here

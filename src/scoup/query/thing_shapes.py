@@ -17,9 +17,12 @@ from scoup.base.records import rounded_vector
 from scoup.scene.gaussians import Gaussians
 
 INSIDE = 0.98
-"""Share of the weight inside an oriented box along each of its axes."""
+"""Share of the weight inside a box along each of its axes."""
 FARTHEST = 4.0
 """Gaussians farther from the middle of a thing than so many times its median distance are strays."""
+TURNS, SAMPLED, CLEARLY = 9, 200, 0.9
+"""Of so many pairs of horizontal axes the one is taken along which a sample of a thing's Gaussians fills the smallest
+rectangle, if this is below a share of that along the principal axes."""
 SPAN = 0.96
 """Share of a thing's weight within its span along a direction."""
 
@@ -31,14 +34,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class OrientedBox:
-    """An oriented box in the world. Tensors are float64 on the CPU."""
+    """An upright box in the world. Tensors are float64 on the CPU."""
 
     centre: Tensor
     """[3] world units."""
     axes: Tensor
-    """[3, 3] one unit direction per row, right-handed, longest extent first."""
+    """[3, 3] one unit direction per row, right-handed: along its longer horizontal side, its shorter one, and up."""
     extent: Tensor
-    """[3] full lengths along the axes in world units."""
+    """[3] length, width and height: full lengths along the axes in world units."""
 
     __repr__ = brief
 
@@ -122,22 +125,31 @@ class ThingPoints:
         """[T, 3, 2] lower and upper end along each axis; NaN without Gaussians."""
         return self.quantiles([(1 - SPAN) / 2, (1 + SPAN) / 2])
 
-    def boxes(self) -> list[OrientedBox | None]:
-        """The box along the principal axes of each thing; None without Gaussians."""
+    def boxes(self, up: Tensor) -> list[OrientedBox | None]:
+        """Return the upright box around each thing; None without Gaussians.
+
+        The horizontal axes are the principal ones, or others between them if the box is clearly smaller along these.
+
+        Args:
+            up: [3] unit vector.
+        """
         if not len(self.means):
             return [None] * len(self)
-        owners, total = self.owners, np.maximum(self._sums(self.weights), 1e-12)
-        middle = np.stack([self._sums(self.weights * axis) for axis in self.means.T], 1) / total[:, None]
-        away = self.means - middle[owners]
-        pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-        spread = np.zeros((len(self), 3, 3))
-        for i, j in pairs:
-            spread[:, i, j] = spread[:, j, i] = self._sums(self.weights * away[:, i] * away[:, j]) / total
-        axes = np.linalg.eigh(spread)[1].transpose(0, 2, 1)[:, ::-1]
-        # A direction and its opposite serve alike: take the one whose largest component is positive.
-        largest = np.take_along_axis(axes, np.abs(axes).argmax(2)[..., None], 2)
-        axes = axes * np.where(largest < 0, -1.0, 1.0)
-        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+        upright = up.double().cpu().numpy()
+        side = np.cross(upright, np.eye(3)[np.abs(upright).argmin()])
+        side /= np.linalg.norm(side)
+        level = np.stack([side, np.cross(upright, side)])
+        turns = self._principal_turns(level)[:, None] + np.arange(TURNS) * (np.pi / 2 / TURNS)
+        some = self._sample(SAMPLED)
+        areas = np.stack([some._extents(_upright(turn, level))[:, :2].prod(1) for turn in turns.T], 1)
+        best = np.where(areas.min(1) < CLEARLY * areas[:, 0], areas.argmin(1), 0)
+        axes = _upright(turns[np.arange(len(self)), best], level)
+        extents = self._extents(axes)
+        # The longer side first, in the direction whose largest component is positive.
+        longer = np.where((extents[:, 0] >= extents[:, 1])[:, None], axes[:, 0], axes[:, 1])
+        largest = np.take_along_axis(longer, np.abs(longer).argmax(1)[:, None], 1)
+        longer = longer * np.where(largest < 0, -1.0, 1.0)
+        axes = np.stack([longer, np.cross(upright, longer), axes[:, 2]], 1)
         ends = self.quantiles([(1 - INSIDE) / 2, (1 + INSIDE) / 2], axes)
         centres = np.einsum("ta,tad->td", ends.mean(2), axes)
         extents = ends[..., 1] - ends[..., 0]
@@ -146,8 +158,36 @@ class ThingPoints:
             for parts in zip(centres, axes, extents, strict=True)
         ]
 
+    def _principal_turns(self, level: Array) -> Array:
+        """[T] angle of the principal axis in the plane of two directions [2, 3], in radians."""
+        flat = self.means @ level.T
+        total = np.maximum(self._sums(self.weights), 1e-12)
+        middle = np.stack([self._sums(self.weights * axis) for axis in flat.T], 1) / total[:, None]
+        x, y = (flat - middle[self.owners]).T
+        xx, yy, xy = (self._sums(self.weights * product) for product in (x * x, y * y, x * y))
+        return 0.5 * np.arctan2(2 * xy, xx - yy)
+
+    def _extents(self, axes: Array) -> Array:
+        """[T, A] length of each thing along axes [T, A, 3]."""
+        ends = self.quantiles([(1 - INSIDE) / 2, (1 + INSIDE) / 2], axes)
+        return ends[..., 1] - ends[..., 0]
+
+    def _sample(self, most: int) -> ThingPoints:
+        """Return every n-th Gaussian of each thing, about ``most`` of each."""
+        counts = np.diff(self.starts)
+        place = np.arange(len(self.means)) - np.repeat(self.starts[:-1], counts)
+        some = place % np.repeat(np.maximum(1, counts // most), counts) == 0
+        return ThingPoints(self.means[some], self.weights[some], np.append(0, np.cumsum(some))[self.starts])
+
     def _sums(self, values: Array) -> Array:
         return np.bincount(self.owners, values, len(self)).astype(np.float64)
+
+
+def _upright(turns: Array, level: Array) -> Array:
+    """Return axes [T, 3, 3]: two in the plane of directions [2, 3], turned by angles [T], and the one across it."""
+    c, s = np.cos(turns)[:, None], np.sin(turns)[:, None]
+    one, other = c * level[0] + s * level[1], c * level[1] - s * level[0]
+    return np.stack([one, other, np.cross(one, other)], 1)
 
 
 def _quantiles(

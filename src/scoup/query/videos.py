@@ -17,7 +17,8 @@ from scoup.query.coded_scene import CodedScene
 from scoup.query.edit_picture import best_camera
 from scoup.query.locate import Location
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.paths import camera_path, turntable, upwards
+from scoup.scene.paths import camera_path, turntable
+from scoup.scene.up import estimate_up
 
 Motion = Literal["path", "turntable"]
 SHARE = 0.35  # of the picture's height for a thing on a turntable
@@ -37,11 +38,7 @@ def moving_cameras(
         raise InputError(
             f"{place.answer.text}: is not in this scene, so there is nothing to turn around; use a path"
         )
-    up = upwards(cameras)
-    if up is None:
-        raise InputError(
-            "these cameras do not tell which direction is up, which a turntable needs; use a path"
-        )
+    up = estimate_up(list(cameras))
     first = best_camera(field, place.answer.mask, list(cameras))
     size = float(place.box.extent.norm())
     arm = first.position - place.position

@@ -15,7 +15,6 @@ from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera, Cameras
 
 MOST_STOPS = 40  # cameras that a path leads through
-LEAST_TURN = 0.02  # mean squared sine of angles between horizontal axes from which these tell what is up
 
 
 def camera_path(cameras: Cameras, count: int) -> Cameras:
@@ -77,24 +76,6 @@ def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike
         Camera.look_at(point + arm, point, _name(number), *size, camera.fy, axis)
         for number, arm in enumerate(arms)
     )
-
-
-def upwards(cameras: Cameras) -> Tensor | None:
-    """Return [3] float64 unit vector, the direction that is up in the world as cameras were held; None if they do not
-    tell.
-
-    People hold cameras level, and tilt them up and down: up is the direction that is most at right angles to the
-    cameras' horizontal axes. Where these hardly differ, as in views from one side, it is the mean of the cameras'
-    upward axes.
-    """
-    if not len(cameras):
-        return None
-    poses = torch.stack([camera.viewmat[:3, :3] for camera in cameras])
-    mean = -poses[:, 1].mean(0)
-    sizes, axes = torch.linalg.eigh(poses[:, 0].T @ poses[:, 0] / len(poses))
-    up = axes[:, 0] if float(sizes[1]) > LEAST_TURN and float(sizes[0]) < 0.5 * float(sizes[1]) else mean
-    up = up if float(up @ mean) >= 0 else -up
-    return up / up.norm() if float(mean.norm()) > 1e-6 else None
 
 
 def _name(number: int) -> str:

@@ -17,8 +17,8 @@ from scoup.query.drawing import placed_atoms
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes, signed
 from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.paths import upwards
 from scoup.scene.things import NO_THING
+from scoup.scene.up import estimate_up
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
 from scoup.view.shown import Shown
 from scoup.view.unit_codes import UnitCodes
@@ -110,8 +110,8 @@ def _rows(field: CodedScene, shown: Shown, codes: UnitCodes) -> tuple[dict[str, 
 def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[float], list[float], float]:
     """Return the direction that is up, the point that the cameras look at, and how far they are from it.
 
-    Up is as the cameras were held (``upwards``). The point is the one nearest to all view axes. Without cameras, or if
-    their axes are parallel, it is the median of the means, and the distance twice the median distance from it.
+    The point is the one nearest to all view axes. Without cameras, or if their axes are parallel, it is the median of
+    the means, and the distance twice the median distance from it.
     """
     some = gaussians.select(slice(None, None, max(1, len(gaussians) // _FOR_SURROUNDINGS)))
     rows = some.finite()
@@ -124,11 +124,9 @@ def surroundings(gaussians: Gaussians, cameras: Cameras | None) -> tuple[list[fl
         float(scales.amax(1).median()) if len(finite) else 0.0,
         1e-6,
     )
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    up = estimate_up(cameras or ())
     if cameras is None or not len(cameras):
         return up.tolist(), middle.tolist(), max(2 * around, least)
-    held = upwards(cameras)
-    up = up if held is None else held
     places = torch.stack([camera.position for camera in cameras])
     axes = torch.stack([camera.viewmat[2, :3] for camera in cameras])
     across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]

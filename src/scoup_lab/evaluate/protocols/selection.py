@@ -15,11 +15,11 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.query.neighbours import Neighbourhood
 from scoup.query.select import select_by_relevancy
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import Neighbourhood
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.metrics import iou

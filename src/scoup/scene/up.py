@@ -1,4 +1,4 @@
-"""The direction that is up in a splat without cameras."""
+"""The direction that is up in a scene, from its cameras, or from a splat without cameras."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.rotations import rotation_matrices
+
+UPRIGHT = 0.01  # how much the cameras' own up counts beside their right sides being level
 
 FLAT = 0.3  # shortest by middle standard deviation, below which a Gaussian lies in a surface
 CONE = math.cos(math.radians(12))  # normals within it face the same way
@@ -32,6 +35,24 @@ def checked_direction(up: Sequence[float]) -> Tensor:
         raise InputError(f"up: expected three numbers that are not all 0, got {list(up)}")
     direction = direction / direction.abs().max()  # whose squares are in range
     return direction / direction.norm()
+
+
+def estimate_up(cameras: Sequence[Camera]) -> Tensor:
+    """Return the up direction [3] float64 for which the cameras are level: people hold them so. Without cameras, +z.
+
+    It is orthogonal to the right sides of all images as far as possible; where they all point the same way, the
+    images' own up decides.
+    """
+    if not len(cameras):
+        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    rotations = torch.stack([torch.as_tensor(camera.viewmat)[:3, :3].double().cpu() for camera in cameras])
+    right, own_up = rotations[:, 0], -rotations[:, 1].mean(0)
+    image_up = own_up / own_up.norm().clamp(min=1e-9)
+    tilt = right.T @ right / len(right) - UPRIGHT * image_up[:, None] * image_up
+    up = torch.linalg.eigh(tilt).eigenvectors[:, 0]
+    # Cameras that look straight down have no up of their own in the scene, but look down.
+    upright = own_up - UPRIGHT * rotations[:, 2].mean(0)
+    return up if float(up @ upright) >= 0 else -up
 
 
 def estimate_up_of_splat(gaussians: Gaussians, rows: Tensor) -> Tensor:

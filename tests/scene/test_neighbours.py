@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from raster.parity import needs_native
 from scoup.base.native import require_core
-from scoup.query import neighbours
-from scoup.query.neighbours import linked_parts, nearest_points
+from scoup.scene import neighbours
+from scoup.scene.neighbours import linked_parts, nearest_points
 from support import examples
 
 
