@@ -40,7 +40,7 @@ def instances(
     sums = region_sums(gaussians, cameras, regions)
     stacked = [regions.embeddings(level) for level in sums.levels]
     sums = sums.select(list(sums.views), tuple(rows for _, rows in stacked))
-    table = find_things(sums, [embeddings for embeddings, _ in stacked])
+    table = find_things(sums, [embeddings for embeddings, _ in stacked]).table
     views = [_thing_masks(gaussians, camera, table.owners, len(table.levels)) for _, camera in frames]
     found: Record = {frame.name: {} for frame, _ in frames}
     for name in sorted({label for frame, _ in frames for label in frame.masks}):

@@ -377,7 +377,9 @@ def test_kept_in_memory_or_in_files_they_are_the_same(wall: Wall, tmp_path: Path
     coded = RegionCodes.load(sums)
     assert coded is not None
     assert [part.dtype for part in coded.embeddings] == [torch.float16] * 2
-    assert_same(thing_table(sums, coded), of_field(built(wall)))
+    again = thing_table(sums, coded)
+    assert again is not None
+    assert_same(again.table, of_field(built(wall)))
 
 
 @pytest.mark.parametrize("share_out", [("1/1",), ("2/3", "3/3", "1/3")])
@@ -433,7 +435,7 @@ def test_things_of_random_regions_are_of_their_levels() -> None:
     gaussians, cameras, regions = small_scene(count=60, views=4, regions=3, seed=5)
     sums = region_sums(gaussians, cameras, regions)
     embeddings = [regions.embeddings(level)[0] for level in regions.levels]
-    found = find_things(sums, embeddings)
+    found = find_things(sums, embeddings).table
     assert len(found) > 0
     assert sums.rows is not None
     for level, rows in enumerate(sums.rows):

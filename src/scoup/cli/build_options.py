@@ -92,6 +92,8 @@ def report_field(
             f"level {level}: {counted(report['regions'], 'region')}, mean cosine {report['mean_cosine']:.3f}, "
             f"5th percentile {report['low_cosine']:.3f}, dead atoms {report['dead_atoms']:.0%}"
         )
+    if strays := field.info.provenance.get("strays"):
+        console.say(f"{counted(sum(strays.values()), 'stray')} cut from things")
     size, sizes, coded = out.stat().st_size, part_sizes(out), int(field.coded().sum())
     console.say(
         f"{out}: {size / 1e6:.1f} MB ({sizes}), "

@@ -20,14 +20,13 @@ from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
-from scoup.scene.things import ThingTable
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.things import find_things
+from scoup.uplift.things import FoundThings, find_things
 from scoup.uplift.vote import vote
 
 
@@ -130,7 +129,7 @@ class Sources:
         return cls(tuple(views), embedding_model, table, geometry, digest)
 
 
-def thing_table(sums: RegionSums, codes: RegionCodes, progress: Progress = no_progress) -> ThingTable | None:
+def thing_table(sums: RegionSums, codes: RegionCodes, progress: Progress = no_progress) -> FoundThings | None:
     """Find the things of the views of ``codes``; None if no embeddings are kept with the codes."""
     if not codes.embeddings:
         return None
@@ -140,7 +139,7 @@ def thing_table(sums: RegionSums, codes: RegionCodes, progress: Progress = no_pr
 def vote_field(
     sums: RegionSums,
     codes: RegionCodes,
-    things: ThingTable | None,
+    things: FoundThings | None,
     sources: Sources,
     settings: BuildSettings,
     device: torch.device,
@@ -155,9 +154,11 @@ def vote_field(
     )  # fmt: skip
     fit.check_coded(found.weights)
     record = build_record(settings, sources.digest, sums, codes, found.sharpness)
+    table = None if things is None else things.table
+    record |= {} if things is None else things.record(sums.levels)
     model, preset = sources.embedding_model, settings.raster_preset
     info = FieldInfo(sums.levels, model, sums.fingerprint, sums.n_gaussians, preset, record, sources.words)
     origin = {"geometry_path": sources.geometry_path, "cameras": Cameras(sources.views)}
-    return LanguageField(found.indices, found.weights, codes.codebook, info, thing_table=things, **origin).to(
+    return LanguageField(found.indices, found.weights, codes.codebook, info, thing_table=table, **origin).to(
         device
     )

@@ -185,7 +185,7 @@ def read_labels(
 
 
 def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:
-    """Raise an InputError for region sums of another scene."""
+    """Raise an InputError for region sums of another scene; add means that the sums lack."""
     wrong = [
         what
         for what, same in (
@@ -200,6 +200,8 @@ def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_
             f"{sums.path or 'the region sums'}: made with other {' and '.join(wrong)}; make them from the same splat, "
             "region features and `raster_preset`, or omit them"
         )
+    if sums.means is None:
+        sums.means = gaussians.means.cpu()[sums.order]
 
 
 def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:

@@ -50,6 +50,7 @@ class RegionSums(ArrayFolder):
         path: keep them in this new folder, which is made with the first view; None keeps them in memory.
         weights: "float32", or "float16" for less space.
         least_weight: omit entries below; 0 keeps all.
+        means: [N, 3] float32 of the Gaussians here, by which things lose strays; None if unknown.
 
     Attributes:
         path: folder they are, or will be, kept in; None in memory.
@@ -75,6 +76,7 @@ class RegionSums(ArrayFolder):
         path: Path | None = None,
         weights: str = "float32",
         least_weight: float = 0.0,
+        means: Tensor | None = None,
     ) -> None:
         if weights not in ("float32", "float16"):
             raise InputError(f"weights of region sums must be float32 or float16, got {weights!r}")
@@ -89,6 +91,7 @@ class RegionSums(ArrayFolder):
         self.raster_preset = raster_preset
         self.weights = weights
         self.least_weight = least_weight
+        self.means = means
         self.views: dict[str, ViewRecord] = {}
         self.rows: Rows | None = None
         self.codes: dict[str, Any] | None = None
@@ -100,12 +103,14 @@ class RegionSums(ArrayFolder):
         cls, gaussians: Gaussians, levels: Sequence[str], raster_preset: str = "inria", **more: Any
     ) -> RegionSums:
         """Return sums of a scene without views; ``more`` are further arguments of the class."""
-        return cls(gaussians.fingerprint(), morton_order(gaussians.means), levels, raster_preset, **more)
+        order = morton_order(gaussians.means).cpu()
+        means = gaussians.means.cpu()[order]
+        return cls(gaussians.fingerprint(), order, levels, raster_preset, means=means, **more)
 
     @classmethod
     def empty_like(cls, other: RegionSums, path: Path | None = None) -> RegionSums:
         """Return sums without views that are compatible with others (``is_compatible``)."""
-        kept_as = {"weights": other.weights, "least_weight": other.least_weight}
+        kept_as = {"weights": other.weights, "least_weight": other.least_weight, "means": other.means}
         return cls(other.fingerprint, other.order, other.levels, other.raster_preset, path, **kept_as)
 
     @classmethod
@@ -130,6 +135,9 @@ class RegionSums(ArrayFolder):
             order = torch.from_numpy(head.arrays["order"].astype(np.int64))
             if order.dim() != 1 or not torch.equal(order.sort().values, torch.arange(len(order))):
                 raise ValueError("an order that lacks Gaussians")
+            means = head.arrays.get("means")
+            if means is not None and (means.dtype, means.shape) != (np.float32, (len(order), 3)):
+                raise ValueError("means of other Gaussians")
             sums = cls(
                 str(head.header["fingerprint"]),
                 order,
@@ -137,6 +145,7 @@ class RegionSums(ArrayFolder):
                 str(head.header["raster_preset"]),
                 weights=str(head.header["weights"]),
                 least_weight=float(head.header["least_weight"]),
+                means=None if means is None else torch.from_numpy(np.array(means)),
             )
         sums.path, sums.writable, sums._bytes[SCENE] = path, writable, head.bytes
         for file in sorted(path.glob(f"*{ENDING}")):
@@ -272,7 +281,10 @@ class RegionSums(ArrayFolder):
             "weights": self.weights,
             "least_weight": self.least_weight,
         }
-        return header, {"order": self.order.int().numpy()}
+        arrays = {"order": self.order.int().numpy()}
+        if self.means is not None:
+            arrays["means"] = self.means.contiguous().numpy()
+        return header, arrays
 
     def _apply(self, stem: str, stored: StoredArrays) -> None:
         if stem in (CODES, INPUTS):

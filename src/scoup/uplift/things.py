@@ -23,6 +23,7 @@ from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 from scoup.uplift.merging import Matrix, merge_regions
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import Entries
+from scoup.uplift.trimming import find_strays
 from scoup.uplift.vote import vote
 
 LEAST_SHARE = 0.05  # entries below this share of a Gaussian's largest do not decide
@@ -37,8 +38,10 @@ def find_things(
     sums: RegionSums,
     embeddings: Sequence[Tensor],
     progress: Progress = no_progress,
-) -> ThingTable:
+) -> FoundThings:
     """Merge the regions of all views into things.
+
+    A thing owns the Gaussians that contribute more to it than to others, but for strays (``find_strays``).
 
     Args:
         sums: of the views, with the rows of their regions among the embeddings (``RegionSums.select``).
@@ -55,7 +58,24 @@ def find_things(
         mine = {name: rows[name] for name in names}
         found.append(_things_of_level(matrix, mine, of_level, MOST_THINGS // len(embeddings)))
     progress("things", len(embeddings), len(embeddings))
-    return _number_things(found, _owners(sums, found))
+    owners, strays = _owners(sums, found), []
+    if sums.means is not None:
+        strays = [_drop_strays(sums, of_level, entries.total) for of_level in owners.T]
+    return FoundThings(_number_things(found, owners), strays)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundThings:
+    """The things of a scene."""
+
+    table: ThingTable
+    strays: list[
+        int
+    ]  # per level, how many Gaussians lie apart from the thing they would belong to; [] if not known
+
+    def record(self, levels: Sequence[str]) -> dict[str, dict[str, int]]:
+        """Return what provenance says of them."""
+        return {"strays": dict(zip(levels, self.strays, strict=False))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +217,18 @@ def _owners(sums: RegionSums, found: Sequence[_LevelThings]) -> NDArray[np.int64
     voted = vote(sums, codes, torch.ones(len(found), most, 1), keep=1)
     owners = voted.indices[..., 0].numpy().astype(np.int64)
     return np.where(voted.weights[..., 0].numpy() > 0, owners, -1)
+
+
+def _drop_strays(sums: RegionSums, owners: NDArray[np.int64], weights: NDArray[np.float64]) -> int:
+    """Take from things [N] of one level, in the order of the scene, the Gaussians that are strays; return how many.
+
+    ``weights`` [N] are in the order of the sums.
+    """
+    assert sums.means is not None
+    order = sums.order.numpy()
+    strays = find_strays(owners[order], sums.means.numpy(), weights)
+    owners[order[strays]] = -1
+    return int(strays.sum())
 
 
 def _number_things(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> ThingTable:

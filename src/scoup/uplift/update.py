@@ -104,6 +104,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
     provenance = dict(field.info.provenance)
     provenance["views"] = list(coded.rows[0])
     provenance |= append_update(provenance, _record(add, changed, remove, field.levels))
+    provenance |= {} if things is None else things.record(field.levels)
     if found.sharpness is not None:
         provenance["sharpness"] = found.sharpness.tolist()
     updated = LanguageField(
@@ -113,7 +114,7 @@ def update(  # noqa: PLR0913  the public face: each keyword is one choice of the
         replace(field.info, provenance=provenance),
         geometry_path=field.geometry_path,
         cameras=_cameras(field.cameras, add, remove),
-        thing_table=things,
+        thing_table=None if things is None else things.table,
     ).to(device)
     updated.keep_encoder_of(field)
     if field.has_geometry:

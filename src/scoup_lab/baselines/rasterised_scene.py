@@ -53,7 +53,7 @@ class UpliftInputs:
     def things(self) -> ThingTable:
         """Return the instances of the scene, made once."""
         if not self.kept_things:
-            self.kept_things.append(find_things(self.sums, self.embeddings))
+            self.kept_things.append(find_things(self.sums, self.embeddings).table)
         return self.kept_things[0]
 
     def keep(self, settings: BuildSettings, codes: Codes) -> None:
