@@ -38,7 +38,7 @@ def moving_cameras(
         raise InputError(
             f"{place.answer.text}: is not in this scene, so there is nothing to turn around; use a path"
         )
-    up = estimate_up(list(cameras))
+    up = estimate_up(cameras)
     first = best_camera(field, place.answer.mask, list(cameras))
     size = float(place.box.extent.norm())
     arm = first.position - place.position

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -37,15 +37,16 @@ def checked_direction(up: Sequence[float]) -> Tensor:
     return direction / direction.norm()
 
 
-def estimate_up(cameras: Sequence[Camera]) -> Tensor:
+def estimate_up(cameras: Iterable[Camera]) -> Tensor:
     """Return the up direction [3] float64 for which the cameras are level: people hold them so. Without cameras, +z.
 
     It is orthogonal to the right sides of all images as far as possible; where they all point the same way, the
     images' own up decides.
     """
-    if not len(cameras):
+    poses = [torch.as_tensor(camera.viewmat)[:3, :3].double().cpu() for camera in cameras]
+    if not poses:
         return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    rotations = torch.stack([torch.as_tensor(camera.viewmat)[:3, :3].double().cpu() for camera in cameras])
+    rotations = torch.stack(poses)
     right, own_up = rotations[:, 0], -rotations[:, 1].mean(0)
     image_up = own_up / own_up.norm().clamp(min=1e-9)
     tilt = right.T @ right / len(right) - UPRIGHT * image_up[:, None] * image_up
