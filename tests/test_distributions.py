@@ -28,7 +28,8 @@ def files_of_a_wheel() -> dict[str, str]:
     page["scoup/view/page/licences.txt"] = "The page.\n\nthree 1 (MIT)\n\n@sparkjsdev/spark 2 (MIT)\n"
     described = "Name: scoup\n\n[a](https://a.example/docs/a.md) [b](#b)\n"
     about = {"scoup-0.1.0.dist-info/licenses/LICENSE": "x", "scoup-0.1.0.dist-info/METADATA": described}
-    return {"scoup/__init__.py": "", "scoup_lab/__init__.py": "", CORE: "x", **about, **page}
+    code = {"scoup/__init__.py": "", "scoup/models/everyday_words.txt": "tree\n", "scoup_lab/__init__.py": ""}
+    return {**code, CORE: "x", **about, **page}
 
 
 def write_wheel(folder: Path, files: dict[str, str], name: str = WHEEL) -> Path:
@@ -48,6 +49,7 @@ def test_a_whole_wheel_has_no_faults(tmp_path: Path) -> None:
     [
         ({"scoup/view/page/viewer.js": None}, "it has no viewer.js"),
         ({"scoup/view/page/viewer.js": ""}, "it has no viewer.js"),
+        ({"scoup/models/everyday_words.txt": None}, "it has no everyday_words.txt"),
         ({"scoup/view/page/licences.txt": "\nthree 1"}, "licences.txt does not name @sparkjsdev/spark"),
         ({"scoup-0.1.0.dist-info/licenses/LICENSE": None}, "it has no LICENSE"),
         ({"scoup-0.1.0.dist-info/METADATA": "[a](docs/a.md)"}, "dist-info/METADATA links to docs/a.md"),

@@ -2,10 +2,10 @@
 
     python tools/check_distributions.py [--complete] FOLDER
 
-Each must hold the page of `scoup view` with the licences of what it is made of, the licence of scoup, and nothing that
-belongs to a checkout only; a wheel has the compiled core just where its name says so; what the package says of itself
-links to what can be found from elsewhere, too. With --complete the folder must
-hold the sdist and a wheel for every version of Python and every system that pyproject.toml names.
+Each must hold the page of `scoup view` with the licences of what it is made of, the everyday words, the licence of
+scoup, and nothing that belongs to a checkout only; a wheel has the compiled core just where its name says so; what the
+package says of itself links to what can be found from elsewhere, too. With --complete the folder must hold the
+sdist and a wheel for every version of Python and every system that pyproject.toml names.
 """
 
 from __future__ import annotations
@@ -62,6 +62,8 @@ def faults(path: Path) -> Iterator[str]:
     package = "scoup" if is_wheel else "src/scoup"
     page = f"{package}/view/page"
     yield from (f"it has no {name}" for name in PAGE if not files.get(f"{page}/{name}"))
+    if not files.get(f"{package}/models/everyday_words.txt"):
+        yield "it has no everyday_words.txt"
     licences = files.get(f"{page}/licences.txt", b"").decode()
     yield from (
         f"licences.txt does not name {name.strip()}" for name in BUNDLED if f"\n{name}" not in licences

@@ -17,10 +17,11 @@ from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError, quoted
 from scoup.base.html import card
+from scoup.models import words
 from scoup.models.hub import ONNX, OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
 from scoup.models.towers import load_tower
 from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, with_everyday
+from scoup.models.words import CANONICAL_PHRASES, with_everyday
 
 COLORS = "colors"  # name of embeddings made without a model (``extract.plain_colors``)
 NO_WORDS_FOR_COLORS = (
@@ -199,7 +200,7 @@ class TextEncoder:
         """
         if self._everyday is None:
             phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-            names = EVERYDAY_WORDS if self.names is None else self.names
+            names = words.EVERYDAY_WORDS if self.names is None else self.names
             self._everyday = self.encode([name for name in names if name.strip().casefold() not in phrases])
         return self._everyday
 
