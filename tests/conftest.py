@@ -40,6 +40,14 @@ def _no_wait_for_the_disk() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Vectors of everyday words are kept in a folder of the tests, also by processes that they start."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SCOUP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _one_light() -> Iterator[None]:
     """Demo scenes are lit from one direction of the sun and one of the sky: on small scenes, light takes most of the
     time."""

@@ -149,3 +149,39 @@ def saved(model: Any, folder: Path, **preprocessor: Any) -> Path:
     if preprocessor:
         (folder / "preprocessor_config.json").write_text(json.dumps(preprocessor))
     return folder
+
+
+def tiny_tokenizer(folder: Path, words: list[str]) -> None:
+    """Saves one that knows a few words."""
+    from tokenizers import Tokenizer
+    from tokenizers.models import WordLevel
+    from tokenizers.pre_tokenizers import Whitespace
+    from tokenizers.processors import TemplateProcessing
+
+    vocabulary = {word: index for index, word in enumerate(["<unk>", "<bos>", *words, "<eos>"])}
+    tokenizer = Tokenizer(WordLevel(vocabulary, unk_token="<unk>"))
+    tokenizer.pre_tokenizer = Whitespace()  # pyright: ignore
+    tokenizer.post_processor = TemplateProcessing(  # pyright: ignore
+        single="<bos> $A <eos>", special_tokens=[(name, vocabulary[name]) for name in ("<bos>", "<eos>")]
+    )
+    transformers.PreTrainedTokenizerFast(
+        tokenizer_object=tokenizer, bos_token="<bos>", eos_token="<eos>", pad_token="<eos>", unk_token="<unk>"
+    ).save_pretrained(folder)
+
+
+WORDS = ["object", "red", "apple", "chair"]
+TINY_TEXT = {
+    "hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2,
+    "vocab_size": 7, "max_position_embeddings": 8, "bos_token_id": 1, "eos_token_id": 6, "pad_token_id": 6,
+}  # fmt: skip
+
+
+def save_text_clip(folder: Path, seed: int = 0) -> Path:
+    """A CLIP model with a tokenizer of ``WORDS``."""
+    torch.manual_seed(seed)
+    vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
+              "image_size": 8, "patch_size": 4}  # fmt: skip
+    config = transformers.CLIPConfig(text_config=TINY_TEXT, vision_config=vision, projection_dim=12)
+    transformers.CLIPModel(config).save_pretrained(folder)
+    tiny_tokenizer(folder, WORDS)
+    return folder

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,46 +15,12 @@ from scoup.base.errors import (
     ScoupWarning,
 )
 from scoup.models.text import TextEncoder
-
-os.environ["HF_HUB_OFFLINE"] = "1"
-
-
-def tiny_tokenizer(folder: Path, words: list[str]) -> None:
-    from tokenizers import Tokenizer
-    from tokenizers.models import WordLevel
-    from tokenizers.pre_tokenizers import Whitespace
-    from tokenizers.processors import TemplateProcessing
-    from transformers import PreTrainedTokenizerFast
-
-    vocabulary = {word: index for index, word in enumerate(["<unk>", "<bos>", *words, "<eos>"])}
-    tokenizer = Tokenizer(WordLevel(vocabulary, unk_token="<unk>"))
-    tokenizer.pre_tokenizer = Whitespace()  # pyright: ignore
-    tokenizer.post_processor = TemplateProcessing(  # pyright: ignore
-        single="<bos> $A <eos>", special_tokens=[(name, vocabulary[name]) for name in ("<bos>", "<eos>")]
-    )
-    PreTrainedTokenizerFast(
-        tokenizer_object=tokenizer, bos_token="<bos>", eos_token="<eos>", pad_token="<eos>", unk_token="<unk>"
-    ).save_pretrained(folder)
-
-
-WORDS = ["object", "red", "apple", "chair"]
-TINY = {
-    "hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2,
-    "vocab_size": 7, "max_position_embeddings": 8, "bos_token_id": 1, "eos_token_id": 6, "pad_token_id": 6,
-}  # fmt: skip
+from tiny_models import TINY_TEXT, WORDS, save_text_clip, tiny_tokenizer
 
 
 @pytest.fixture(scope="module")
 def clip_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    transformers = pytest.importorskip("transformers")
-    folder = tmp_path_factory.mktemp("clip")
-    vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
-              "image_size": 8, "patch_size": 4}  # fmt: skip
-    torch.manual_seed(0)
-    config = transformers.CLIPConfig(text_config=TINY, vision_config=vision, projection_dim=12)
-    transformers.CLIPModel(config).save_pretrained(folder)
-    tiny_tokenizer(folder, WORDS)
-    return folder
+    return save_text_clip(tmp_path_factory.mktemp("clip"))
 
 
 def test_clip_through_transformers(clip_folder: Path) -> None:
@@ -83,7 +48,7 @@ def test_clip_through_transformers(clip_folder: Path) -> None:
 
 def test_siglip_through_transformers(tmp_path: Path) -> None:
     transformers = pytest.importorskip("transformers")
-    text = {**TINY, "projection_size": 16}
+    text = {**TINY_TEXT, "projection_size": 16}
     vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
               "image_size": 8, "patch_size": 4}  # fmt: skip
     torch.manual_seed(0)
@@ -192,4 +157,4 @@ def test_everyday_words_of_a_model_are_a_fixed_list(clip_folder: Path) -> None:
     assert encoder.everyday().shape == (len(EVERYDAY_WORDS), 12)
     both = encoder.canonical(everyday=True)
     assert torch.equal(both[:4], encoder.canonical())
-    torch.testing.assert_close(both[4], encoder.encode(EVERYDAY_WORDS).mean(0))
+    torch.testing.assert_close(both[4], encoder.everyday().mean(0))

@@ -79,6 +79,23 @@ class ModelRequest:
             ) from error
 
 
+@dataclass(frozen=True)
+class ModelIdentity:
+    """What the output of a model depends on, as far as it can be told without reading the weights."""
+
+    name: str  # the hub id, or the last part of the folder
+    revision: str  # the commit of a hub model; "" if unknown
+    package: str  # that runs it, with its version
+    files: tuple[str, ...] = ()  # of a model on this machine: path, size and time of change
+
+
+def file_states(place: str) -> tuple[str, ...]:
+    """Return path, size and time of change of a file, or of the files in a folder; nothing if it is not there."""
+    files = sorted(entry.path for entry in os.scandir(place)) if os.path.isdir(place) else [place]
+    states = [(file, os.stat(file)) for file in map(os.path.realpath, files) if os.path.isfile(file)]
+    return tuple(f"{file} {state.st_size} {state.st_mtime_ns}" for file, state in states)
+
+
 @dataclass(frozen=True, eq=False)
 class Pretrained:
     """The files of one model, as transformers reads them."""
@@ -95,6 +112,14 @@ class Pretrained:
     def commit(self) -> str:
         """The commit of a hub model, or the requested revision; "" if unknown."""
         return getattr(self.config, "_commit_hash", None) or self.options.get("revision") or ""
+
+    def identity(self) -> ModelIdentity:
+        """Return what the model's output depends on."""
+        package = f"transformers {self.transformers.__version__}"
+        if os.path.isdir(self.model_id):
+            name = os.path.basename(os.path.realpath(self.model_id))
+            return ModelIdentity(name, "", package, file_states(self.model_id))
+        return ModelIdentity(self.model_id, self.commit, package)
 
     def tokenizer(self) -> Any:
         return self.transformers.AutoTokenizer.from_pretrained(self.model_id, **self.options)
@@ -184,22 +209,34 @@ def _here_or_from_hub(request: ModelRequest, load: Callable[[dict[str, Any]], Lo
             raise request.unreadable(error) from error
 
 
+def open_clip_identity(request: ModelRequest) -> ModelIdentity:
+    """Return what the output of a model of open_clip depends on; its weights may be a file."""
+    package = f"open_clip {getattr(request.package('open_clip', 'open-clip'), '__version__', '')}"
+    return ModelIdentity(request.name, "", package, file_states(_open_clip_parts(request)[1]))
+
+
 def load_open_clip(
     request: ModelRequest, device: torch.device | str, with_tokenizer: bool = False
 ) -> tuple[Any, Any]:
     """Load a model of open_clip in evaluation mode, and its tokenizer (None unless requested)."""
-    architecture, _, pretrained = request.name.removeprefix(OPEN_CLIP).partition("/")
-    if not architecture or not pretrained:
-        raise InputError(
-            f"invalid model {request.name!r}; expected {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
-            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
-        )
+    architecture, pretrained = _open_clip_parts(request)
     open_clip = request.package("open_clip", "open-clip")
     try:
         model = open_clip.create_model(architecture, pretrained=pretrained, device=device).eval()
         return model, open_clip.get_tokenizer(architecture) if with_tokenizer else None
     except Exception as error:  # as above
         raise request.unreadable(error) from error
+
+
+def _open_clip_parts(request: ModelRequest) -> tuple[str, str]:
+    """Return the architecture and the pretrained weights, which may be a path."""
+    architecture, _, pretrained = request.name.removeprefix(OPEN_CLIP).partition("/")
+    if not architecture or not pretrained:
+        raise InputError(
+            f"invalid model {request.name!r}; expected {OPEN_CLIP}ARCHITECTURE/PRETRAINED, "
+            f"such as {OPEN_CLIP}ViT-B-16/laion2b_s34b_b88k"
+        )
+    return architecture, pretrained
 
 
 def _no_hub() -> str:

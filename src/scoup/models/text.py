@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -18,8 +19,17 @@ from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError, quoted
 from scoup.base.html import card
 from scoup.models import words
-from scoup.models.hub import ONNX, OPEN_CLIP, ModelRequest, load_open_clip, load_pretrained
+from scoup.models.hub import (
+    ONNX,
+    OPEN_CLIP,
+    ModelIdentity,
+    ModelRequest,
+    load_open_clip,
+    load_pretrained,
+    open_clip_identity,
+)
 from scoup.models.towers import load_tower
+from scoup.models.word_cache import PROBE, everyday_vectors
 from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
 
@@ -62,6 +72,7 @@ class TextEncoder:
         self._made_by: tuple[Callable[..., TextEncoder], tuple[Any, ...]] | None = None
         self._canonical: Tensor | None = None
         self._everyday: Tensor | None = None
+        self._model: tuple[ModelIdentity, Tensor] | None = None  # with its vector of the probe
 
     def __reduce__(self) -> tuple[Callable[..., TextEncoder], tuple[Any, ...]]:
         if self._encode is None or self._made_by is None:
@@ -128,8 +139,10 @@ class TextEncoder:
         if text == COLORS:
             raise ScoupError(NO_WORDS_FOR_COLORS)
         refuse_other_file(text)
-        encode = _open_model(text, revision, device)
-        opened = cls(text, int(encode(["object"]).shape[1]), encode)
+        encode, identity = _open_model(text, revision, device)
+        probe = _encoded(encode, [PROBE])
+        opened = cls(text, int(probe.shape[1]), encode)
+        opened._model = identity, probe
         opened._made_by = TextEncoder.open, (text, revision, device)
         return opened
 
@@ -173,11 +186,9 @@ class TextEncoder:
                 )
         if not phrases:
             return torch.zeros(0, self.dim)
-        batches = [
-            self._encode(list(phrases[start : start + _BATCH])) for start in range(0, len(phrases), _BATCH)
-        ]
-        vectors = torch.cat(batches).float().cpu()
-        return torch.nn.functional.normalize(vectors, dim=1)
+        if self._model is not None and len(phrases) > _BATCH and tuple(phrases) == words.EVERYDAY_WORDS:
+            return self.everyday().clone()  # the vocabulary of pages
+        return _encoded(self._encode, phrases)
 
     def canonical(self, everyday: bool = False) -> Tensor:
         """Return [4, D] float32 unit vectors of the canonical phrases (``scoup.models.words.CANONICAL_PHRASES``).
@@ -196,13 +207,19 @@ class TextEncoder:
     def everyday(self) -> Tensor:
         """Return [B, D] float32 unit vectors of everyday words (``scoup.models.words``).
 
-        For a model a fixed list of words; for a table all its names except the canonical phrases.
+        For a table all its names except the canonical phrases. For a model a fixed list of words, whose vectors are
+        rounded to 16 bits: they are encoded once, and read from the user's cache afterwards.
         """
         if self._everyday is None:
-            phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-            names = words.EVERYDAY_WORDS if self.names is None else self.names
-            self._everyday = self.encode([name for name in names if name.strip().casefold() not in phrases])
+            self._everyday = self._everyday_vectors()
         return self._everyday
+
+    def _everyday_vectors(self) -> Tensor:
+        if self._model is not None and self._encode is not None:
+            return everyday_vectors(*self._model, words.EVERYDAY_WORDS, partial(_encoded, self._encode))
+        phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
+        names = words.EVERYDAY_WORDS if self.names is None else self.names
+        return self.encode([name for name in names if name.strip().casefold() not in phrases])
 
     def close(self) -> None:
         """Release the model or table."""
@@ -217,21 +234,31 @@ class TextEncoder:
         self.close()
 
 
-def _open_model(name: str, revision: str | None, device: torch.device | str) -> Encode:
+def _encoded(encode: Encode, phrases: Sequence[str]) -> Tensor:
+    """Return unit vectors [Q, D] float32 of one phrase or more, on the CPU."""
+    starts = range(0, len(phrases), _BATCH)
+    vectors = torch.cat([encode(list(phrases[start : start + _BATCH])) for start in starts])
+    return torch.nn.functional.normalize(vectors.float().cpu(), dim=1)
+
+
+def _open_model(name: str, revision: str | None, device: torch.device | str) -> tuple[Encode, ModelIdentity]:
     if name.startswith(ONNX):
         raise ScoupError(
             f"{name}: an image encoder exported to ONNX has no text model; pass a table with the vectors of the words"
         )
     request = ModelRequest("text model", name, "use a table file of text embeddings", revision=revision)
     if name.startswith(OPEN_CLIP):
+        identity = open_clip_identity(request)
         model, tokenizer = load_open_clip(request, device, with_tokenizer=True)
 
         def encode_with_open_clip(phrases: list[str]) -> Tensor:
             with torch.inference_mode():
                 return model.encode_text(tokenizer(phrases).to(device)).clone()
 
-        return encode_with_open_clip
-    tower, tokenizer = load_pretrained(request, lambda files: (load_tower(files, "text"), files.tokenizer()))
+        return encode_with_open_clip, identity
+    identity, tower, tokenizer = load_pretrained(
+        request, lambda files: (files.identity(), load_tower(files, "text"), files.tokenizer())
+    )
     tower.model.to(device)
     limit = int(tower.config.max_position_embeddings)
     # CLIP attends only backwards and takes the vector of the end token: padding needs no computing. SigLIP attends to
@@ -245,7 +272,7 @@ def _open_model(name: str, revision: str | None, device: torch.device | str) -> 
         tokens = tokenizer(phrases, padding=padding, truncation=True, max_length=limit, return_tensors="pt")
         return tower.features(**{key: tokens[key].to(device) for key in wanted if key in tokens})
 
-    return encode
+    return encode, identity
 
 
 def _warn_of_long(phrases: list[str], lengths: list[int], limit: int) -> None:
