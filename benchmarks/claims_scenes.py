@@ -13,7 +13,6 @@ from torch import Tensor
 
 import scoup
 from benchmarks.desk import DESKS, Desk
-from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
@@ -23,6 +22,7 @@ from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.scores import PairScore
 from scoup_lab.evaluate.studies.ablation_rows import BASE, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations, ablation_record
@@ -31,7 +31,7 @@ from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.synthetic.scene import DemoScene
 
 OBJECTS = ("m",)  # the level whose names are queried
-PRESET = QUERY_PRESETS["scoup"]
+RULE = MASK_RULES["scoup"]
 GLASS = 0.1  # share of a thing's opacity that is left when it becomes glass
 
 
@@ -50,7 +50,7 @@ def entropy_rows(demo: DemoScene) -> dict[str, Any]:
     """Return mIoU of the rows of the entropy ablation: the half of a sort loses its codes, or is dropped
     from blending too."""
     scene = study_scene(demo, demo.gaussians)
-    return ablation_record(Ablations(find_ablations(["entropy"]), PRESET, (0,)).results([scene]))
+    return ablation_record(Ablations(find_ablations(["entropy"]), RULE, (0,)).results([scene]))
 
 
 def desk_scene(data: Path) -> StudyScene:
@@ -69,7 +69,7 @@ def desk_rows(scene: StudyScene, things: int, seed: int) -> dict[str, Any]:
     """Return settings (the ablations of vote, atoms, non-zeros and entropy), agreement of features across views, and
     glass, of a scene with marked photographs."""
     ablations = find_ablations(["vote", "atoms", "non-zeros", "entropy"])
-    results = Ablations(ablations, PRESET, tuple(range(seed, seed + 3))).results([scene])
+    results = Ablations(ablations, RULE, tuple(range(seed, seed + 3))).results([scene])
     features = Consistency(build_settings("default", seed=seed), seed=seed).results([scene])
     return {
         "settings": ablation_record(results),
@@ -109,14 +109,14 @@ def glass_rows(whole: StudyScene, members_of: Callable[[str], Tensor], things: i
     thing at a time, and of all other things of the scene. The masks and embeddings of the regions stay as they
     are. ``members_of`` returns [N] whether each Gaussian lies on a thing.
     """
-    before = whole.score(BASE.fit(whole.rasterised), PRESET).pairs
+    before = whole.score(BASE.fit(whole.rasterised), RULE).pairs
     labels = [pair.label for pair in before]
     rows = []
     for name in sorted(set(labels), key=lambda label: (-labels.count(label), label))[:things]:
         base = whole.rasterised
         glass = as_glass(base.gaussians, members_of(name))
         scene = replace(whole, rasterised=RasterisedScene(glass, base.cameras, base.regions))
-        after = scene.score(BASE.fit(scene.rasterised), PRESET).pairs
+        after = scene.score(BASE.fit(scene.rasterised), RULE).pairs
         row: dict[str, Any] = {"thing": name, "views": labels.count(name)}
         for which, pairs in (("before", before), ("after", after)):
             own = [pair for pair in pairs if pair.label == name]

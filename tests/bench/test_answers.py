@@ -16,7 +16,6 @@ from benchmarks.study import run
 from benchmarks.ways import WAYS
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.query.presets import QUERY_PRESETS
 from scoup.uplift.build_settings import BUILD_PRESETS
 from scoup_lab.baselines.method import DEFAULTS
 from scoup_lab.baselines.sparse import SparseUplift
@@ -52,7 +51,7 @@ def test_scores_are_those_of_the_protocol() -> None:
     for frame, view in scene.frames:
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         maps = fitted.relevancy(view, queries, scene.canonical)
-        expected += PROTOCOL.score_frame(frame, maps, QUERY_PRESETS["scoup"])
+        expected += PROTOCOL.score_frame(frame, maps)
     assert found["peak"] == [pair.iou for pair in expected]
     assert found["localisation"] == [float(bool(pair.hit)) for pair in expected]
     assert scene.pairs == [(pair.frame, pair.label) for pair in expected]

@@ -26,9 +26,9 @@ def box(values: np.ndarray, kernel: int, border: str) -> np.ndarray:
 
 def mirror(place: int, size: int) -> int:
     """OpenCV's BORDER_REFLECT_101: edge pixels are not repeated."""
-    while not 0 <= place < size:
+    while size > 1 and not 0 <= place < size:
         place = -place if place < 0 else 2 * (size - 1) - place
-    return place
+    return place if size > 1 else 0
 
 
 def masks(

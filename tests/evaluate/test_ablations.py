@@ -5,23 +5,23 @@ from __future__ import annotations
 import pytest
 
 from scoup.base.errors import UnknownNameError
-from scoup.query.presets import QUERY_PRESETS
 from scoup_lab.baselines.sparse import SparseUplift
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
+from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
 
 
 def test_rules_of_rows() -> None:
-    preset = QUERY_PRESETS["scoup"]
-    rules = {each.name: each.rule(preset) for each in ABLATIONS}
+    protocol = MASK_RULES["scoup"]
+    rules = {each.name: each.rule(protocol) for each in ABLATIONS}
     assert [name for name, rule in rules.items() if rule.everyday] == ["beside everyday words"]
     assert [name for name, rule in rules.items() if rule.coded] == [
         "without the 50 % of highest entropy, dropped from blending",
         "without the 50 % of lowest entropy, dropped from blending",
     ]
-    assert rules["level by mask"].preset.level_choice == "mask"
+    assert rules["level by mask"].mask_rule.level_choice == "mask"
     assert rules["only level m"].levels == ("m",)
-    assert rules["beside everyday words"].preset == preset
+    assert rules["beside everyday words"].mask_rule == protocol
 
 
 def test_rows_are_complete() -> None:

@@ -13,7 +13,6 @@ from evaluate.study_scenes import study_scene
 from scoup import raster
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.presets import QUERY_PRESETS
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
@@ -25,6 +24,7 @@ from scoup_lab.evaluate.label_vectors import encode_labels
 from scoup_lab.evaluate.pixel_evaluation import predict
 from scoup_lab.evaluate.predictions import PredictionCache
 from scoup_lab.evaluate.protocols import selection
+from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.studies.ablation_rows import BASE, BESIDE_EVERYDAY, Ablation, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations
 from scoup_lab.evaluate.studies.comparison import Comparison
@@ -32,7 +32,7 @@ from scoup_lab.evaluate.studies.study_scene import StudyScene
 from support import unit
 
 BUILD = BuildSettings(n_atoms=8, k=2, effort="fast")
-PRESET = QUERY_PRESETS["scoup"]
+RULE = MASK_RULES["scoup"]
 WORDS = ("cup", "pot", *(f"word {number}" for number in range(30)))
 
 
@@ -125,7 +125,7 @@ def test_comparison_of_methods(scene: StudyScene, table: tuple[Path, Tensor], na
         return recorders[-1]
 
     settings = MethodSettings(build=BUILD, autoencoder=AutoencoderSettings(epochs=1))
-    Comparison([replace(method, uplift=uplift)], PRESET, settings, selection=True).results([scene])
+    Comparison([replace(method, uplift=uplift)], RULE, settings, selection=True).results([scene])
     check(recorders[0].given, table[1])
 
 
@@ -139,7 +139,7 @@ def test_ablations(scene: StudyScene, table: tuple[Path, Tensor]) -> None:
 
     method = replace(BASE, uplift=uplift)
     rows = [replace(each, method=method) for each in find_ablations(["levels"]) if each.method is BASE]
-    settings = (PRESET, (0,), 2)
+    settings = (RULE, (0,), 2)
     Ablations(rows, *settings).results([scene])
     check(recorders[0].given, table[1])
     everyday = Ablation("beside everyday words", "phrases", method, BESIDE_EVERYDAY)

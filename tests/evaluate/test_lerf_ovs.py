@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.query.presets import QUERY_PRESETS
-from scoup.query.segment import segment
 from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.data.labels import match_frames, read_frame, read_labels
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
+from scoup_lab.evaluate.relevancy_maps import segment
+from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.scores import overall
 
 
@@ -132,7 +132,7 @@ def test_iou_is_that_of_the_mask(tmp_path: Path) -> None:
     frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 10, 10, 29, 29)]))
     relevancy = torch.zeros(1, 1, 40, 60)
     relevancy[0, 0, 10:30, 20:40] = 1
-    mask = segment(relevancy[:, 0], QUERY_PRESETS["scoup"]).mask
+    mask = segment(relevancy[:, 0], MASK_RULES["scoup"]).mask
     (pair,) = PROTOCOL.score_frame(frame, relevancy)
     both = int((mask & frame.masks["cup"]).sum())
     assert both > 0

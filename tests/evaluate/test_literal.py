@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluate import literal
-from scoup.query.presets import query_preset
-from scoup.query.smoothing import box_mean
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import PIXELS
+from scoup_lab.evaluate.rules import mask_rule
 from support import examples
 
 HEIGHT, WIDTH = 13, 17
@@ -51,14 +50,6 @@ def truths(draw: st.DrawFn) -> LabelledFrame:
     return LabelledFrame("f", WIDTH, HEIGHT, {"cup": mask}, {"cup": torch.tensor(boxes, dtype=torch.float32)})
 
 
-@pytest.mark.parametrize("kernel", [1, 2, 7, 29, 30])
-@pytest.mark.parametrize("border", ["inside", "reflect"])
-def test_box_means_at_every_border(kernel: int, border: str) -> None:
-    values = np.random.default_rng(0).random((HEIGHT, WIDTH))
-    found = box_mean(torch.from_numpy(values), kernel, border)  # pyright: ignore[reportArgumentType]
-    np.testing.assert_allclose(found.numpy(), literal.box(values, kernel, border), atol=1e-12)
-
-
 SYSTEMS = [
     *(("lerf-ovs", system) for system in ("scoup", "langsplatv2", "langsplat")),
     *((data_set, system) for data_set in ("3d-ovs", "mipnerf360") for system in ("scoup", "langsplatv2")),
@@ -71,15 +62,15 @@ BY_MASK = {("3d-ovs", "scoup"): (0.3, 7), ("3d-ovs", "langsplatv2"): (0.25, 29),
 
 def check(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
     protocol = PIXELS[case[0]]
-    (pair,) = protocol.score_frame(frame, torch.from_numpy(levels)[:, None], protocol.preset(case[1]))
+    (pair,) = protocol.score_frame(frame, torch.from_numpy(levels)[:, None], protocol.rule(case[1]))
     truth, boxes = frame.masks["cup"].numpy(), frame.boxes["cup"].tolist()
     if case in BY_MASK:
         first, (threshold, kernel), hit = int(case[0] == "3d-ovs"), BY_MASK[case], None
         iou, level = literal.mask_mean_level(levels[first:], truth, kernel, threshold)
         level += first
     else:
-        preset = query_preset(case[1], "lerf-ovs")
-        rules = preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border
+        rule = mask_rule(case[1])
+        rules = rule.kernel, rule.border, rule.threshold, rule.smoothing, rule.smoothing_border
         iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)
 
@@ -107,19 +98,3 @@ def test_truth_is_resized_by_nearest_neighbour(size: tuple[int, int]) -> None:
     levels = np.random.default_rng(2).random((3, height, width)).astype(np.float32)
     (pair,) = PIXELS["3d-ovs"].score_frame(frame, torch.from_numpy(levels)[:, None])
     assert pair.iou == pytest.approx(literal.mask_mean_level(levels[1:], truth, 7, 0.3)[0])
-
-
-def test_presets_are_those_of_the_protocols() -> None:
-    """Box, threshold, mask smoothing and level rule, as docs/protocols.md states them."""
-    rows = {
-        ("lerf-ovs", "scoup"): (7, "inside", 0.6, 7, "inside", "peak"),
-        ("lerf-ovs", "langsplatv2"): (29, "inside", 0.4, 7, "inside", "peak"),
-        ("lerf-ovs", "langsplat"): (30, "reflect", 0.4, 7, "but last", "peak"),
-    }
-    for (data_set, system), expected in rows.items():
-        preset = query_preset(system, data_set)
-        assert (
-            preset.kernel, preset.border, preset.threshold, preset.smoothing, preset.smoothing_border,
-            preset.level_choice,
-        ) == expected  # fmt: skip
-    assert PIXELS["3d-ovs"].preset().level_choice == PIXELS["mipnerf360"].preset().level_choice == "mask"

@@ -14,7 +14,6 @@ import torch
 from evaluate.study_scenes import LABELS, study_scene
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.query.presets import QUERY_PRESETS
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import Regions
@@ -27,6 +26,7 @@ from scoup_lab.evaluate.plots import can_draw
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.report import Report
+from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations
 from scoup_lab.evaluate.studies.comparison import Comparison
@@ -34,7 +34,7 @@ from scoup_lab.evaluate.studies.consistency import Consistency
 from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 from support import unit
 
-PRESET = QUERY_PRESETS["scoup"]
+RULE = MASK_RULES["scoup"]
 SETTINGS = MethodSettings(build=BuildSettings(n_atoms=8, effort="fast", epochs=3))
 
 
@@ -85,7 +85,7 @@ def check_pairs(record: dict[str, Any], ious: list[float], miou: float) -> None:
 
 def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
     methods = [find_method(name) for name in ("sparse", "dense", "centre-pixel")]
-    study = Comparison(methods, PRESET, SETTINGS, selection=True)
+    study = Comparison(methods, RULE, SETTINGS, selection=True)
     results = study.results(scenes)
     assert [(result.method, result.score.scene) for result in results] == [
         (method.name, scene.name) for scene in scenes for method in methods
@@ -113,13 +113,13 @@ def test_each_method_of_a_comparison_learns_its_own_codes(scenes: list[StudyScen
         calls.append("kept" if inputs.kept_codes else "new")
         return sparse.uplift(inputs, settings)
 
-    Comparison([replace(sparse, uplift=uplift)] * 2, PRESET, SETTINGS).results(scenes[:1])
+    Comparison([replace(sparse, uplift=uplift)] * 2, RULE, SETTINGS).results(scenes[:1])
     assert calls == ["new", "new"]
 
 
 def test_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
     rows = find_ablations(["vote", "levels", "phrases"])
-    study = Ablations(rows, PRESET, (0, 1), 2)
+    study = Ablations(rows, RULE, (0, 1), 2)
     results = {each.ablation.name: each for each in study.results(scenes[:1])}
     base = results[ABLATIONS[0].name]
     assert list(base.scores) == [0, 1]
@@ -135,18 +135,18 @@ def test_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_all_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
-    study = Ablations(ABLATIONS, PRESET, (0,), 3)
+    study = Ablations(ABLATIONS, RULE, (0,), 3)
     check_report(study.report(study.results(scenes), PROTOCOL.title, {}), tmp_path)
 
 
 def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
     scene = scenes[0]
     fitted = find_method("dense").fit(scene.rasterised)
-    rules = {level: ScoringRule(PRESET, (level,)) for level in ("s", "m", "l")}
-    scores = scene.scores(fitted, {**rules, "all": ScoringRule(PRESET)})
+    rules = {level: ScoringRule(RULE, (level,)) for level in ("s", "m", "l")}
+    scores = scene.scores(fitted, {**rules, "all": ScoringRule(RULE)})
     peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
     assert peaks[0] == peaks[1]
-    assert scores["all"].pairs == scene.score(fitted, PRESET).pairs
+    assert scores["all"].pairs == scene.score(fitted, RULE).pairs
 
 
 def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -> None:
@@ -154,7 +154,7 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
     scene = scenes[0]
     row = next(each for each in ABLATIONS if each.name.endswith("highest entropy, dropped from blending"))
     fitted = row.method.fit(scene.rasterised, SETTINGS)
-    rules = {"kept": ScoringRule(PRESET), "dropped": row.rule(PRESET)}
+    rules = {"kept": ScoringRule(RULE), "dropped": row.rule(RULE)}
     assert isinstance(fitted, FittedField)
     gaussians, codebook = scene.rasterised.gaussians, fitted.field.codebook
     for (frame, maps), (_, camera) in zip(

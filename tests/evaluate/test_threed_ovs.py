@@ -129,7 +129,7 @@ def test_scene_score_is_the_mean_over_frames_and_classes(tmp_path: Path) -> None
 
 def test_no_preset_of_langsplat() -> None:
     with pytest.raises(UnknownNameError, match="langsplat"):
-        threed_ovs.PROTOCOL.preset("langsplat")
+        threed_ovs.PROTOCOL.rule("langsplat")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ import torch
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
-from scoup.query.presets import QUERY_PRESETS
 from scoup.query.question import Question
 from scoup.query.text_vectors import TextVectors
 from scoup.uplift.build import build
@@ -28,6 +27,7 @@ from scoup_lab.bench.measuring import timed
 from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.scores import PairScore, SceneScore
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 from scoup_lab.synthetic.art.layout import Layout
@@ -38,7 +38,7 @@ from scoup_lab.synthetic.words import CANONICAL
 
 METHOD, VOTES = "things and votes", "sparse, top-K vote"
 ALL_ATOMS, DENSE = "sparse, no top-K", "dense 512-d"
-"""The first as `scoup query --always` answers, the others by the same rule without things."""
+"""The first as `scoup query --always` answers, the others by the paper's rule for LERF-OVS."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def run_demo(
         scores = {}
         progress("scoring", 0, len(fitted))
         for name, method in fitted.items():
-            scores[name] = study.score(method, QUERY_PRESETS["default"])
+            scores[name] = study.score(method, MASK_RULES["scoup"])
             progress("scoring", len(scores), len(fitted))
         scores = {METHOD: answered(field, scene, labelled), **scores}
     sizes = {name: method.bytes_per_gaussian for name, method in fitted.items()}

@@ -9,11 +9,10 @@ from torch import Tensor
 from scoup.field.language_field import LanguageField
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.query.localize import localize
-from scoup.query.presets import QueryPreset
-from scoup.query.segment import segment
 from scoup.raster import render_colors
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.relevancy_maps import localize, segment
+from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import PairScore, SceneScore
 
 TRUTH_COLOR = (70, 200, 110)
@@ -36,7 +35,7 @@ def failure_sheet(
     scene: LabelledScene,
     field: LanguageField,
     maps: Callable[[PairScore], Tensor],
-    preset: QueryPreset,
+    rule: MaskRule,
 ) -> Picture:
     """Return rows of truth, relevancy and mask for the worst queries of a scene.
 
@@ -52,8 +51,8 @@ def failure_sheet(
         frame, camera = frames[pair.frame]
         rgb = render_colors(field.gaussians, camera.resized(width, height)).cpu()
         truth = frame.resized(width, height)
-        found = segment(relevancy, preset)
-        point = localize(relevancy, preset).pixel if pair.hit is not None else None
+        found = segment(relevancy, rule)
+        point = localize(relevancy, rule).pixel if pair.hit is not None else None
         box = truth.boxes.get(pair.label)
         # Of several boxes none: one alone would mislead.
         corners = None if box is None or len(box) > 1 else (*box[0, :2].tolist(), *(box[0, 2:] + 1).tolist())

@@ -49,7 +49,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
 
     @property
     def stems(self) -> Sequence[str]:
-        self.protocol.preset(self.rules)  # rules that the data set has not are refused at once
+        self.protocol.rule(self.rules)  # rules that the data set has not are refused at once
         of_things = (f"{self.protocol.name}_things",) if self.protocol.refers else ()
         return (f"{self.protocol.name}_{self.rules}", *of_things)
 
@@ -65,9 +65,9 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         path = out / "fields" / f"{scene.name}.scoup"
         field = self.field(scene, path, source, progress, say)
         cache, digest = PredictionCache(out / "cache"), file_sha256(path)
-        preset = self.protocol.preset(self.rules)
+        rule = self.protocol.rule(self.rules)
         maps = predict(scene, vectors, field, digest, cache, progress=progress)
-        score = self.protocol.score(scene.name, maps, preset, field.levels)
+        score = self.protocol.score(scene.name, maps, rule, field.levels)
         selected = None
         if self.selection:
             raster_preset = field.info.raster_preset
@@ -81,7 +81,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
                 ((frame, found),) = predict(scene, vectors, field, digest, cache, [pair.frame])
                 return found[:, frame.labels.index(pair.label)]
 
-            sheet = failure_sheet(score, scene, field, map_of, preset)
+            sheet = failure_sheet(score, scene, field, map_of, rule)
             save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
         return PixelResult(score, selected, by_things, field.levels)
 
@@ -97,7 +97,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         selected = tuple(each.selected for each in found if each.selected is not None)
         if selected:
             note = "Another protocol than the 2D ones: never set the two side by side."
-            rules = selected[0].preset
+            rules = selected[0].rule
             of_gaussians = PixelScores(selection.PROTOCOL, rules, selected, published, shared, (note,))
             reports.append(of_gaussians.report(f"{self.protocol.name}_3d-selection", levels))
         by_things = [each.by_things for each in found if each.by_things is not None]

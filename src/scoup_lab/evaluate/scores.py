@@ -39,7 +39,7 @@ class SceneScore:
     """All pairs of a scene, with ``miou`` and ``accuracy`` as plain means over them, 0..1."""
 
     scene: str  # its name
-    preset: str  # name of the query preset
+    rule: str  # name of the rule
     pairs: tuple[PairScore, ...]  # one for each unique label of each frame
     # whose rules were followed; scores of different protocols cannot be set side by side
     protocol: str = "lerf-ovs 2D"
@@ -78,12 +78,12 @@ def overall(scenes: Iterable[SceneScore]) -> tuple[float, float | None]:
     return miou, sum(scene.accuracy for scene in scenes) / len(scenes)
 
 
-def scene_score(scene: str, preset: str, pairs: Iterable[PairScore], protocol: str) -> SceneScore:
+def scene_score(scene: str, rule: str, pairs: Iterable[PairScore], protocol: str) -> SceneScore:
     """Return all pairs of a scene."""
     pairs = tuple(pairs)
     if not pairs:
         raise InputError(f"scene {scene!r}: there are no labels to score")
-    return SceneScore(scene, preset, pairs, protocol)
+    return SceneScore(scene, rule, pairs, protocol)
 
 
 def miou_interval(scenes: Sequence[SceneScore]) -> Interval:

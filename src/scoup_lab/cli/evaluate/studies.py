@@ -13,8 +13,8 @@ from scoup.cli.options import Flag, OptionGroups
 from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, say_tables
 
 if TYPE_CHECKING:
-    from scoup.query.presets import QueryPreset
     from scoup_lab.baselines.method import MethodSettings
+    from scoup_lab.evaluate.rules import MaskRule
     from scoup_lab.evaluate.studies.study import Study
 
 
@@ -36,11 +36,11 @@ class StudyOptions(DataSetOptions):
         """Return what the options say."""
         raise NotImplementedError
 
-    def query_preset(self) -> QueryPreset:
-        """Return the rules of the protocol."""
+    def mask_rule(self) -> MaskRule:
+        """Return the rule of the protocol."""
         from scoup_lab.evaluate.protocols import PIXELS
 
-        return PIXELS[self.data_set].preset(self.rules)
+        return PIXELS[self.data_set].rule(self.rules)
 
     def run(self, console: Console) -> None:
         """Refuse outputs that are there, run all, write and show tables and plots."""
@@ -102,7 +102,7 @@ class Baselines(StudyOptions):
         methods = [find_method(name) for name in self.methods or COMPARED]
         joint = replace(LANGSPLATV2, iterations=self.iterations)
         settings = replace(_settings(self.seed, self.epochs), joint=joint)
-        return Comparison(methods, self.query_preset(), settings, self.selection)
+        return Comparison(methods, self.mask_rule(), settings, self.selection)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +126,7 @@ class Ablations(StudyOptions):
         from scoup_lab.evaluate.studies.ablation_rows import find_ablations
         from scoup_lab.evaluate.studies.ablations import Ablations as AblationStudy
 
-        return AblationStudy(find_ablations(self.groups), self.query_preset(), self.seeds, self.epochs)
+        return AblationStudy(find_ablations(self.groups), self.mask_rule(), self.seeds, self.epochs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,6 @@ PROTOCOL = PixelProtocol(
     "lerf-ovs",
     "lerf-ovs 2D",
     scenes=("ramen", "teatime", "waldo_kitchen", "figurines"),
-    systems=("scoup", "langsplatv2", "langsplat"),
     labels=label_folder,
     read=read_labelled_frames,
     localizes=True,

@@ -13,7 +13,6 @@ PROTOCOL = PixelProtocol(
     "mipnerf360",
     "mipnerf360 2D",
     scenes=("room", "counter", "garden", "bonsai"),
-    systems=("scoup", "langsplatv2"),
     labels=label_folder,
     read=read_labelled_frames,
     thresholds="mipnerf360",

@@ -9,13 +9,13 @@ from pathlib import Path
 from torch import Tensor
 
 from scoup.base.counts import counted
-from scoup.base.errors import InputError, UnknownNameError
-from scoup.query.presets import LevelChoice, QueryPreset, query_preset
-from scoup.query.segment import localize_and_segment, segment
+from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS
 from scoup_lab.data.labels import LabelledFrame, match_frames
 from scoup_lab.evaluate.metrics import any_inside, iou
+from scoup_lab.evaluate.relevancy_maps import localize_and_segment, segment
+from scoup_lab.evaluate.rules import LevelChoice, MaskRule, mask_rule
 from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
@@ -31,21 +31,18 @@ class PixelProtocol:
     name: str  # as on the command line
     title: str  # in tables
     scenes: tuple[str, ...]  # of the published data set
-    systems: tuple[str, ...]  # whose constants are known for it
     labels: Callable[[Path, str], Path]  # where the labels of a scene lie below ROOT
     read: Callable[[Path, str], list[LabelledFrame]]  # the labelled frames of a scene below ROOT
-    thresholds: str = "lerf-ovs"  # the data set under which ``query_preset`` has its thresholds
-    level_choice: LevelChoice | None = None  # in place of the preset's
+    thresholds: str = "lerf-ovs"  # its name in ``DATASET_THRESHOLDS``
+    level_choice: LevelChoice | None = None  # in place of the rule's
     levels: tuple[str, ...] | None = None  # those that may answer; None for all
     localizes: bool = False  # whether points are scored too
     refers: bool = False  # labels are sentences, which things answer too (scoup_lab.evaluate.sentences)
     at_label_size: bool = False  # bring features to the size of the label; else labels to that of the render
 
-    def preset(self, system: str = "scoup") -> QueryPreset:
+    def rule(self, system: str = "scoup") -> MaskRule:
         """Return the constants of a system for this data set."""
-        if system not in self.systems:
-            raise UnknownNameError(f"system with a rule for {self.name}", system, self.systems)
-        found = query_preset(system, self.thresholds)
+        found = mask_rule(system, self.thresholds)
         return found if self.level_choice is None else replace(found, level_choice=self.level_choice)
 
     def find(self, root: Path, wanted: Sequence[str] = ()) -> list[str]:
@@ -70,7 +67,7 @@ class PixelProtocol:
         self,
         frame: LabelledFrame,
         maps: Maps,
-        preset: QueryPreset | None = None,
+        rule: MaskRule | None = None,
         levels: Sequence[str] = LEVELS,
     ) -> list[PairScore]:
         """Score each label of a frame; the truth is brought to the size of the maps by nearest neighbour.
@@ -78,10 +75,10 @@ class PixelProtocol:
         Args:
             frame: the truth.
             maps: its relevancy.
-            preset: how maps become masks and points; by default SCOUP's for this data set.
+            rule: how maps become masks and points; by default SCOUP's for this data set.
             levels: names of the S levels, where only some may answer.
         """
-        settings = preset or self.preset()
+        rule = rule or self.rule()
         pairs = []
         for label, of_label in maps_by_label(frame, maps):
             if self.at_label_size and tuple(of_label.shape[1:]) != (frame.height, frame.width):
@@ -89,20 +86,20 @@ class PixelProtocol:
                     f"frame {frame.name!r} is {frame.width} x {frame.height}, its relevancy {of_label.shape[2]} x "
                     f"{of_label.shape[1]}; features are resized to the label, never the label"
                 )
-            pairs.append(self._score_pair(frame, label, of_label, settings, levels))
+            pairs.append(self._score_pair(frame, label, of_label, rule, levels))
         return pairs
 
     def score(
         self,
         scene: str,
         frames: Iterable[tuple[LabelledFrame, Maps]],
-        preset: QueryPreset | None = None,
+        rule: MaskRule | None = None,
         levels: Sequence[str] = LEVELS,
     ) -> SceneScore:
         """Score all frames of a scene, given with their relevancy (a generator is fine)."""
-        settings = preset or self.preset()
-        pairs = [pair for frame, maps in frames for pair in self.score_frame(frame, maps, settings, levels)]
-        return scene_score(scene, settings.name, pairs, self.title)
+        rule = rule or self.rule()
+        pairs = [pair for frame, maps in frames for pair in self.score_frame(frame, maps, rule, levels)]
+        return scene_score(scene, rule.name, pairs, self.title)
 
     def rows(self, levels: Sequence[str]) -> list[int]:
         """Return the positions of the levels that may answer."""
@@ -115,7 +112,7 @@ class PixelProtocol:
         return [list(levels).index(level) for level in self.levels]
 
     def _score_pair(
-        self, frame: LabelledFrame, label: str, maps: Tensor, preset: QueryPreset, levels: Sequence[str]
+        self, frame: LabelledFrame, label: str, maps: Tensor, rule: MaskRule, levels: Sequence[str]
     ) -> PairScore:
         rows = list(range(len(maps)))
         if self.levels is not None:
@@ -124,10 +121,10 @@ class PixelProtocol:
                 raise InputError(f"relevancy of {len(maps)} levels, but {len(levels)} are named")
         height, width = maps.shape[1:]
         if not self.localizes:
-            found = segment(maps[rows], preset)
+            found = segment(maps[rows], rule)
             score = iou(found.mask.cpu(), frame.resized(width, height).masks[label])
             return PairScore(frame.name, label, score, None, rows[found.level], found.score, None)
-        point, found = localize_and_segment(maps[rows], preset)
+        point, found = localize_and_segment(maps[rows], rule)
         truth = frame.only(label).resized(width, height)
         return PairScore(
             frame.name,

@@ -73,7 +73,6 @@ PROTOCOL = PixelProtocol(
     "ref-lerf",
     "ref-lerf 2D",
     scenes=("ramen", "figurines", "teatime", "waldo_kitchen"),
-    systems=("scoup", "langsplatv2", "langsplat"),
     labels=lambda root, scene: sentence_folder(root / scene),
     read=lambda root, scene: read_frames(root / scene),
     refers=True,

@@ -91,7 +91,6 @@ PROTOCOL = PixelProtocol(
     "3d-ovs",
     "3d-ovs 2D",
     scenes=("bed", "bench", "room", "sofa", "lawn"),
-    systems=("scoup", "langsplatv2"),
     labels=lambda root, scene: root / scene / "segmentations",
     read=read_scene,
     thresholds="3d-ovs",

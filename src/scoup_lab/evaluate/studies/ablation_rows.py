@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from scoup.base.errors import UnknownNameError
-from scoup.query.presets import QueryPreset
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.sparse import Half, SparseUplift
+from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.studies.study_scene import ScoringRule
 
 
@@ -25,7 +25,7 @@ class Ablation:
     name: str
     group: str
     method: Method  # rows that differ in the rule only share it
-    rule: Callable[[QueryPreset], ScoringRule] = ScoringRule  # from the protocol's constants
+    rule: Callable[[MaskRule], ScoringRule] = ScoringRule  # from the protocol's constants
     published: str = ""  # name of the paper's row that changes the same, if any
 
     @property
@@ -39,12 +39,12 @@ BESIDE_EVERYDAY = partial(ScoringRule, everyday=True)
 CODED_ALONE = partial(ScoringRule, coded=True)
 
 
-def by_mask(preset: QueryPreset) -> ScoringRule:
+def by_mask(rule: MaskRule) -> ScoringRule:
     """Return the rule of the protocol with the level by the mean relevancy in the mask."""
-    return ScoringRule(replace(preset, level_choice="mask"))
+    return ScoringRule(replace(rule, level_choice="mask"))
 
 
-def only_level(name: str) -> Callable[[QueryPreset], ScoringRule]:
+def only_level(name: str) -> Callable[[MaskRule], ScoringRule]:
     """Return the rule of the protocol with one level that answers."""
     return partial(ScoringRule, levels=(name,))
 

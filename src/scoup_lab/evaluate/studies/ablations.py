@@ -8,13 +8,13 @@ from statistics import mean
 from typing import Any, ClassVar
 
 from scoup.base.progress import Progress, no_progress
-from scoup.query.presets import QueryPreset
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.plots import IntervalPlot
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
 from scoup_lab.evaluate.report import Report
+from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import SceneScore, pair_names, rounded_ious
 from scoup_lab.evaluate.studies.ablation_rows import Ablation
 from scoup_lab.evaluate.studies.study import Study
@@ -62,7 +62,7 @@ class Ablations(Study[AblationResult]):
     """Rows of the ablation table, over codebook seeds; methods that know no seed are run once."""
 
     rows: Sequence[Ablation]
-    preset: QueryPreset  # the protocol's rules
+    rule: MaskRule  # the protocol's
     seeds: Sequence[int] = (0, 1, 2)  # of the codebook
     epochs: int = 4000  # of Adam
 
@@ -81,7 +81,7 @@ class Ablations(Study[AblationResult]):
                     if method.random or seed == self.seeds[0]:
                         fitted = method.fit(scene.rasterised, settings)
                         rules = {
-                            each.name: each.rule(self.preset) for each in self.rows if each.method is method
+                            each.name: each.rule(self.rule) for each in self.rows if each.method is method
                         }
                         for name, score in scene.scores(fitted, rules).items():
                             found[name].setdefault(seed, []).append(score)

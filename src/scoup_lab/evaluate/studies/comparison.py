@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 
 from scoup import raster
 from scoup.base.progress import Progress, no_progress
-from scoup.query.presets import QueryPreset
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.bench.measuring import Cost, Meter
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.report import Report
+from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import (
     SceneScore,
     accuracy_interval,
@@ -48,7 +48,7 @@ class Comparison(Study[MethodResult]):
     """Methods fitted to the same scenes; the first is set against the others."""
 
     methods: Sequence[Method]
-    preset: QueryPreset  # how maps become masks and points, for all of them
+    rule: MaskRule  # how maps become masks and points, for all of them
     settings: MethodSettings = DEFAULTS
     selection: bool = False  # score by the 3D-selection protocol too
 
@@ -94,7 +94,7 @@ class Comparison(Study[MethodResult]):
             fitted = method.fit(rasterised, self.settings)
         return MethodResult(
             method.name,
-            scene.score(fitted, self.preset),
+            scene.score(fitted, self.rule),
             scene.selection_score(fitted) if self.selection else None,
             rasterised.seconds(method.pixels),
             meter.cost,

@@ -11,13 +11,13 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.io import default_preset, load_gaussians, load_regions
 from scoup.models.words import with_everyday
-from scoup.query.presets import QueryPreset
 from scoup.query.text_vectors import TextVectors
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
+from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import SceneScore
 from scoup_lab.evaluate.studies.coded_gaussians import relevancy_of_coded
 
@@ -26,7 +26,7 @@ from scoup_lab.evaluate.studies.coded_gaussians import relevancy_of_coded
 class ScoringRule:
     """A rule from maps to scores."""
 
-    preset: QueryPreset  # constants and choice of the level
+    mask_rule: MaskRule  # constants and choice of the level
     levels: tuple[str, ...] | None = None  # names of those that may answer; None leaves that to the protocol
     everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
     # draw only the Gaussians that have a code (``coded_gaussians``); of sparse codes only
@@ -74,9 +74,9 @@ class StudyScene:
                 found[everyday, coded] = maps
             yield frame, found
 
-    def score(self, fitted: FittedMethod, preset: QueryPreset) -> SceneScore:
+    def score(self, fitted: FittedMethod, rule: MaskRule) -> SceneScore:
         """Return the score by the protocol."""
-        return self.scores(fitted, {"": ScoringRule(preset)})[""]
+        return self.scores(fitted, {"": ScoringRule(rule)})[""]
 
     def scores(self, fitted: FittedMethod, rules: Mapping[str, ScoringRule]) -> dict[str, SceneScore]:
         """Return scores by the name of the rule. Maps are made once a frame for each kind of rule."""
@@ -88,7 +88,7 @@ class StudyScene:
                 pairs[name].extend(part.pairs)
                 protocol = part.protocol
         return {
-            name: SceneScore(self.name, rules[name].preset.name, tuple(of_rule), protocol)
+            name: SceneScore(self.name, rules[name].mask_rule.name, tuple(of_rule), protocol)
             for name, of_rule in pairs.items()
         }
 
@@ -104,7 +104,7 @@ class StudyScene:
         if rule.levels is not None:
             # Other levels get the maps of one that may answer: protocols expect all levels.
             maps = maps[[levels.index(name if name in rule.levels else rule.levels[0]) for name in levels]]
-        return self.labelled.protocol.score(self.name, [(frame, maps)], rule.preset, levels)
+        return self.labelled.protocol.score(self.name, [(frame, maps)], rule.mask_rule, levels)
 
 
 def open_study_scene(labelled: LabelledScene, vectors: TextVectors) -> StudyScene:

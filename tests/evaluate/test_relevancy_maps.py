@@ -1,0 +1,179 @@
+"""Points and masks of relevancy maps against literal loops and hand-made cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from evaluate import literal
+from scoup.base.errors import InputError
+from scoup.query.segment import mask_box
+from scoup_lab.evaluate.relevancy_maps import (
+    averaged_relevancy,
+    box_mean,
+    choose_level,
+    localize,
+    localize_and_segment,
+    rescale,
+    segment,
+)
+from scoup_lab.evaluate.rules import MASK_RULES, Border, LevelChoice, MaskRule
+from support import examples
+
+SCOUP = MASK_RULES["scoup"]
+BY_MASK = MaskRule("by mask", 7, "inside", 0.6, 7, "mask")
+RULES = pytest.mark.parametrize("rule", MASK_RULES.values(), ids=MASK_RULES)
+shapes = st.tuples(st.integers(1, 11), st.integers(1, 11))
+
+
+def literal_level(smoothed: np.ndarray, masks: np.ndarray, choice: LevelChoice) -> int:
+    if choice == "peak" or not masks.any():
+        return int(np.argmax([level.max() for level in smoothed]))  # the first of equals
+    means = [
+        level[mask].mean() if mask.any() else -np.inf for level, mask in zip(smoothed, masks, strict=True)
+    ]
+    return int(np.argmax(means))
+
+
+@settings(max_examples=examples(40))
+@given(shapes, st.sampled_from([*MASK_RULES.values(), BY_MASK]), st.integers(1, 3), st.integers(0, 2**31))
+def test_segment_equals_the_protocol_read_literally(
+    shape: tuple[int, int], rule: MaskRule, levels: int, seed: int
+) -> None:
+    # Coarse values, so that nothing lies within rounding of the threshold by chance of float32.
+    relevancy = torch.randint(0, 256, (levels, *shape), generator=torch.Generator().manual_seed(seed)) / 256
+    constants = rule.kernel, rule.border, rule.threshold, rule.smoothing, rule.smoothing_border
+    smoothed, masks = literal.masks(relevancy.numpy(), *constants)
+    level = literal_level(smoothed, masks, rule.level_choice)
+    found = segment(relevancy, rule)
+    assert found.level == level
+    assert found.score == pytest.approx(smoothed[level].max(), abs=1e-6)
+    np.testing.assert_array_equal(found.mask.numpy(), masks[level])
+
+
+@settings(max_examples=examples(1000))
+@given(st.sampled_from([1, 2, 4, 4]), st.sampled_from(["peak", "mask"]), st.integers(0, 2**31))
+def test_the_level_that_answers_read_literally(levels: int, choice: LevelChoice, seed: int) -> None:
+    """Of levels that are almost equally relevant; masks are rectangles: some or all empty, equal, nested."""
+    random = np.random.default_rng(seed)
+    smoothed = 0.5 + random.integers(0, 6, (levels, 6, 8)).astype(np.float32) / 64
+    masks = np.zeros((levels, 6, 8), bool)
+    for mask in masks:
+        top, left, height, width = random.integers(0, (3, 4, 4, 5))
+        mask[top : top + height, left : left + width] = True
+    masks[:] &= random.random() < 0.9
+    if random.random() < 0.1:
+        smoothed[:], masks[:] = smoothed[0], masks[0]
+    found = choose_level(torch.from_numpy(smoothed), torch.from_numpy(masks), choice)
+    assert found == literal_level(smoothed.astype(np.float64), masks, choice)
+
+
+def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
+    relevancy = torch.full((3, 60, 80), 0.5)
+    relevancy[1, 20:40, 30:60] = 0.9
+    relevancy[2, 5:30, 5:30] = 0.8
+    found = segment(relevancy, SCOUP)
+    # At a straight edge the box is 4 and 5 sevenths inside: rescaled, the first two rows of the square have 0.571,
+    # just below the threshold, and 0.714.
+    assert (found.level, mask_box(found.mask)) == (1, (31, 21, 59, 39))
+    assert found.mask.float().mean() == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
+
+
+def two_levels() -> Tensor:
+    """A small spot of high relevancy at the first level, a large square a little lower at the second."""
+    relevancy = torch.full((2, 60, 80), 0.5)
+    relevancy[0, 20:40, 30:60] = 0.84
+    relevancy[0, 27:34, 40:47] = 0.92  # its mask is wider than the spot, and lower on average
+    relevancy[1, 20:40, 30:60] = 0.88
+    return relevancy
+
+
+def test_the_level_by_its_peak_or_by_its_mask() -> None:
+    relevancy = two_levels()
+    by_peak, by_mask = segment(relevancy, SCOUP), segment(relevancy, BY_MASK)
+    assert (by_peak.level, by_mask.level) == (0, 1)
+    # The score is the largest smoothed relevancy of the level chosen, by either rule.
+    assert by_mask.score == pytest.approx(0.88)
+    smoothed = 0.5 * (relevancy + averaged_relevancy(relevancy, SCOUP))
+    assert by_peak.score == float(smoothed[0].max())
+    assert localize(relevancy, BY_MASK).level == localize(relevancy, SCOUP).level
+
+
+def test_localize_by_hand() -> None:
+    relevancy = torch.zeros(3, 20, 30)
+    relevancy[0, 3, 4] = 1.0  # a spike: large, but averaged away
+    relevancy[2, 10:17, 15:22] = 0.8
+    place = localize(relevancy, SCOUP)
+    assert (place.pixel, place.level) == ((18, 13), 2)
+    assert place.score == pytest.approx(0.8)
+    assert place.pixels.tolist() == [[18, 13]]
+
+
+def test_ties_are_all_reported_row_by_row_and_the_first_level_wins() -> None:
+    relevancy = torch.zeros(2, 20, 40)
+    relevancy[0, 10, 10] = relevancy[0, 10, 30] = relevancy[1, 5, 5] = 1.0
+    place = localize(relevancy, MaskRule("one", kernel=1, border="inside", threshold=0.6, smoothing=1))
+    assert place.pixels.tolist() == [[10, 10], [30, 10]]
+    assert place.level == 0
+    assert place.pixel in [(10, 10), (30, 10)]
+
+
+def test_constant_maps_give_empty_masks_and_every_pixel_as_maximum() -> None:
+    relevancy = torch.full((2, 9, 15), 0.5)
+    found = segment(relevancy, SCOUP)
+    assert (found.level, bool(found.mask.any())) == (0, False)
+    assert found.score == pytest.approx(0.5)
+    place = localize(relevancy, SCOUP)
+    assert len(place.pixels) == 9 * 15
+    assert (place.pixel, place.level) == ((7, 4), 0)
+
+
+@RULES
+def test_one_pixel(rule: MaskRule) -> None:
+    place = localize(torch.tensor([[[0.4]], [[0.6]]]), rule)
+    assert (place.pixel, place.level, place.pixels.tolist()) == ((0, 0), 1, [[0, 0]])
+    assert place.score == pytest.approx(0.6)
+    assert segment(torch.tensor([[[0.4]]]), rule).mask.tolist() == [[False]]
+
+
+@pytest.mark.parametrize("shape", [(3, 4), (0, 3, 4), (2, 0, 4), (1, 2, 3, 4)])
+def test_shapes_refused(shape: tuple[int, ...]) -> None:
+    for work in (localize, segment):
+        with pytest.raises(InputError):
+            work(torch.zeros(shape), SCOUP)
+
+
+@RULES
+def test_both_at_once_is_one_after_the_other(rule: MaskRule) -> None:
+    maps = torch.rand(3, 40, 60, generator=torch.Generator().manual_seed(0))
+    place, shape = localize_and_segment(maps, rule)
+    alone, other = localize(maps, rule), segment(maps, rule)
+    assert (place.pixel, place.level, place.score) == (alone.pixel, alone.level, alone.score)
+    assert place.pixels.equal(alone.pixels)
+    assert (shape.level, shape.score) == (other.level, other.score)
+    assert shape.mask.equal(other.mask)
+
+
+@settings(max_examples=examples(60))
+@given(shapes, st.integers(1, 30), st.sampled_from(["inside", "reflect"]), st.integers(0, 2**31))
+def test_box_mean(shape: tuple[int, int], kernel: int, border: Border, seed: int) -> None:
+    image = torch.rand(shape, generator=torch.Generator().manual_seed(seed))
+    expected = literal.box(image.double().numpy(), kernel, border)
+    np.testing.assert_allclose(box_mean(image, kernel, border).numpy(), expected, atol=1e-6)
+    np.testing.assert_allclose(box_mean(image.double(), kernel, border).numpy(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("border", ["inside", "reflect"])
+@pytest.mark.parametrize("value", [0.1, 0.3, 0.7])
+def test_constant_maps_stay_constant(border: Border, value: float) -> None:
+    averaged = box_mean(torch.full((300, 417), value), 7, border)
+    assert len(averaged.unique()) == 1
+
+
+def test_rescale() -> None:
+    assert rescale(torch.tensor([0.0, 0.5, 0.75, 1.0])).tolist() == pytest.approx([0, 0, 0.5, 1])
+    assert rescale(torch.full((3,), 0.7)).tolist() == [0, 0, 0]
