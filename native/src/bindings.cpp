@@ -11,11 +11,11 @@ namespace nb = nanobind;
 namespace scoup {
 void bind_code_sums(nb::module_& m);
 void bind_coder(nb::module_& m);
+void bind_mask_parts(nb::module_& m);
 void bind_neighbours(nb::module_& m);
 void bind_raster(nb::module_& m);
 void bind_sums(nb::module_& m);
 void bind_selection(nb::module_& m);
-void bind_smoothing(nb::module_& m);
 }  // namespace scoup
 
 NB_MODULE(_native, m) {
@@ -28,9 +28,9 @@ NB_MODULE(_native, m) {
     m.def("measure_clock_hz", &scoup::measure_clock_hz, "Cycles a second of this core; 0 where it cannot be told.");
     scoup::bind_code_sums(m);
     scoup::bind_coder(m);
+    scoup::bind_mask_parts(m);
     scoup::bind_neighbours(m);
     scoup::bind_raster(m);
     scoup::bind_sums(m);
     scoup::bind_selection(m);
-    scoup::bind_smoothing(m);
 }

@@ -1,12 +1,10 @@
 """Box means of maps, masks of relevancy (docs/protocols.md, LERF-OVS, steps 1 to 3), and the parts of masks.
 
-The compiled core does the work on a CPU. The torch code (``plain_...``) is its specification, and is used without the
-core, on other devices and for other types; box means and masks are the same to the last bit.
+The compiled core finds the parts; ``plain_mask_parts`` is its specification, used without the core.
 """
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import Literal
 
 import numpy as np
@@ -31,16 +29,6 @@ def box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
         kernel: side of the box in pixels.
         border: see ``QueryPreset``.
     """
-    core = _core_for(maps, kernel)
-    if core is None or not maps.numel():
-        return plain_box_mean(maps, kernel, border)
-    flat = maps.detach().reshape(-1, *maps.shape[-2:]).contiguous().numpy()
-    found = core.box_means(flat, kernel, border == "reflect", torch.get_num_threads())
-    return torch.from_numpy(found).view(maps.shape)
-
-
-def plain_box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
-    """``box_mean`` in torch."""
     means = maps.double()
     for axis in (-1, -2):
         means = _mean_along(means, axis, kernel, border)
@@ -64,23 +52,11 @@ def smoothed_masks(
     if border == "but last":
         smoothed, above = smoothed_masks(relevancy, averaged, thresholds, 1)
         return smoothed, majority_but_last(above, smoothing)
-    core = _core_for(relevancy, smoothing)
-    if core is None or averaged.dtype != relevancy.dtype:
-        return plain_smoothed_masks(relevancy, averaged, thresholds, smoothing)
-    arrays = (maps.detach().contiguous().numpy() for maps in (relevancy, averaged, thresholds))
-    smoothed, masks = core.level_masks(*arrays, smoothing, torch.get_num_threads())
-    return torch.from_numpy(smoothed), torch.from_numpy(masks).view(torch.bool)
-
-
-def plain_smoothed_masks(
-    relevancy: Tensor, averaged: Tensor, thresholds: Tensor, smoothing: int
-) -> tuple[Tensor, Tensor]:
-    """``smoothed_masks`` in torch."""
     smoothed = 0.5 * (relevancy + averaged)
     above = torch.stack(
         [rescale(level) > threshold for level, threshold in zip(smoothed, thresholds.tolist(), strict=True)]
     )
-    return smoothed, plain_box_mean(above.float(), smoothing) > 0.5
+    return smoothed, box_mean(above.float(), smoothing) > 0.5
 
 
 def majority_but_last(masks: Tensor, side: int) -> Tensor:
@@ -96,16 +72,6 @@ def mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the largest smoothed relevancy of each level [S], the pixels of its mask [S] int64, and the sum of
     smoothed relevancy over them [S] float64, so that levels equal to the last bit have equal means.
     """
-    core = _core_for(smoothed)
-    if core is None:
-        return plain_mask_sums(smoothed, masks)
-    arrays = smoothed.detach().contiguous().numpy(), masks.contiguous().view(torch.uint8).numpy()
-    peaks, areas, sums = core.level_sums(*arrays, torch.get_num_threads())
-    return torch.from_numpy(peaks), torch.from_numpy(areas), torch.from_numpy(sums)
-
-
-def plain_mask_sums(smoothed: Tensor, masks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """``mask_sums`` in torch."""
     sums = torch.where(masks, smoothed.double(), 0.0).flatten(1).sum(1)
     return smoothed.flatten(1).amax(1), masks.flatten(1).sum(1), sums
 
@@ -140,14 +106,6 @@ def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = Non
     # float64, in which 1e-9 does not vanish beside the range.
     stretched = (values.double() - low) / (high.double() - low + 1e-9)
     return (2 * stretched - 1).clamp(0, 1).to(values.dtype)
-
-
-def _core_for(maps: Tensor, kernel: int = 1) -> ModuleType | None:
-    """The compiled core if it serves these maps."""
-    if maps.device.type != "cpu" or maps.dtype != torch.float32:
-        return None
-    core = native_core()
-    return core if core is not None and kernel <= core.MOST_KERNEL else None
 
 
 def _mean_along(values: Tensor, axis: int, kernel: int, border: Border) -> Tensor:
