@@ -132,14 +132,13 @@ def test_baselines(here: Path) -> None:
 def test_ablations(here: Path) -> None:
     record = run_json(
         "eval", "ablations", "lerf-ovs", "--scenes", "table", "--groups", "vote", "--groups", "entropy",
-        "--groups", "pixels", "--groups", "views", "--groups", "levels", "--seeds", 0, 1,
+        "--groups", "views", "--groups", "levels", "--seeds", 0, 1,
     )  # fmt: skip
     rows = record["rows"]
     assert "L=32" not in rows
     assert rows["dense uplift"]["seeds"] == [0]
     assert rows["no top-K"]["seeds"] == [0, 1]
-    assert rows["level by peak"]["miou"] == rows["base: L=64, K=4, top-K"]["miou"]
-    assert rows["every 8th pixel"]["miou"] != rows["every 2nd pixel"]["miou"]
+    assert "level by mask" in rows
     assert rows["1/8 of the views"]["miou"] < rows["base: L=64, K=4, top-K"]["miou"]
     assert (here / "eval_lerf-ovs" / "ablations.png").is_file()
 

@@ -107,14 +107,13 @@ class Baselines(StudyOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Ablations(StudyOptions):
-    """Change one thing at a time: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver and
-    start, levels and how they are chosen, everyday words, fewer views, fewer pixels; at least three codebook seeds
-    each. Table and plot.
+    """Change one thing at a time: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver,
+    levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each. Table and plot.
     """
 
     groups: Names = ()
-    """Groups of rows: vote, atoms, non-zeros, entropy, "solver and start", levels, phrases, views, pixels;
-    repeat it for several. Default: all. The base is always run."""
+    """Groups of rows: vote, atoms, non-zeros, entropy, solver, levels, phrases, views; repeat it for
+    several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of the codebook; scores are means over them."""
     epochs: int = 4000
