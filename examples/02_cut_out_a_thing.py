@@ -10,9 +10,7 @@ import scoup
 path, words, thing, out, rest = sys.argv[1:6]
 
 field = scoup.LanguageField.load(path)
-place = field.location(field.question(thing, encoder=words, neighbours=10))
-scoup.save_gaussians(field.gaussians.select(place.gaussians), out)
-
-others = ~place.answer.mask
-field[others].save(rest)
-print(f"{len(place.gaussians)} of {len(field)} Gaussians saved to {out}, {int(others.sum())} to {rest}")
+answer = field.answer(field.question(thing, encoder=words))
+scoup.save_gaussians(field.gaussians.select(answer.mask), out)
+field[~answer.mask].save(rest)
+print(f"{int(answer.mask.sum())} of {len(field)} Gaussians saved to {out}, the others to {rest}")

@@ -1,9 +1,9 @@
-"""Where is it, for a robot: position, size and confidence in the world, and in the camera's own frame.
+"""Where is it, for a robot: position, size and score in the world, and in the frame of the camera that sees it best.
 
     python examples/06_robot.py demo/demo.scoup demo/scene/text.npz teapot 0.25
 
 The last argument is the length of the scene's unit in metres; measure something you know to find it. A robot should
-act only on what is present, and confident enough for its purpose.
+act only on what is present, with a score high enough for its purpose.
 """
 
 import sys
@@ -13,17 +13,13 @@ import scoup
 path, words, thing, metres_per_unit = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
 field.text_encoder(words)
-found = field.finding(thing)
+place = field.location(thing)
+print(f"{thing}: {place.said(float(metres_per_unit))}")
 
-if not found.presence or found.position is None:
-    print(f"{thing}: not in this scene (z-score {found.location.answer.z_score})")
-    sys.exit()
-print(f"{thing}: {found.location.said(float(metres_per_unit))}")
-print(f"seen in {sum(answer.presence for answer in found.answers)} of {len(found.answers)} views")
-if found.best is not None and field.cameras is not None:
-    camera = field.cameras[found.best.view]
-    rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
-    x, y, z = ((rotation @ found.position + translation) * float(metres_per_unit)).tolist()
-    print(
-        f"from {camera.name}: {x:.3f} m to the right, {y:.3f} m down, {z:.3f} m ahead; pixel {found.best.point}"
-    )
+views = [place.answer.in_view(camera) for camera in field.cameras or ()]
+best = max(views, key=lambda view: view.coverage, default=None)
+if place.position is not None and best is not None:
+    print(f"visible in {sum(view.visible for view in views)} of {len(views)} views")
+    viewmat = field.camera(best.view).viewmat
+    x, y, z = ((viewmat[:3, :3] @ place.position + viewmat[:3, 3]) * float(metres_per_unit)).tolist()
+    print(f"from {best.view}: {x:.3f} m to the right, {y:.3f} m down, {z:.3f} m ahead; pixel {best.point}")

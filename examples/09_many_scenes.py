@@ -13,6 +13,6 @@ found = []
 for path in paths:
     field = scoup.LanguageField.load(path)
     found.append((field.location(field.question(thing, encoder=encoder)), path))
-found.sort(key=lambda pair: (pair[0].presence, pair[0].answer.z_score or pair[0].answer.score), reverse=True)
+found.sort(key=lambda pair: (pair[0].presence, pair[0].answer.score or 0.0), reverse=True)
 for place, path in found:
     print(f"{path}: {place}")

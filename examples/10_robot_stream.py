@@ -54,7 +54,7 @@ for number in range(window, n_frames):
     memory.append(resident_bytes() or 0)
     if (number - window) % 50 == 0:
         where = "not there" if place.position is None else [round(x, 3) for x in place.position.tolist()]
-        print(f"{camera.name}: where is the {thing}? {where}, confidence {place.confidence:.2f}")
+        print(f"{camera.name}: where is the {thing}? {where}, {place.answer.remark()}")
 
 for what, seconds in (("update", updates), ("answer", answers)):
     print(f"{what}: median {median(seconds) * 1e3:.0f} ms, worst {max(seconds) * 1e3:.0f} ms")

@@ -34,7 +34,8 @@ things = field.things(phrase)
 detections = [
     {
         "id": str(thing.number),
-        "results": [{"hypothesis": {"class_id": thing.text, "score": thing.confidence}}],
+        # None where presence was not judged, for lack of everyday words.
+        "results": [{"hypothesis": {"class_id": thing.text, "score": thing.score}}],
         "bbox": {
             "center": {
                 "position": point(metres_per_unit * ROTATION @ thing.box.centre + TRANSLATION),

@@ -37,7 +37,7 @@ rerun.log(
         half_sizes=[(thing.box.extent / 2).tolist() for thing in things],
         # The rows of `axes` are the axes of a box; quaternions here are x, y, z, w.
         quaternions=[Rotation.from_matrix(thing.box.axes.T.numpy()).as_quat() for thing in things],
-        labels=[f"{thing.text} {thing.confidence:.2f}" for thing in things],
+        labels=[thing.text if thing.score is None else f"{thing.text} {thing.score:.2f}" for thing in things],
     ),
     static=True,
 )

@@ -13,11 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from scoup.cli import main
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap
-from scoup.models.word_table import save_table
+from scoup.models.word_table import load_table, save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import Regions
@@ -60,6 +61,15 @@ def write_scene(folder: Path, count: int = 150, seed: int = 0, mark: str = "") -
     vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))
     save_table(folder / "words.npz", names, vectors.numpy())
     return folder
+
+
+def add_words(table: Path | str = "scene/words.npz", path: Path | str = "many.npz", seed: int = 5) -> str:
+    """Write a word table with 30 more words, random as the others, so that presence is judged; its path."""
+    known = load_table(Path(table))
+    more = unit(torch.randn(30, known.vectors.shape[1], generator=torch.Generator().manual_seed(seed)))
+    names = [*known.names, *(f"word {number}" for number in range(len(more)))]
+    save_table(Path(path), names, np.concatenate([known.vectors, more.numpy()]))
+    return str(path)
 
 
 def run(*arguments: object) -> tuple[int, str, str]:

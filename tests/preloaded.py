@@ -52,7 +52,7 @@ MODULES = (
     "scoup.extract.pipeline",
     "scoup.extract.registry",
     "scoup.field.language_field",
-    "scoup.query.locate",
+    "scoup.query.place",
 )
 IF_INSTALLED = ("skimage.segmentation",)
 LENGTH = struct.Struct("<Q")

@@ -26,7 +26,7 @@ INNER = {
     "io": "images npy reading regions.views splats.ply splats.scenesplat",
     "models": "word_table words",
     "pictures": "colors",
-    "query": "neighbours relevancy segment select text_vectors",
+    "query": "relevancy select text_vectors view_masks",
     "raster": "view_sums",
     "scene": "codes directions field_info gaussians neighbours regions things",
     "uplift": "build_settings checkpoint provenance rasterise region_codes region_sums things vote",

@@ -12,7 +12,7 @@ import scoup
 from cli.conftest import here as here
 from cli.conftest import original as original
 
-ANSWERS = ("question", "answer", "location", "finding", "select", "label")
+ANSWERS = ("question", "answer", "location", "things", "catalog", "frame", "select", "label")
 NAMES = [name for name in scoup.__all__ if name != "__version__"]
 
 

@@ -39,14 +39,11 @@ _HOMES = {
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
     "Question": "scoup.query.question",
-    "Location": "scoup.query.locate",
-    "Finding": "scoup.query.finding",
-    "SceneAnswer": "scoup.query.answer",
+    "ViewAnswer": "scoup.query.answer",
+    "Place": "scoup.query.place",
     "Reshaping": "scoup.query.reshape",
     "GaussianLabels": "scoup.query.label",
     "parse_expression": "scoup.query.expression",
-    "localize": "scoup.query.localize",
-    "segment": "scoup.query.segment",
 }
 
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
@@ -66,15 +63,12 @@ if TYPE_CHECKING:
     from scoup.io import save_gaussians as save_gaussians
     from scoup.models.text import TextEncoder as TextEncoder
     from scoup.query.answer import Answer as Answer
-    from scoup.query.answer import SceneAnswer as SceneAnswer
+    from scoup.query.answer import ViewAnswer as ViewAnswer
     from scoup.query.expression import parse_expression as parse_expression
-    from scoup.query.finding import Finding as Finding
     from scoup.query.label import GaussianLabels as GaussianLabels
-    from scoup.query.localize import localize as localize
-    from scoup.query.locate import Location as Location
+    from scoup.query.place import Place as Place
     from scoup.query.question import Question as Question
     from scoup.query.reshape import Reshaping as Reshaping
-    from scoup.query.segment import segment as segment
     from scoup.raster import project as project
     from scoup.scene.cameras import Camera as Camera
     from scoup.scene.cameras import Cameras as Cameras

@@ -13,11 +13,8 @@ from scoup.query.text_vectors import TextVectors
 def test_tensors_are_said_by_type_and_shape():
     codes = scoup.SparseCodes(torch.zeros(5, 2, dtype=torch.uint8), torch.zeros(5, 2), 8)
     assert repr(codes) == "SparseCodes(indices=uint8 [5, 2], weights=float32 [5, 2], n_atoms=8)"
-    selection = Selection(torch.zeros(9, dtype=torch.bool), torch.zeros(9), 1, 0.5, 0.25)
-    assert (
-        repr(selection)
-        == "Selection(mask=bool [9], relevancy=float32 [9], level=1, score=0.5, threshold=0.25, of_levels=None)"
-    )
+    selection = Selection(torch.zeros(9, dtype=torch.bool), torch.zeros(9), 1, 0.25)
+    assert repr(selection) == "Selection(mask=bool [9], relevancy=float32 [9], level=1, threshold=0.25)"
 
 
 def test_nobody_prints_numbers_by_the_thousand():

@@ -36,6 +36,8 @@ def test_arrays_and_coco_hold_the_answers():
             for row, answer in enumerate(answers):
                 assert np.array_equal(arrays["relevancy"][row], answer.heat.numpy())
                 assert np.array_equal(arrays["mask"][row], answer.mask.numpy())
+                assert arrays["present"][row] == answer.presence
+                assert np.isnan(arrays["score"][row])  # too few words to judge presence
                 assert areas.get((number + 1, row + 1), 0) == int(answer.mask.sum())
         entry = record["answers"][2 * number]
         assert entry["files"] == {"npz": f"a/{camera.stem}/relevancy.npz"}
@@ -47,21 +49,17 @@ def test_arrays_and_coco_hold_the_answers():
 def test_python_says_what_the_command_line_says():
     record = run_json("query", "f.scoup", *TEXTS, "--camera", "all", "--out", "a")
     field = LanguageField.load("f.scoup")
-    findings = field.finding(list(TEXTS))
-    for number, finding in enumerate(findings):
-        assert finding.text == TEXTS[number]
-        assert {"text": finding.text, **finding.location.record()} == record["places"][number]
-        entries = [entry for entry in record["answers"] if entry["text"] == finding.text]
-        for answer, entry in zip(finding.answers, entries, strict=True):
-            position = entry.pop("position")
-            assert {"camera": answer.view, "text": answer.text, **answer.record()} == entry
-            assert (answer.position is None) == (position is None)
-            if answer.position is not None:
-                assert answer.position.tolist() == pytest.approx(position, rel=1e-4, abs=1e-5)
-    alone = field.finding("kettle")
-    assert alone.location.record() == findings[0].location.record()
-    assert alone.best is not None
-    assert alone.best.score == max(answer.score for answer in alone.answers)
+    for number, (answer, place) in enumerate(
+        zip(field.answer(list(TEXTS)), field.location(list(TEXTS)), strict=True)
+    ):
+        assert answer.text == TEXTS[number]
+        assert {"text": answer.text, **place.record()} == record["places"][number]
+        assert field.location(answer).record() == field.location(answer.text).record() == place.record()
+        entries = [entry for entry in record["answers"] if entry["text"] == answer.text]
+        for camera, entry in zip(field.cameras or (), entries, strict=True):
+            seen = answer.in_view(camera)
+            assert {"camera": seen.view, "text": seen.text, **seen.record()} == entry
+            assert (seen.position is None) == (entry["position"] is None)
 
 
 def test_places_in_metres():
@@ -69,7 +67,7 @@ def test_places_in_metres():
     (place,) = record["places"]
     assert place["position_metres"] == pytest.approx([0.5 * part for part in place["position"]], rel=1e-4)
     out = run("query", "f.scoup", "kettle", "--out", "b", "--metres-per-unit", "0.5")[1]
-    assert re.search(r"in the world  kettle: at \[.*\], extent .* \(.* m\), confidence", out)
+    assert re.search(r"in the scene  kettle: at \[.*\], extent .* \(.* m\), thing \d", out)
 
 
 @pytest.mark.parametrize("motion", ["path", "turntable"])

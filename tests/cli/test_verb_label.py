@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import refused, run, run_json
+from cli_support import add_words, refused, run, run_json
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, read_ply_table
 
@@ -40,6 +40,22 @@ def test_the_main_path():
     with Image.open(folder / "labels.png") as picture:
         assert picture.width == 1500
     assert "already exists" in refused("label", "f.scoup", "kettle")
+
+
+def test_an_absent_word_labels_nothing():
+    texts = ("--text", add_words())
+    ask = ("label", "f.scoup", "kettle", "mug", *texts, "--outputs", "sidecar")
+    classes = run_json(*ask, "--out", "a", "--always")["classes"]
+    low, high = sorted(classes, key=lambda one: one["score"])
+    code, out, err = run(*ask, "--out", "b", "--presence", (low["score"] + high["score"]) / 2)
+    assert (code, err) == (0, "")
+    assert f"{low['name']}: not in this scene (score {low['score']:.2f})" in out.splitlines()
+    assert f"{high['name']}: {high['gaussians']} Gaussians" in out
+    absent = next(
+        one for one in json.loads(Path("b/labels.json").read_text())["classes"] if one["name"] == low["name"]
+    )
+    assert (absent["present"], absent["gaussians"], absent["things"]) == (False, 0, [])
+    assert absent["score"] == low["score"]
 
 
 def test_every_output():

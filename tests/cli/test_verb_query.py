@@ -6,20 +6,17 @@ import json
 import re
 import shutil
 from pathlib import Path
-from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from cli_support import run, run_json, snapshot
+from cli_support import add_words, run, run_json, snapshot
 from scoup.base.errors import InputError
-from scoup.cli.query import Query
 from scoup.io import write_colmap
 from scoup.models.word_table import load_table, save_table
 from scoup.pictures import mask_overlay
-from scoup.query.presets import QUERY_PRESETS
 from scoup.scene.cameras import Cameras
 from support import make_camera
 
@@ -30,17 +27,52 @@ def test_the_main_path_says_what_it_found():
     code, out, err = run("query", "f.scoup", "kettle", "wooden table")
     assert (code, err) == (0, "")
     lines = out.splitlines()
-    assert re.match(r"view_00\.png  kettle: score [01]\.\d\d at level", lines[0])
-    assert lines[1].startswith("view_00.png  wooden table: score 0.")
-    assert [line.split(":")[0] for line in lines[2:4]] == [
-        "in the world  kettle",
-        "in the world  wooden table",
-    ]
+    seen = r"pixel \[\d+, \d+\], box \[\d+, \d+, \d+, \d+\], \d+\.\d% of the view"
+    place = r"at \[.*\], extent \S+ x \S+ x \S+, thing \d+, presence not judged"
+    for number, text in enumerate(("kettle", "wooden table")):
+        assert re.fullmatch(rf"view_00\.png  {text}: {seen}", lines[number])
+        assert re.fullmatch(rf"in the scene  {text}: {place}", lines[2 + number])
     assert lines[4:] == [
         "f_queries/sheet.png: the answers as pictures",
         "f_queries/query.json: 2 answers",
     ]
     assert files("f_queries") == ["query.json", "sheet.png"]
+
+
+def test_an_absent_text_is_said_once_and_has_no_place():
+    ask = ("query", "f.scoup", "kettle", "mug", "--text", add_words(), "--camera", "all", "--overwrite")
+    low, high = sorted(run_json(*ask)["places"], key=lambda place: place["score"])
+    assert low["score"] < high["score"]
+    bound = (low["score"] + high["score"]) / 2
+    out = run(*ask, "--presence", bound)[1]
+    assert out.count(low["text"]) == 1
+    said = f"in the scene  {low['text']}: not in this scene (score {low['score']:.2f})"
+    assert said in out.splitlines()
+    assert out.count(f".png  {high['text']}: ") == 4
+    record = run_json(*ask, "--presence", bound)
+    place, *answers = [one for one in (*record["places"], *record["answers"]) if one["text"] == low["text"]]
+    assert (place["position"], place["box"], place["gaussians"], place["things"]) == (None, None, 0, [])
+    assert len(answers) == 4
+    for answer in answers:
+        assert (answer["certainty"], answer["present"], answer["visible"]) == ("not here", False, False)
+        assert (answer["pixel"], answer["box"], answer["coverage"]) == (None, None, 0)
+    always = run_json(*ask, "--always")
+    assert all(one["present"] and one["gaussians"] for one in always["places"])
+    assert [one["score"] for one in always["places"]] == [one["score"] for one in record["places"]]
+
+
+def test_certainty_is_the_score_in_words():
+    names = ["kettle", "mug", "wooden table", *(f"word {number}" for number in range(30))]
+    ask = ("query", "f.scoup", *names, "--text", add_words(), "--pictures", "none")
+    places = run_json(*ask, "--presence", "0.3")["places"]
+    words = {
+        "sure" if one["score"] >= 0.9 else "likely" if one["score"] >= 0.6 else "doubtful": one["certainty"]
+        for one in places
+        if one["present"]
+    }
+    assert words == {word: word for word in ("sure", "likely", "doubtful")}
+    assert all(one["present"] == (one["score"] >= 0.3) for one in places if one["gaussians"] >= 10)
+    assert {one["certainty"] for one in places if not one["present"]} == {"not here"}
 
 
 def files(folder: str) -> list[str]:
@@ -85,8 +117,16 @@ def test_the_record_of_an_answer():
     }
     assert (answer["camera"], answer["text"]) == ("view_00.png", "kettle")
     assert answer["level"] in "sml"
-    assert 0 < answer["score"] < 1
-    assert answer["threshold"] is None or 0.44 <= answer["threshold"] <= 0.84  # none where a thing answers
+    assert (answer["present"], answer["visible"]) == (True, True)
+    assert (answer["score"], answer["certainty"]) == (None, None)  # too few words to judge presence
+    assert "threshold" not in answer  # a thing answers
+    (place,) = record["places"]
+    assert {key: place[key] for key in ("level", "score", "present")} == {
+        key: answer[key] for key in ("level", "score", "present")
+    }
+    assert len(place["things"]) == 1
+    assert place["gaussians"] > 0
+    assert place["runner_up"]["thing"] not in place["things"]
     x, y = answer["pixel"]
     assert 0 <= x < 40
     assert 0 <= y < 30
@@ -131,23 +171,29 @@ def test_pictures_of_another_size():
         assert picture.size == (80, 60)
 
 
-def test_rules_and_thresholds_change_the_mask():
+def test_thresholds_and_levels_change_the_answer():
     ask = ("query", "f.scoup", "kettle", "--pictures", "none", "--overwrite")
-    coverage = lambda *options: run_json(*ask, *options)["answers"][0]["coverage"]  # noqa: E731
-    assert coverage("--threshold", "0.1") > coverage("--threshold", "0.9")
-    threshold = lambda *options: run_json(*ask, *options)["answers"][0]["threshold"]  # noqa: E731
-    assert (threshold("--threshold", "0.1"), threshold("--rule", "langsplat")) == (0.1, 0.4)
-    assert coverage("--rule", "langsplatv2") != coverage()
-    assert coverage("--rule", "langsplat") != coverage()
+    place = lambda *options: run_json(*ask, *options)["places"][0]  # noqa: E731
+    low, high = place("--threshold", "0.1"), place("--threshold", "0.9")
+    assert low["gaussians"] > high["gaussians"] > 0
+    assert (low["threshold"], high["threshold"], low["things"]) == (0.1, 0.9, [])
+    levels = {level: place("--level", level) for level in "sml"}
+    assert {level: one["level"] for level, one in levels.items()} == {level: level for level in "sml"}
+    assert len({tuple(one["things"]) for one in levels.values()}) == 3
+    assert place() in levels.values()
 
 
-def test_rules_are_the_presets_and_the_first_is_the_default():
-    rules = get_args(get_type_hints(Query)["rule"])
-    assert rules == tuple(QUERY_PRESETS)
-    ask = ("query", "f.scoup", "kettle", "mug", "--camera", "all", "--pictures", "none", "--overwrite")
-    answers = lambda *options: run_json(*ask, *options)["answers"]  # noqa: E731
-    assert answers() == answers("--rule", "default")
-    assert {answer["threshold"] for answer in answers("--rule", "scoup")} == {0.6}
+def test_every_view_shows_the_answer_of_the_scene():
+    record = run_json(
+        "query", "f.scoup", "kettle", "mug", "--camera", "all", "--pictures", "none", "--text", add_words(),
+        "--always",
+    )  # fmt: skip
+    shared = ("level", "score", "certainty", "present")
+    for place in record["places"]:
+        answers = [one for one in record["answers"] if one["text"] == place["text"]]
+        assert len(answers) == 4
+        assert all(one[key] == place[key] for one in answers for key in shared)
+        assert any(one["visible"] for one in answers)
 
 
 def test_cameras_of_another_scene():
@@ -168,8 +214,8 @@ def test_views_that_see_nothing_are_counted():
     code, out, err = run("query", "f.scoup", "kettle", "--scene", "other", "--camera", "all", "--json")
     assert code == 0
     answers = {answer["camera"]: answer for answer in json.loads(out)["answers"]}
-    assert answers["away.png"]["box"] is None
-    assert answers["away.png"]["score"] == 0.5
+    away_answer = answers["away.png"]
+    assert (away_answer["box"], away_answer["visible"], away_answer["present"]) == (None, False, True)
     assert "warning: 1 of 2 cameras sees nothing of the field (away.png)" in err
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import QUICK, refused, run, run_json
-from scoup.cli.query_options import absence_message
+from cli_support import QUICK, add_words, refused, run, run_json
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, read_ply_table, save_gaussians, write_ply_table
 from scoup.query.reshape import Reshaping
@@ -32,8 +31,7 @@ def test_the_main_path_says_what_it_chose():
         f"kettle: {count} of 150 Gaussians",
         f"kettle.ply: {count} Gaussians written",
     ]
-    assert lines[1].startswith("at [")
-    assert "extent" in lines[1]
+    assert re.fullmatch(r"at \[.*\], extent .*, thing \d+, presence not judged", lines[1])
     assert len(load_gaussians("kettle.ply")) == count
 
 
@@ -46,13 +44,23 @@ def test_chosen_and_rest_are_the_rows_of_the_splat_byte_for_byte():
     assert read_ply_table("a.ply").rows.dtype == read_ply_table("scene/point_cloud.ply").rows.dtype
 
 
-def test_an_absent_text_says_what_is_lacking():
-    assert absence_message("scene", 1.2, 1.4) == "not in this scene (z-score 1.20, threshold 1.4)"
-    assert (
-        absence_message("scene", -math.inf, 1.4)
-        == "not in this scene (fewer than 10 Gaussians, threshold 1.4)"
+def test_an_absent_text_is_said_once():
+    texts = ("--text", add_words())
+    both = run_json("select", "f.scoup", "kettle", "mug", *texts, "--out", "both.ply", "--always")["texts"]
+    low, high = sorted(both, key=lambda text: both[text]["score"])
+    scores = both[low]["score"], both[high]["score"]
+    ask = ("--presence", sum(scores) / 2, *texts)
+    absent = f"{low}: not in this scene (score {scores[0]:.2f})"
+    code, out, err = run("select", "f.scoup", "kettle", "mug", *ask, "--out", "a.ply")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert absent in lines
+    assert [line for line in lines if line.startswith(f"{low}:")] == [absent]
+    assert re.search(rf"^{high}: \d+ of 150 Gaussians$", out, re.MULTILINE)
+    assert refused("select", "f.scoup", low, *ask, "--out", "b.ply") == (
+        f"b.ply: nothing to write, 0 of 150 Gaussians answer; {absent}; --always chooses something anyway"
     )
-    assert absence_message("view", None, 1.4) == "not in this view (nothing found, threshold 1.4)"
+    assert run("select", "f.scoup", low, *ask, "--out", "c.ply")[1] == ""
 
 
 def test_a_thing_is_removed_and_the_field_stays():
@@ -117,22 +125,30 @@ def test_embedded_geometry_serves_where_the_file_is_damaged():
     assert load_gaussians("b.ply").means.equal(load_gaussians("a.ply").means)
 
 
-def test_the_threshold_is_said_and_without_one_is_the_most_stable():
+def test_things_answer_and_votes_above_a_threshold():
     ask = ("select", "f.scoup", "kettle", "mug", "--out", "a.ply", "--overwrite")
-    thresholds = lambda *options: run_json(*ask, *options)["thresholds"]  # noqa: E731
-    stable = thresholds()
-    assert list(stable) == ["kettle", "mug"]
-    assert all(threshold is None or 0.44 <= threshold <= 0.84 for threshold in stable.values())
-    assert thresholds("--threshold", "0.55") == {"kettle": 0.55, "mug": 0.55}
-    assert thresholds("--absolute", "--always") == {"kettle": 0.6, "mug": 0.6}
-    count = lambda *options: run_json(*ask, *options)["selected"]  # noqa: E731
-    assert len({count(), count("--neighbours", "10"), count("--level", "s"), count("--level", "l")}) > 2
+    texts = lambda *options: run_json(*ask, *options)["texts"]  # noqa: E731
     field = LanguageField.load("f.scoup")
-    assert field.location("mug").record()["threshold"] == stable["mug"]
+    assert texts() == {text: field.answer(text).record() for text in ("kettle", "mug")}
+    assert all(one["things"] and "threshold" not in one for one in texts().values())
+    for one in texts("--threshold", "0.55").values():
+        assert (one["threshold"], one["things"]) == (0.55, [])
+    count = lambda *options: run_json(*ask, *options)["selected"]  # noqa: E731
+    assert count("--threshold", "0.3") > count("--threshold", "0.7")
+    assert len({count("--level", level) for level in "sml"}) > 1
+
+
+def test_a_field_without_things_answers_above_the_most_stable_threshold():
+    field = LanguageField.load("f.scoup")
+    field.thing_table = None
+    field.save("votes.scoup")
+    record = run_json("select", "votes.scoup", "kettle", "mug", "--out", "a.ply")
+    assert all(0.44 <= one["threshold"] <= 0.84 for one in record["texts"].values())
+    assert record["place"]["things"] == []
 
 
 def test_nothing_to_write():
-    message = refused("select", "f.scoup", "kettle", "--out", "a.ply", "--absolute", "--threshold", "1")
+    message = refused("select", "f.scoup", "kettle", "--out", "a.ply", "--threshold", "1")
     assert "name at least one text" in refused("select", "f.scoup", "--out", "a.ply")
     assert message == "a.ply: nothing to write, 0 of 150 Gaussians answer; try a lower --threshold"
 
@@ -248,7 +264,9 @@ def test_a_picture_shows_before_and_after():
         (["-", "mug", "--out", "a.ply", "--edit", "ids"], "numbers texts"),
         (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
         (["--out", "a.ply", "--threshold", "nan"], "--threshold must be 0 to 1"),
-        (["--out", "a.ply", "--neighbours", "-1"], "--neighbours must be 0 or more"),
+        (["--out", "a.ply", "--presence", "1.5"], "presence must be 0 to 1, got 1.5"),
+        (["--out", "a.ply", "--presence", "0.5"], "presence is judged against 16 or more"),
+        (["--out", "a.ply", "--level", "xl"], "'xl'"),
         *((["--out", "a.ply", option, "-1"], option[2:]) for option in ("--grow", "--shrink", "--within")),
     ],
 )

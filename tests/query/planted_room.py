@@ -91,6 +91,7 @@ def planted_room(
     common = random_vectors(1, DIM, seed=5)
     words = [*names, ABSENT, *(f"word {number}" for number in range(30)), *CANONICAL_PHRASES]
     vectors = unit(common + random_vectors(len(words), DIM, seed=6))
+    vectors[len(names)] = unit(common[0] - vectors[: len(names)].mean(0))  # like no word for what is there
     of_box = torch.tensor([names.index(box.name) for box in every])
     owner = torch.arange(len(every)).repeat_interleave(size)
     things = ThingTable(

@@ -61,13 +61,13 @@ def test_relevancy_of_gaussians_is_that_of_dense_codes(field: LanguageField) -> 
 
 
 def test_codes_that_change_are_noticed(field: LanguageField) -> None:
-    before = field.location("word 3")
+    before = field.answer("word 3").relevancy()
     assert field.coded_levels().equal((field.code_weights > 0).any(-1).T)
     field.code_weights = field.code_weights.flip(0).clone()
-    after = field.location("word 3")
-    assert not before.answer.relevancy.equal(after.answer.relevancy)
+    after = field.answer("word 3").relevancy()
+    assert not before.equal(after)
     field.code_weights[::2] = 0
-    assert not field.location("word 3").answer.relevancy.equal(after.answer.relevancy)
+    assert not field.answer("word 3").relevancy().equal(after)
     assert field.coded_levels().equal((field.code_weights > 0).any(-1).T)
     queries, canonical = random_vectors(2, 16), random_vectors(3, 16, seed=1)
     torch.testing.assert_close(
@@ -76,13 +76,14 @@ def test_codes_that_change_are_noticed(field: LanguageField) -> None:
 
 
 def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> None:
-    first = field.location("word 3")
-    expected = first.record()
+    first = field.location(field.question("word 3", always=True))
+    expected, thing = first.record(), first.thing
     assert field.question("word 3") is field.question("word 3")
     assert field.question("word 3") is not field.question("word 3", always=True)
+    assert thing is not None
     first.answer.mask[:] = True
-    first.answer.relevancy.numpy()[:] = 0
-    again = field.location("word 3")
+    thing.position[:] = thing.gaussians[:] = 0
+    again = field.location(field.question("word 3", always=True))
     assert again.record() == expected
     assert not again.answer.mask.equal(first.answer.mask)
     either = field.question(["word 3", "word 4"], always=True)
@@ -91,13 +92,14 @@ def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> N
     moved = field.with_gaussians(field.gaussians)
     field.thing_table = None
     assert field.location(field.question("word 3", always=True)).answer.threshold is not None
-    assert moved.location("word 3").record() == expected
+    assert moved.location(moved.question("word 3", always=True)).record() == expected
+    relevancy = field.answer("word 3").relevancy()
     field.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))
-    assert not field.location("word 3").answer.relevancy.equal(again.answer.relevancy)
+    assert not field.answer("word 3").relevancy().equal(relevancy)
 
 
 def test_many_questions_keep_memory_flat(field: LanguageField) -> None:
-    field._known = Recent(256, 50_000)
+    field.recent = Recent(256, 50_000)
     sizes = []
     dice = np.random.default_rng(0)
     for number in range(400):
@@ -109,7 +111,7 @@ def test_many_questions_keep_memory_flat(field: LanguageField) -> None:
             field.select(f"{one} and not {other}")
         else:
             field.location(random_vectors(16, seed=number))
-        sizes.append((len(field._known), field._known.bytes))
+        sizes.append((len(field.recent), field.recent.bytes))
     count, n_bytes = (max(each) for each in zip(*sizes, strict=True))
     assert 20 < count <= 256
     assert 40_000 < n_bytes <= 50_000
@@ -141,7 +143,7 @@ def test_several_threads_ask_one_field(field: LanguageField) -> None:
         return (
             asked.location(word).record(),
             asked.answer(word, 1).record(),
-            asked.finding(word, [0]).location.record(),
+            [thing.record() for thing in asked.things(word)],
             asked.select(f"{word} and not word 20").record(),
             asked.label(question).counts(),
         )

@@ -12,21 +12,16 @@ from query.conftest import Queried
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.pictures import as_picture, heat_map, heat_overlay
-from scoup.query.answering import answer_view
-from scoup.query.drawing import (
-    code_drawing,
-    color_drawing,
-    relevancy_drawing,
-)
+from scoup.query.drawing import code_drawing, color_drawing, relevancy_drawing
 
 
 def test_pictures_of_an_answer(queried: Queried) -> None:
-    answer = answer_view(queried.field, queried.camera, queried.texts)[0]
+    answer = queried.field.answer(queried.texts, queried.camera)[0]
     rgb = raster.render_colors(queried.field.gaussians, queried.camera)
     drawn = answer.pictures(rgb)
     assert list(drawn) == ["heat", "mask", "overlay"]
     assert drawn["mask"] is answer.mask
-    absent = replace(answer, presence=False).pictures(rgb)
+    absent = replace(answer, answer=replace(answer.answer, presence=False)).pictures(rgb)
     assert np.array_equal(np.asarray(absent["heat"]), np.asarray(drawn["heat"]))
     assert not np.array_equal(np.asarray(absent["overlay"]), np.asarray(drawn["overlay"]))  # the remark
 
@@ -36,8 +31,8 @@ def test_drawings_of_a_view(queried: Queried) -> None:
     projection = field.project(camera)
     rgb = raster.render_colors(field.gaussians, camera, projection)
     assert np.array_equal(color_drawing(field, plain=True)(camera, projection), as_picture(rgb))
-    answer = answer_view(field, camera, queried.texts, projection)[0]
-    expected = heat_map(answer.heat, rgb, "word 0", answer.level, answer.score, camera.name)
+    answer = field.answer(queried.texts, camera, projection=projection)[0]
+    expected = heat_map(answer.heat, rgb, "word 0", answer.level, float(answer.heat.max()), camera.name)
     assert np.array_equal(relevancy_drawing(field, queried.texts)(camera, projection), expected)
     plain = relevancy_drawing(field, queried.texts, plain=True)(camera, projection)
     assert np.array_equal(plain, heat_overlay(answer.heat, rgb))

@@ -13,7 +13,6 @@ from scoup.query.answering import answer_scene
 from scoup.query.edit_picture import best_camera, edit_picture
 from scoup.query.edits import combined_answer, edited
 from scoup.query.expression import parse_expression
-from scoup.query.locate import location
 from scoup.query.videos import moving_cameras
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import SH_C0
@@ -61,15 +60,17 @@ def test_an_expression_is_answered_by_its_texts(queried: Queried) -> None:
     two = [answer for answer in answers if answer.text in expression.texts]
     found = combined_answer(field, expression, two)
     assert found.mask.equal(masks["word 1"] & ~masks["word 2"])
-    assert found.relevancy.equal(two[0].relevancy)
+    assert found.relevancy().equal(two[0].relevancy())
     assert (found.level, found.score, found.text) == (two[0].level, two[0].score, "word 1 and not word 2")
     assert found.parts == tuple(two)
     alone = combined_answer(field, parse_expression(["word 1"]), two[:1])
     assert alone.record() == two[0].record()
     assert alone.text == "word 1"
     both = combined_answer(field, parse_expression(["word 1", "word 2"]), two)
-    assert both.relevancy.equal(torch.maximum(two[0].relevancy, two[1].relevancy))
-    assert both.score == max(each.score for each in two)
+    assert both.relevancy().equal(torch.maximum(two[0].relevancy(), two[1].relevancy()))
+    assert both.mask.equal(two[0].mask | two[1].mask)
+    assert both.score == max(each.score or 0 for each in two)
+    assert both.things == tuple(dict.fromkeys(two[0].things + two[1].things))
 
 
 def test_a_field_goes_with_its_edited_splat(queried: Queried) -> None:
@@ -103,13 +104,13 @@ def test_the_camera_that_sees_most_is_taken(queried: Queried) -> None:
 def test_a_turntable_needs_a_thing(queried: Queried) -> None:
     field = queried.field
     answer = answer_scene(field, queried.texts)[0]
-    place = location(field, answer)
+    place = field.location(answer)
     assert field.cameras is not None
     moving = moving_cameras(field, place, field.cameras, "turntable", 6)
     assert place.position is not None
     distances = torch.stack([(camera.position - place.position).norm() for camera in moving])
     assert torch.allclose(distances, distances[0].expand(6))
-    nowhere = location(field, combined_answer(field, parse_expression(["word 0 and not word 0"]), [answer]))
+    nowhere = field.location(combined_answer(field, parse_expression(["word 0 and not word 0"]), [answer]))
     assert nowhere.position is None
     with pytest.raises(InputError, match="nothing to turn around"):
         moving_cameras(field, nowhere, field.cameras, "turntable", 6)

@@ -18,16 +18,16 @@ from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.answer import Answer
-from scoup.query.answering import answer_scene, answer_view
+from scoup.query.answer import ViewAnswer
+from scoup.query.answering import answer_scene
 from scoup.query.label import label
-from scoup.query.locate import Location, location
+from scoup.query.place import place_of
 from scoup.query.presence import PRESENT_FROM
 from scoup.query.question import Question
 from scoup.query.text_vectors import encode_texts
 
 
-def assert_same_answer(first: Answer, second: Answer) -> None:
+def assert_same_answer(first: ViewAnswer, second: ViewAnswer) -> None:
     assert first.mask.equal(second.mask)
     assert first.main_parts.equal(second.main_parts)
     assert first.heat.equal(second.heat)
@@ -37,17 +37,16 @@ def assert_same_answer(first: Answer, second: Answer) -> None:
 def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
     texts = encode_texts(TextEncoder.open(table), field, ["word 3", "word 7"]).with_everyday()
-    expected = answer_view(field, camera, Question.from_vectors(texts, present_from=PRESENT_FROM))
+    question = Question.from_vectors(texts, present_from=PRESENT_FROM)
+    expected = [answer.in_view(camera) for answer in answer_scene(field, question)]
     found = field.answer(field.question(["word 3", "word 7"], encoder=table), camera.name)
     assert isinstance(found, list)
     for one, other in zip(found, expected, strict=True):
         assert_same_answer(one, other)
-        assert one.z_score is not None
+        assert one.score is not None
     alone = field.answer("word 3", 0)  # the encoder is kept
-    assert isinstance(alone, Answer)
     torch.testing.assert_close(alone.heat, expected[0].heat, atol=1e-5, rtol=0)
     again = field.answer("word 3", camera, projection=field.project(camera))
-    assert isinstance(again, Answer)
     torch.testing.assert_close(again.heat, alone.heat, atol=1e-5, rtol=0)
     assert (alone.text, alone.view) == ("word 3", camera.name)
     assert alone.render is not None
@@ -57,7 +56,6 @@ def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[
 def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
     expected = field.answer(field.question("word 3", encoder=table), camera)
-    assert isinstance(expected, Answer)
     vector = table["word 3"]
     for same in (vector, vector.numpy(), 10 * vector, (vector * 0.01).double(), vector[None]):
         found = field.answer(same, camera)
@@ -69,24 +67,25 @@ def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, T
     assert [answer.text for answer in several] == ["query 1", "query 2"]
     phrases = {name: table[name].numpy() for name in CANONICAL_PHRASES}
     only = field.answer(field.question(vector, encoder=phrases), camera)
-    assert isinstance(only, Answer)
-    assert (only.z_score, only.presence) == (None, True)  # four phrases are no words to judge presence by
+    assert (only.score, only.presence) == (None, True)  # four phrases are no words to judge presence by
 
 
-def test_rules_and_presence(queried: Queried, table: dict[str, Tensor]) -> None:
+def test_presence(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
-    plain = field.answer(field.question("word 3", encoder=table, preset="langsplat"), camera)
-    assert isinstance(plain, Answer)
-    assert plain.z_score is None
-    absent = field.answer(field.question("word 3", present_from=100.0), camera)
-    assert isinstance(absent, Answer)
-    assert not absent.presence
-    assert not absent.mask.any()
-    forced = field.answer(field.question("word 3", always=True), camera)
-    assert isinstance(forced, Answer)
+    forced = field.answer(field.question("word 3", encoder=table, always=True), camera)
     assert forced.presence
-    with pytest.raises(UnknownNameError, match="langsplatv2"):
-        field.answer(field.question("word 3", preset="langsplatv3"), camera)
+    assert 0 < forced.score < 1
+    for bound in (forced.score, min(1.0, forced.score + 0.01)):
+        judged = field.answer(field.question("word 3", present_from=bound), camera)
+        assert judged.presence == (bound == forced.score)
+        assert bool(judged.answer.mask.any()) == judged.presence
+        assert judged.score == forced.score
+    for wrong in (-0.1, 1.1, 100):
+        with pytest.raises(InputError, match="must be 0 to 1"):
+            field.question("word 3", present_from=wrong)
+    phrases = {name: table[name] for name in CANONICAL_PHRASES}
+    with pytest.raises(InputError, match="presence is judged against"):
+        field.question(table["word 3"], encoder=phrases, present_from=0.5)
 
 
 def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> None:
@@ -110,7 +109,7 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
     with pytest.raises(InputError, match="names no embedding model"):
         nameless.answer("word 1", queried.camera)
     with pytest.raises(InputError, match="contains no cameras"):
-        nameless.answer(nameless.question("word 1", encoder=table))
+        nameless.answer(nameless.question("word 1", encoder=table), 0)
 
 
 @pytest.mark.parametrize(
@@ -122,8 +121,7 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         ({"word 1"}, {}, "got set"),
         ("word 1", {"encoder": 3}, "encoder is of type int"),
         ("word 1", {"encoder": {"object": "abc"}}, "must contain vectors"),
-        ("word 1", {"preset": None}, "preset is of type NoneType"),
-        ("word 1", {"present_from": float("nan")}, "must be a number, got nan"),
+        ("word 1", {"present_from": float("nan")}, "must be 0 to 1, got nan"),
     ],
 )
 def test_what_is_no_query(
@@ -135,8 +133,9 @@ def test_what_is_no_query(
 
 
 def test_a_list_of_numbers_is_one_vector(queried: Queried, table: dict[str, Tensor]) -> None:
-    answer = queried.field.answer(queried.field.question(table["word 3"].tolist(), encoder=table))  # pyright: ignore
-    assert isinstance(answer, Answer)
+    question = queried.field.question(table["word 3"].tolist(), encoder=table)  # pyright: ignore
+    assert question.is_single
+    assert queried.field.answer(question).text == "query 1"
 
 
 def test_thresholds_are_shares(queried: Queried, table: dict[str, Tensor]) -> None:
@@ -153,13 +152,16 @@ def test_answers_are_drawn_by_the_field_s_rasteriser_and_pickled_without_it(
         field.code_indices, field.code_weights, field.codebook,
         replace(field.info, raster_preset="gsplat"), field.gaussians, cameras=field.cameras,
     )  # fmt: skip
-    answer = other.answer(other.question("word 3", encoder=table))
+    answer = other.answer(other.question("word 3", encoder=table, always=True), 0)
     assert answer.render is not None
     expected = raster.render_colors(other.gaussians, queried.camera, other.project(queried.camera))
     assert answer.render().equal(expected)
     copy = pickle.loads(pickle.dumps(answer))
     assert copy.render is None
-    assert copy.record() == answer.record()
+    assert copy.answer.record() == answer.answer.record()
+    for asked in (copy.answer.in_view, copy.answer.relevancy, lambda: other.location(copy.answer)):
+        with pytest.raises(InputError, match="pickled knows no scene"):
+            asked()
     assert copy.pictures()["mask"].equal(answer.mask)
 
 
@@ -172,46 +174,40 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
         replace(field.info, words=tmp_path / "scene" / "words.npz"), field.gaussians, cameras=field.cameras,
         thing_table=field.thing_table,
     )  # fmt: skip
+    named.answer("word 5", 0)  # what is remembered for views is not saved
     named.save(tmp_path / "scene" / "f.scoup")
     loaded = LanguageField.load(tmp_path / "scene" / "f.scoup")  # the Gaussians are in the file
-    one, other = loaded.answer("word 5"), field.answer(field.question("word 5", encoder=table))
-    assert isinstance(one, Answer)
-    assert isinstance(other, Answer)
-    assert_same_answer(one, other)
+    other = field.answer(field.question("word 5", encoder=table), 0)
+    assert_same_answer(loaded.answer("word 5", 0), other)
     assert loaded.text_encoder() is loaded.text_encoder()
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
-    assert part.answer("word 5").view == queried.camera.name
+    assert part.answer("word 5", 0).view == queried.camera.name
     loaded.save(tmp_path / "saved.scoup")
-    again = LanguageField.load(tmp_path / "saved.scoup").answer("word 5")
-    assert isinstance(again, Answer)
-    assert_same_answer(again, other)
+    assert_same_answer(LanguageField.load(tmp_path / "saved.scoup").answer("word 5", 0), other)
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
     with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*encoder="):
         LanguageField.load(moved).answer("word 5")
     assert loaded.to("cpu") is loaded
 
 
-def test_locate_and_label_are_their_functions(queried: Queried, table: dict[str, Tensor]) -> None:
+def test_location_and_label_are_their_functions(queried: Queried, table: dict[str, Tensor]) -> None:
     field = queried.field
     words = ["word 1", "word 2", "word 8"]
     texts = Question.from_vectors(encode_texts(TextEncoder.open(table), field, words).with_everyday())
-    expected = [location(field, answer) for answer in answer_scene(field, replace(texts, threshold=0.5))]
+    expected = [place_of(field, answer) for answer in answer_scene(field, replace(texts, threshold=0.5))]
     located = field.location(field.question(words, encoder=table, threshold=0.5, always=True))
     assert isinstance(located, list)
     assert [each.record() for each in located] == [each.record() for each in expected]
-    one = field.location(field.question("word 1", threshold=0.5, present_from=100))
-    assert isinstance(one, Location)
-    assert (one.position, one.box, one.presence, len(one.gaussians)) == (None, None, False, 0)
+    score = field.answer(field.question("word 1", threshold=0.5)).score
+    absent = field.location(field.question("word 1", threshold=0.5, present_from=score + 1e-6))
+    assert (absent.position, absent.box, absent.presence, absent.thing) == (None, None, False, None)
     labels, same = field.label(field.question(words, always=True)), label(field, texts)
     assert labels.ids.equal(same.ids)
     assert labels.names == tuple(words)
     # Without a threshold, each text has its most stable one.
-    (located,), (answer,) = (
-        field.location(field.question(words[:1], always=True)),
-        answer_scene(field, texts)[:1],
-    )
-    assert located.record() == location(field, answer).record()
-    assert located.answer.threshold == answer.threshold != 0.5
+    (located,), answer = field.location(field.question(words[:1], always=True)), answer_scene(field, texts)[0]
+    assert located.record() == place_of(field, answer).record()
+    assert located.answer.threshold is None
     assert field.label(field.question(words, threshold=0.5, always=True)).ids.equal(
         label(field, replace(texts, threshold=0.5)).ids
     )
@@ -232,8 +228,7 @@ def test_a_part_of_a_field_is_queried_alone(queried: Queried, table: dict[str, T
     whole = field.gaussian_relevancy(*vectors)
     # Some processors round the last numbers of a vector differently, and where they end depends on the count.
     torch.testing.assert_close(part.gaussian_relevancy(*vectors), whole[..., mask], rtol=1e-6, atol=1e-6)
-    answer = part.answer("word 3")
-    assert isinstance(answer, Answer)
+    assert len(part.answer("word 3").mask) == len(part)
     for bad in (mask[1:], torch.tensor([len(field)]), torch.tensor([-1]), torch.ones(3), mask[None]):
         with pytest.raises(InputError, match="Gaussians"):
             field[bad]
@@ -253,12 +248,7 @@ def test_a_part_of_a_field_is_saved_with_its_gaussians(
     part.save(tmp_path / "part.scoup")
     loaded = LanguageField.load(tmp_path / "part.scoup")
     assert loaded.gaussians.fingerprint() == part.fingerprint
-    one, other = (
-        loaded.answer(loaded.question("word 3", encoder=table)),
-        part.answer(part.question("word 3", encoder=table)),
-    )
-    assert isinstance(one, Answer)
-    assert isinstance(other, Answer)
+    one, other = (each.answer(each.question("word 3", encoder=table), 0) for each in (loaded, part))
     assert_same_answer(one, other)
 
 
@@ -312,14 +302,14 @@ def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
 def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor]) -> None:
     field, texts = queried.field, queried.texts
     for number, level in enumerate(field.levels):
-        answer = answer_view(field, queried.camera, replace(texts, level=number))[0]
+        answer = field.answer(replace(texts, level=number), queried.camera)[0]
         assert answer.level == level
         relevancy = field.relevancy(queried.camera, texts.queries, texts.canonical)[number, 0]
         torch.testing.assert_close(answer.heat, relevancy, atol=1e-5, rtol=0)
         place = answer_scene(field, replace(texts, level=number))[0]
         assert place.level == level
         own = field.gaussian_relevancy(texts.queries[:1], texts.canonical)[number, 0]
-        assert torch.equal(place.relevancy, own)
+        assert torch.equal(place.relevancy(), own)
     best = answer_scene(field, texts)[0]
     assert torch.equal(
         best.mask, answer_scene(field, replace(texts, level=field.level_index(best.level)))[0].mask

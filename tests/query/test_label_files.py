@@ -42,16 +42,14 @@ def literal_map(queried: Queried, labels: GaussianLabels) -> np.ndarray:
 def test_maps_show_the_word_that_paints_most(queried: Queried, labels: GaussianLabels) -> None:
     found = label_map(queried.field, queried.field.project(queried.camera), labels)
     assert np.array_equal(found.numpy(), literal_map(queried, labels))
-    assert len(found.unique()) > 3
+    assert len(found.unique()) >= 3
 
 
 def test_maps_of_more_words_than_are_rendered_together(queried: Queried) -> None:
     count = 2 * AT_A_TIME + 5
     ids = torch.arange(len(queried.field)).int() % (count + 1) - 1
     names = tuple(f"thing {number}" for number in range(count))
-    many = GaussianLabels(
-        ids, names, torch.ones(len(ids)), None, (True,) * count, ("m",) * count, ((),) * count
-    )
+    many = GaussianLabels(ids, names, (None,) * count, (True,) * count, ("m",) * count, ((),) * count)
     found = label_map(queried.field, queried.field.project(queried.camera), many)
     assert np.array_equal(found.numpy(), literal_map(queried, many))
 

@@ -1,138 +1,167 @@
-"""Presence: z-scores by hand, in views and in scenes."""
+"""Presence: the score against its definition, for things and for votes."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
 
 from query.conftest import Queried, random_vectors
-from scoup import raster
+from query.planted_room import Box, planted_room
 from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
-from scoup.query.presence import (
-    PRESENT_FROM,
-    mean_embedding,
-    other_words,
-    scene_z_scores,
-    view_z_scores,
-    with_evidence,
-    z_scores,
-)
-from scoup.query.segment import segment
-from scoup.query.select import select_each
+from scoup.query.answering import answer_scene
+from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, NullScores, other_words, presence_threshold
+from scoup.query.question import Question
+from scoup.query.select import SampledVotes, select_each
+from scoup.query.things import compare_things
+from support import examples, unit
 
 
-def test_z_scores_by_hand() -> None:
-    embeddings, queries, words = (
-        random_vectors(3, 16),
-        random_vectors(3, 16, seed=1),
-        random_vectors(20, 16, seed=2),
-    )
-    cosines = np.sort((embeddings @ words.T).double().numpy(), 1)
-    own = (embeddings * queries).sum(1).double().numpy()
-    expected = 1.645 + (own - cosines[:, 18]) / cosines.std(1)  # 19 of 20 are 95 %
-    assert z_scores(embeddings, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
-    # The length of an embedding says nothing.
-    assert z_scores(embeddings * 37, queries, words).numpy() == pytest.approx(expected, abs=1e-5)
-    # A word that is the query itself is no word to compare it with.
-    own_among_them = z_scores(embeddings, queries, torch.cat([words, queries[:1]]))
-    assert float(own_among_them[0]) == pytest.approx(expected[0], abs=1e-5)
-    assert float(own_among_them[1]) != pytest.approx(expected[1], abs=1e-5)
+@settings(max_examples=examples(60))
+@given(st.lists(st.tuples(st.integers(-3, 3), st.booleans()), max_size=12), st.integers(-4, 4))
+def test_the_score_is_the_share_of_words_that_fit_worse(words: list[tuple[int, bool]], fit: int) -> None:
+    best_fits = torch.tensor([float(value) for value, _ in words])
+    counted = [value for value, counts in words if counts]
+    found = NullScores(best_fits, torch.tensor([counts for _, counts in words], dtype=torch.bool))(fit)
+    assert found == (sum(value < fit for value in counted) / len(counted) if counted else None)
 
 
-def test_words_that_fit_better_take_what_was_found() -> None:
-    """Words at right angles: what was found is mostly two kinds of pot, and a little a toilet."""
-    words = torch.eye(24)
-    found = (0.9 * (words[0] + words[1]) + 0.5 * words[2])[None]
-    lone = z_scores(found, words[2:3], words[3:])
-    beside = z_scores(found, words[2:3], words)
-    assert float(z_scores(found, words[:1], words)) > PRESENT_FROM  # nothing fits better
-    # By the lag behind the second pot, in deviations of the 23 cosines: the toilet is no word to compare itself with.
-    length = np.sqrt(2 * 0.81 + 0.25)
-    lag = (0.5 - 0.9) / length / (np.array([0.9, 0.9, *[0.0] * 21]) / length).std()
-    assert float(beside) == pytest.approx(1.645 + lag, abs=1e-4)
-    assert float(beside) < PRESENT_FROM < float(lone)
+def literal_others(query: Tensor, words: Tensor) -> list[bool]:
+    near = [float(query @ word) for word in words]
+    mean = sum(near) / len(near)
+    deviation = math.sqrt(sum((one - mean) ** 2 for one in near) / (len(near) - 1))
+    return [one < SAME and one <= mean + SIMILAR * deviation for one in near]
 
 
-def test_fewer_than_ten_gaussians_are_no_evidence() -> None:
-    assert with_evidence(2.0, torch.arange(30) < 10) == 2.0
-    assert with_evidence(2.0, torch.arange(30) < 9) == -np.inf
-
-
-def test_large_tables_judge_as_small_ones_do() -> None:
-    """The best of many words is better than the best of few; words in general are not."""
-    queries, found = random_vectors(40, 16, seed=1), random_vectors(40, 16)
-    found = torch.nn.functional.normalize(found + queries, dim=1)
-    words = random_vectors(3000, 16, seed=2)
-    many, few = z_scores(found, queries, words), z_scores(found, queries, words[::20])
-    assert float((many - few).mean().abs()) < 0.15
-
-
-def test_other_names_of_a_query_are_no_words_to_compare_it_with() -> None:
+def test_other_names_of_a_text_are_no_words_to_compare_it_with() -> None:
     query, words = random_vectors(1, 64), random_vectors(200, 64, seed=2)
-    names = torch.nn.functional.normalize(query + 0.3 * random_vectors(15, 64, seed=3) / 2, dim=1)
-    table = torch.cat([words, names])
-    assert other_words(query, table)[0].tolist() == [True] * 200 + [False] * 15
-    found = torch.nn.functional.normalize(query + 0.1 * words[:1], dim=1)
-    assert float(z_scores(found, query, table)) == pytest.approx(
-        float(z_scores(found, query, words)), abs=1e-4
+    names = unit(query + 0.15 * random_vectors(15, 64, seed=3))
+    table = torch.cat([words, names, query])
+    found = other_words(query, table)[0].tolist()
+    assert found == literal_others(query[0], table) == [True] * 200 + [False] * 16
+
+
+def literal_scores(field: LanguageField, question: Question) -> list[float]:
+    """The best fit of each word with a thing that it does not name, then the share below each text's."""
+    known = compare_things(field, question)
+    assert known is not None
+    vectors = known.embeddings
+    fits = known.fits(question.everyday)
+    best = []
+    for number in range(len(question.everyday)):
+        allowed = [
+            float(fits[thing, number])
+            for thing in range(len(vectors))
+            if int((question.everyday @ vectors[thing]).argmax()) != number
+        ]
+        best.append(max(allowed, default=-math.inf))
+    scores = []
+    for answer, query in zip(answer_scene(field, question), question.queries, strict=True):
+        fit = max(float(known.fits(query[None])[thing]) for thing in answer.things)
+        counted = [
+            value
+            for value, counts in zip(best, literal_others(query, question.everyday), strict=True)
+            if counts
+        ]
+        scores.append(sum(value < fit for value in counted) / len(counted))
+    return scores
+
+
+def test_scores_of_things(queried: Queried) -> None:
+    found = [answer.score for answer in answer_scene(queried.field, queried.texts)]
+    assert found == pytest.approx(literal_scores(queried.field, queried.texts))
+    assert len(set(found)) > 3
+    room = planted_room()
+    question = room.question(["mug", "laptop", "unicorn", "word 3"], always=True)
+    found = [answer.score for answer in answer_scene(room, question)]
+    assert found == pytest.approx(literal_scores(room, question))
+    assert found[:2] == [1, 1]
+    assert found[2] is not None
+    assert found[2] < PRESENT_FROM
+
+
+def test_scores_of_votes(voted: Queried) -> None:
+    """Without things, texts and words select Gaussians, and the mean relevancy of these is compared."""
+    field, texts = voted.field, voted.texts
+
+    def fit(vector: Tensor) -> float:
+        (found,) = select_each(field, replace(texts.one(0), queries=vector[None]))
+        return float(found.relevancy[found.mask].mean()) if found.mask.any() else -math.inf
+
+    words = [fit(word) for word in texts.everyday]
+    assert SampledVotes(field, texts).best_fits.tolist() == pytest.approx(words, abs=1e-6)
+    for answer, query in zip(answer_scene(field, texts), texts.queries, strict=True):
+        counted = [
+            value
+            for value, counts in zip(words, literal_others(query, texts.everyday), strict=True)
+            if counts
+        ]
+        assert answer.score == pytest.approx(sum(value < fit(query) for value in counted) / len(counted))
+
+
+def test_votes_compared_with_other_phrases_are_other_votes(voted: Queried) -> None:
+    field = voted.field.with_gaussians(voted.field.gaussians)
+    first = [answer.score for answer in answer_scene(field, voted.texts)]
+    others = replace(voted.texts, canonical=random_vectors(2, 16, seed=7))
+    fresh = voted.field.with_gaussians(voted.field.gaussians)
+    expected = [answer.score for answer in answer_scene(fresh, others)]
+    assert [answer.score for answer in answer_scene(field, others)] == expected != first
+
+
+def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Queried) -> None:
+    texts = queried.texts
+    few = replace(texts, everyday=texts.everyday[: LEAST_WORDS - 1])
+    for field in (queried.field, voted.field):
+        for answer in answer_scene(field, few):
+            assert (answer.score, answer.certainty, answer.presence) == (None, None, True)
+            assert "presence not judged" in repr(answer)
+    assert presence_threshold(few) is None
+    with pytest.raises(InputError, match=r"words\.npz: has \d+ words, but presence is judged against"):
+        presence_threshold(few, 0.5)
+    assert (presence_threshold(texts), presence_threshold(texts, 0.0)) == (PRESENT_FROM, 0)
+    for wrong in (-0.01, 1.01, 100, math.nan, math.inf):
+        with pytest.raises(InputError, match="must be 0 to 1"):
+            presence_threshold(texts, wrong)
+
+
+def test_a_text_is_present_from_the_threshold_on(queried: Queried, voted: Queried) -> None:
+    for field in (queried.field, voted.field):
+        for number, answer in enumerate(answer_scene(field, queried.texts)):
+            score, one = answer.score or 0.0, queried.texts.one(number)
+            enough = int(answer.mask.sum()) >= 10
+            at, above = (
+                answer_scene(field, replace(one, present_from=bound))[0]
+                for bound in (score, min(1.0, score + 1e-9))
+            )
+            assert at.presence == enough
+            assert at.mask.equal(answer.mask & enough)
+            assert above.presence == (enough and score == 1)
+            assert above.score == at.score == answer.score
+
+
+@pytest.mark.parametrize("has_things", [True, False])
+def test_fewer_than_ten_gaussians_are_absent(has_things: bool) -> None:
+    field = planted_room(
+        [Box("mug", (0, 0, 0), (1, 1, 1)), Box("ball", (3, 0, 0), (1, 1, 1))], has_things=has_things
     )
-
-
-def test_the_query_itself_scores_high_and_nothing_scores_minus_infinity() -> None:
-    queries, words = random_vectors(2, 64), random_vectors(50, 64, seed=2)
-    found = z_scores(torch.stack([queries[0], torch.zeros(64)]), queries, words)
-    assert float(found[0]) > 5
-    assert float(found[1]) == -np.inf
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    queries, words = random_vectors(2, 16), random_vectors(LEAST_WORDS, 16, seed=2)
-    with pytest.raises(InputError, match="everyday words or more"):
-        z_scores(queries, queries, words[1:])
-    with pytest.raises(InputError, match="do not fit"):
-        z_scores(queries[:1], queries, words)
-    with pytest.raises(InputError, match="do not fit"):
-        z_scores(queries, queries, words[:, 1:])
-
-
-def test_z_scores_in_a_view_against_pixel_by_pixel(queried: Queried) -> None:
-    """The embedding is that of the pixels of the core, each a sum of decoded codes by blending weights."""
-    field, texts = queried.field, queried.texts
-    queries, words = texts.queries, texts.everyday
-    projection = field.project(queried.camera)
-    maps = field.relevancy(queried.camera, queries, texts.canonical, projection)
-    segmentations = [segment(each) for each in maps.unbind(1)]
-    found = view_z_scores(field, projection, segmentations, queries, words)
-    blended = raster.render_channels(projection, torch.eye(len(field)))[0]  # [H, W, N]
-    for query in range(len(queries)):
-        level = segmentations[query].level
-        painted = blended[segmentations[query].core()].sum(0)
-        dense = torch.zeros(len(field), field.n_atoms)
-        dense.scatter_add_(1, field.code_indices[:, level].long(), field.code_weights[:, level].float())
-        embedding = (painted @ dense) @ field.codebook[level]
-        expected = z_scores(embedding[None], queries[query : query + 1], words)
-        assert float(found[query]) == pytest.approx(float(expected[0]), abs=1e-3)
-
-
-def test_z_scores_in_a_scene_are_of_the_gaussians_selected(queried: Queried) -> None:
-    field, texts = queried.field, queried.texts
-    queries, canonical, words = texts.queries, texts.canonical, texts.everyday
-    selections = list(select_each(field, queries, canonical))
-    found = scene_z_scores(field, selections, queries, words)
-    for query, each in enumerate(selections):
-        chosen, level = each.mask, each.level
-        own = field.gaussian_relevancy(queries[query : query + 1], canonical)[level, 0]
-        assert torch.equal(each.relevancy, own)
-        coded = field.code_weights[:, level].any(1)
-        assert each.score == float(own[coded].max())
-        middle = own[chosen].median()
-        core = torch.tensor([row for row in range(len(field)) if chosen[row] and own[row] >= middle])
-        embedding = mean_embedding(field, level, core, field.gaussians.opacities[core])
-        expected = z_scores(embedding[None], queries[query : query + 1], words)
-        assert float(found[query]) == pytest.approx(float(expected[0]), abs=1e-4)
-    nothing = [replace(each, mask=torch.zeros_like(each.mask)) for each in selections]
-    assert bool((scene_z_scores(field, nothing, queries, words) == -torch.inf).all())
+    assert field.answer("mug").presence
+    for count in (10, 9):
+        kept = torch.ones(len(field), dtype=torch.bool)
+        kept[count:216] = False
+        part = field[kept]
+        answer = part.answer("mug")
+        assert answer.presence == (count == 10)
+        assert int(answer.mask.sum()) == (10 if count == 10 else 0)
+        assert len(part.things("mug")) == (count == 10)
+        forced = part.question("mug", always=True)
+        assert int(part.answer(forced).mask.sum()) == count
+        place = part.location(forced)
+        assert place.thing is not None
+        assert place.thing.n_gaussians == count

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
-from scoup.query.locate import LONGEST_LINK, NEIGHBOURS
 from scoup.query.reshape import Reshaping, reshaped
+from scoup.query.space import LONGEST_LINK, NEIGHBOURS
 from scoup.scene.gaussians import Gaussians
 from support import examples, random_gaussians
 

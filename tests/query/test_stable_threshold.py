@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.query.stable_threshold import STABILITY, stable_thresholds
+from scoup.query.select import level_thresholds
+from scoup.query.stable_threshold import STABILITY
 from support import examples
 
 STEPS = range(44, 85)
@@ -18,6 +19,11 @@ STEPS = range(44, 85)
 GRID = 251
 """Values of ``grid_values`` lie between 0 and this; a prime, so that no rescaled one is within rounding of a
 hundredth."""
+
+
+def stable_thresholds(values: Tensor) -> Tensor:
+    """Of rows in which all values count."""
+    return level_thresholds(values, torch.ones_like(values, dtype=torch.bool))
 
 
 def areas_around(rescaled: list[float], step: int) -> tuple[int, int]:
@@ -28,15 +34,14 @@ def areas_around(rescaled: list[float], step: int) -> tuple[int, int]:
     )
 
 
-def slow_costs(values: list[float]) -> dict[int, tuple[float, float]]:
-    """Of each threshold in hundredths: the change of the logarithm of the area, and that with the pull."""
+def slow_costs(values: list[float]) -> dict[int, float]:
+    """Of each threshold in hundredths: the change of the logarithm of the area, with the pull."""
     low, high = min(values), max(values)
     rescaled = [min(1.0, max(0.0, 2 * (value - low) / (high - low + 1e-9) - 1)) for value in values]
     costs = {}
     for step in STEPS:
         larger, smaller = areas_around(rescaled, step)
-        change = math.log(larger) - math.log(smaller)
-        costs[step] = change, change + 0.05 * abs(step / 100 - 0.64)
+        costs[step] = math.log(larger) - math.log(smaller) + 0.05 * abs(step / 100 - 0.64)
     return costs
 
 
@@ -61,21 +66,18 @@ def test_the_constants_are_those_of_the_rule_read_here() -> None:
 def test_it_is_the_slow_reading(values: list[int], dtype: torch.dtype) -> None:
     row = torch.tensor(values, dtype=dtype) / GRID
     costs = slow_costs([value / GRID for value in values])
-    (threshold,), (change,) = (found.tolist() for found in stable_thresholds(row[None]))
+    (threshold,) = stable_thresholds(row[None]).tolist()
     step = round(100 * threshold)
     assert threshold == pytest.approx(step / 100, abs=1e-6)
-    assert change == pytest.approx(costs[step][0], abs=1e-5)
     # Two thresholds as far from the centre may cost the same but for rounding.
-    assert costs[step][1] == pytest.approx(min(cost for _, cost in costs.values()), abs=1e-6)
+    assert costs[step] == pytest.approx(min(costs.values()), abs=1e-6)
 
 
 @settings(max_examples=examples(40))
 @given(grid_values(), st.floats(0.05, 2), st.floats(-1, 1), st.sampled_from([torch.float32, torch.float64]))
 def test_scaling_and_shifting_relevancy_change_nothing(values, scale, shift, dtype) -> None:
     row = torch.tensor(values, dtype=dtype)[None] / GRID
-    expected = stable_thresholds(row)
-    for found, same in zip(stable_thresholds(scale * row + shift), expected, strict=True):
-        assert found.equal(same)
+    assert stable_thresholds(scale * row + shift).equal(stable_thresholds(row))
 
 
 @pytest.mark.parametrize(("start", "expected"), [(39, 0.44), (79, 0.84)])
@@ -83,26 +85,13 @@ def test_the_first_and_the_last_window_count(start: int, expected: float) -> Non
     every_bin = [(hundredth + 0.5) / 100 for hundredth in range(100)]
     kept = [value for value in every_bin if not start <= 100 * value < start + 10]
     row = torch.tensor([-1.0, 1.0, *kept])
-    thresholds, changes = stable_thresholds(row[None])
-    assert float(thresholds) == pytest.approx(expected)
-    assert changes.tolist() == [0]
+    assert float(stable_thresholds(row[None])) == pytest.approx(expected)
 
 
 def test_the_centre_wins_where_all_are_alike() -> None:
     step = torch.tensor([0.0] * 9 + [1.0])
     for row in (torch.full((7,), 0.5), torch.tensor([0.4]), torch.zeros(5), step):
-        thresholds, changes = stable_thresholds(row[None])
-        assert thresholds.tolist() == pytest.approx([STABILITY.centre])
-        assert changes.tolist() == [0]
-
-
-def test_what_fades_away_is_unstable() -> None:
-    fading = torch.exp(-torch.linspace(0, 12, 5000)) * 0.4 + 0.5
-    step = torch.where(torch.arange(5000) < 400, 0.9, 0.5)
-    _, changes = stable_thresholds(torch.stack([fading, step, torch.linspace(0, 1, 5000) ** 40]))
-    assert changes[1] == 0
-    assert changes[0] > 0.1
-    assert changes[2] > 0.1
+        assert stable_thresholds(row[None]).tolist() == pytest.approx([STABILITY.centre])
 
 
 def no_values() -> list[Tensor]:
@@ -112,20 +101,17 @@ def no_values() -> list[Tensor]:
 
 @pytest.mark.parametrize("values", no_values(), ids=["empty", "nan", "inf", "-inf"])
 def test_rows_without_meaning_have_the_centre(values: Tensor) -> None:
-    thresholds, changes = stable_thresholds(values)
-    assert thresholds.tolist() == pytest.approx([STABILITY.centre] * len(values))
-    assert changes.tolist() == [0] * len(values)
+    assert stable_thresholds(values).tolist() == pytest.approx([STABILITY.centre] * len(values))
 
 
 def test_rows_are_judged_each_for_itself_and_always_alike() -> None:
     generator = torch.Generator().manual_seed(0)
     values = torch.rand(4, 300, generator=generator) ** torch.tensor([[0.5], [1], [2], [6]])
-    thresholds, changes = stable_thresholds(values)
-    assert (thresholds.shape, thresholds.dtype, changes.dtype) == ((4,), torch.float32, torch.float32)
-    shuffled = values[:, torch.randperm(300, generator=generator)]
-    for found in (stable_thresholds(values), stable_thresholds(shuffled)):
-        assert found[0].equal(thresholds)
-        assert found[1].equal(changes)
-    alone = [stable_thresholds(row[None])[0] for row in values]
-    assert torch.cat(alone).equal(thresholds)
-    assert [len(found) for found in stable_thresholds(values[:0])] == [0, 0]
+    thresholds = stable_thresholds(values)
+    assert (thresholds.shape, thresholds.dtype) == ((4,), torch.float32)
+    assert stable_thresholds(values[:, torch.randperm(300, generator=generator)]).equal(thresholds)
+    assert torch.cat([stable_thresholds(row[None]) for row in values]).equal(thresholds)
+    included = torch.rand(4, 300, generator=generator) < 0.6  # others do not count
+    alone = [stable_thresholds(row[own][None]) for row, own in zip(values, included, strict=True)]
+    assert level_thresholds(values, included).equal(torch.cat(alone))
+    assert len(stable_thresholds(values[:0])) == 0

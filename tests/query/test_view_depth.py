@@ -9,7 +9,6 @@ import torch
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.query.answering import answer_view
 from scoup.query.view_depth import ViewDepth, mask_position, view_depth
 from scoup.scene.cameras import Camera
 
@@ -57,7 +56,7 @@ def test_answers_know_their_position_after_the_projection_is_gone(queried: Queri
     field, camera = queried.field, queried.camera
     projection = field.project(camera)
     expected = ViewDepth(field, camera, projection)()
-    answers = answer_view(field, camera, queried.texts, projection)
+    answers = field.answer(queried.texts, camera, projection=projection)
     del projection
     gc.collect()
     for answer in answers:

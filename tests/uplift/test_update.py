@@ -10,14 +10,15 @@ import pytest
 import torch
 from torch import Tensor
 
-import scoup
 from scoup import raster
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.native import native_core
 from scoup.coding.encode import encode
 from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
+from scoup.query.question import Question
 from scoup.query.select import select_each
+from scoup.query.view_masks import most_relevant_pixel
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
@@ -140,8 +141,10 @@ def answer(wall: Wall, field: LanguageField) -> tuple[bool, float]:
     camera = wall.late[1]
     relevancy = field.relevancy(camera, wall.things[[NEW]], wall.canonical)[:, 0]
     on = wall.shows(camera) == NEW
-    x, _ = scoup.localize(relevancy).pixel
-    return bool(on[x]), float(relevancy[0][:, on].mean() - relevancy[0][:, ~on].mean())
+    level = int(relevancy.flatten(1).amax(1).argmax())
+    pixel = most_relevant_pixel(relevancy[level], torch.ones_like(relevancy[level], dtype=torch.bool))
+    assert pixel is not None
+    return bool(on[pixel[0]]), float(relevancy[0][:, on].mean() - relevancy[0][:, ~on].mean())
 
 
 def test_a_thing_seen_only_later_is_found_with_new_atoms(
@@ -160,7 +163,9 @@ def test_a_thing_seen_only_later_is_found_with_new_atoms(
     assert contrast > 0.3
     assert contrast > contrast_without + 0.2
     # The Gaussians themselves: those of the new thing are selected, and hardly any other.
-    chosen = next(select_each(grown, wall.things[NEW][None], wall.canonical)).mask
+    none = wall.things[:0]
+    question = Question(("new",), wall.things[NEW][None], wall.canonical, none)
+    chosen = next(select_each(grown, question)).mask
     on_it = wall.gaussians.means[:, 0] > EDGES[NEW]
     assert float(on_it[chosen].float().mean()) > 0.9
     assert int(chosen.sum()) > 100

@@ -165,6 +165,7 @@ def test_several_texts_have_a_colour_each(visit: Visit, camera: Camera):
     assert [query["text"] for query in visit.state()["queries"]] == ["kettle"]
 
 
+@both_pages
 def test_the_legend_says_what_the_library_says(visit: Visit, viewed: ViewedField):
     visit.ask("kettle")
     answer = viewed.answers(["kettle"])[0]
@@ -175,13 +176,19 @@ def test_the_legend_says_what_the_library_says(visit: Visit, viewed: ViewedField
     ]  # fmt: skip
     visit.ask("mug", ABSENT)
     assert not legend.is_visible()
-    answer = viewed.answers(["mug"])[0]
-    said = visit.row("mug").inner_text()
-    assert f"level {viewed.field.levels[answer.level]}, score {answer.score:.2f}" in said
-    assert f"{answer.gaussians} Gaussians" in said
-    assert f"z-score {answer.z_score:.2f}" in said
-    assert "not in this scene" in visit.row(ABSENT).inner_text()
-    assert "standard deviations" in (visit.row("mug").get_by_text("z-score").get_attribute("title") or "")
+    mug, absent = viewed.field.answer(["mug", ABSENT])
+    facts = [visit.row(text).locator(".facts") for text in ("mug", ABSENT)]
+    size = f"level {mug.level}, {int(mug.mask.sum())} Gaussians"
+    assert facts[0].inner_text() == f"{mug.certainty} {mug.score:.2f}, {size}"
+    assert facts[1].inner_text() == f"not here ({absent.score:.2f})"
+    title = facts[1].locator("span").get_attribute("title") or ""
+    assert "Share of everyday words" in title
+    assert "present from 0.37" in title
+    visit.choose("l (coarse)")  # whose score is another one
+    assert facts[0].inner_text() == "level l"
+    assert facts[1].inner_text() == f"not here ({absent.score:.2f})"
+    visit.choose("automatic")
+    assert str(mug.certainty) in facts[0].inner_text()
     visit.tab("View")
     assert "kettle 0." in visit.page.locator("#threshold-value").inner_text()
 

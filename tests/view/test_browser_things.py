@@ -122,11 +122,12 @@ def test_things_light_up_until_a_threshold_is_set(visit: Visit, viewed: ViewedFi
 
 
 @pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
-def test_things_and_votes_answer_side_by_side(visit: Visit, viewed: ViewedField, tmp_path: Path) -> None:
-    assert [answer.chosen_things is None for answer in viewed.answers(["lamp", "mug"])] == [True, False]
-    assert viewed.answers(["kettle"])[0].chosen_things is not None
-    visit.ask("lamp", "kettle")
-    wanted = selected(viewed, "lamp") | selected(viewed, "kettle")
+def test_things_of_several_texts_are_seen_and_saved(
+    visit: Visit, viewed: ViewedField, tmp_path: Path
+) -> None:
+    visit.ask("mug", "kettle")
+    wanted = selected(viewed, "mug") | selected(viewed, "kettle")
+    assert int(wanted.sum()) > int(selected(viewed, "kettle").sum())
     visit.choose("Only the selection")
     assert difference(visit.picture(), render(viewed, wanted)) < ALIKE
     with visit.page.expect_download() as download:
@@ -137,9 +138,34 @@ def test_things_and_votes_answer_side_by_side(visit: Visit, viewed: ViewedField,
     assert len(saved) == len(own)
     apart = (saved[:, None].double() - own).norm(dim=2)
     assert max(apart.amin(0).max(), apart.amin(1).max()) < 1e-5
-    visit.page.get_by_role("button", name="Remove lamp").click()
+    visit.page.get_by_role("button", name="Remove mug").click()
     visit.settle()
     assert difference(visit.picture(), render(viewed, selected(viewed, "kettle"))) < ALIKE
+
+
+@pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
+def test_certainty_and_the_next_best_thing_are_said(visit: Visit, viewed: ViewedField) -> None:
+    visit.until("Boolean(window.scoupViewer.state().things)")
+    texts = ["kettle", "furniture"]
+    kettle, absent = answers = viewed.field.answer(texts)
+    assert [answer.presence for answer in answers] == [True, False]
+    visit.ask(*texts)
+    names = {thing["number"]: thing["name"] for thing in viewed.things()}
+    for answer, start in ((kettle, f"{kettle.certainty} {kettle.score:.2f},"), (absent, "not here (")):
+        facts = visit.row(answer.text).locator(".facts")
+        assert facts.inner_text().startswith(start)
+        rival = answer.runner_up
+        assert rival is not None
+        next_best = f"Next best: {names[rival.thing]} (thing {rival.thing}), {rival.score:.2f}."
+        assert next_best in (facts.locator("span").first.get_attribute("title") or "")
+    # An absent text lights up as `scoup select --always` has it.
+    visit.page.get_by_role("button", name="Remove kettle").click()
+    visit.tab("View")
+    visit.page.get_by_label("show texts that are not in the scene, too").check()
+    visit.choose("Only the selection")
+    for level, name in LEVELS.items():
+        visit.choose(name)
+        assert difference(visit.picture(), render(viewed, selected(viewed, "furniture", level))) < ALIKE, name
 
 
 def pick(visit: Visit, viewed: ViewedField, name: str, key: str | None = None) -> list[int]:

@@ -289,11 +289,14 @@ def test_what_is_copied_does_what_is_seen(
     assert lines[0].startswith("scoup select ")
     for line in lines:
         run_json(*shlex.split(line)[1:])
-    assert "--level m" in lines[0]
-    assert "--threshold 0.7" in lines[0]
+        assert "--level m" in line
+        assert "--threshold 0.7" in line
+    assert len(lines) == 2
     saved = scoup.load_gaussians(re.findall(r"--out (\S+)", lines[0])[0])
     assert torch.equal(saved.means, viewed.gaussians.means[wanted])
-    exec(compile(program, "copied", "exec"), {})
+    names: dict[str, Any] = {}
+    exec(compile(program, "copied", "exec"), names)
+    assert (names["seen"].view, names["seen"].answer.threshold) == ("front.png", 0.7)
     part = scoup.LanguageField.load(next(Path().glob("*.scoup")))
     assert torch.equal(part.gaussians.means, viewed.gaussians.means[wanted])
     exec(compile(rest, "copied", "exec"), {})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from view_samples import random_field, table, viewed_field
+from view_samples import WORDS, random_field, table, viewed_field
 
 from scoup import raster
 from scoup.base.errors import InputError
@@ -68,6 +68,22 @@ def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField, camera: Camera
     assert not np.array_equal(fine, coarse)
 
 
+def test_a_threshold_of_ones_own_leaves_the_level(viewed: ViewedField, camera: Camera) -> None:
+    own, by_peak = (
+        [answer.level for answer in viewed.field.answer(viewed.question(WORDS, True, threshold=threshold))]
+        for threshold in (None, 0.3)
+    )
+    texts = [text for text, one, other in zip(WORDS, own, by_peak, strict=True) if one != other][:2]
+    assert texts  # whose level would be another one
+    for text in texts:
+        level = viewed.field.level_index(own[WORDS.index(text)])
+        of_level, shown = (
+            viewed.picture(camera, "heat", [text], [BLUE], level=number, threshold=0.3, always=True)
+            for number in (level, None)
+        )
+        assert np.array_equal(shown, of_level)
+
+
 def test_the_next_camera_gets_its_own_picture(viewed: ViewedField, camera: Camera) -> None:
     first = viewed.picture(camera)
     viewed.picture(make_camera(20, 20))
@@ -80,7 +96,7 @@ def test_requests_out_of_range_are_refused(viewed: ViewedField, camera: Camera) 
     with pytest.raises(InputError, match="needs a text"):
         PictureRequest(camera, "mask")
     with pytest.raises(InputError, match="expected 2 colors, got 1"):
-        PictureRequest(camera, "mask", viewed.question(["thing 1", "thing 2"]), [BLUE])
+        PictureRequest(camera, "mask", viewed.field.answer(["thing 1", "thing 2"]), [BLUE])
     with pytest.raises(InputError, match=f"{LARGEST_SIDE} pixels"):
         PictureRequest(make_camera(LARGEST_SIDE + 1, 1))
 

@@ -1,10 +1,11 @@
-"""Answers for the page are those of `scoup select`."""
+"""Answers for the page and for agents are those of the scene."""
 
 from __future__ import annotations
 
 import base64
 import json
 import math
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,13 @@ import torch
 from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
 
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.field.language_field import LanguageField
+from scoup.query.answer import Answer
 from scoup.query.answering import answer_scene
-from scoup.view.scene_answers import PageAnswer, spans
+from scoup.query.coded_scene import CodedScene
+from scoup.scene.things import NO_THING, ThingTable
+from scoup.view.scene_answers import VERDICT, PageAnswer, spans
+from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
 from scoup.view.vocabulary import everyday_vocabulary, read_words, vocabulary_answers, words_data
 
@@ -33,6 +39,12 @@ def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: flo
     return (rescaled > threshold) & viewed.codes.coded()[level]
 
 
+def verdict(answer: Answer | PageAnswer) -> dict[str, object]:
+    """What is said of an answer."""
+    record = answer.record()
+    return {name: record[name] for name in VERDICT}
+
+
 @pytest.mark.parametrize("text", WORDS[:6])
 def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: ViewedField, text: str) -> None:
     answer = viewed.answers([text])[0]
@@ -40,24 +52,22 @@ def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: View
     wanted = answer_scene(viewed.field, texts)[0]
     assert viewed.field.levels[answer.level] == wanted.level
     assert answer.thresholds[answer.level] == pytest.approx(wanted.threshold)
-    assert answer.score == pytest.approx(wanted.score, abs=1e-5)
-    assert answer.present == wanted.presence
-    assert answer.z_score == pytest.approx(wanted.z_score, abs=1e-3)
+    assert verdict(answer) == verdict(wanted)
     anyway = answer_scene(viewed.field, viewed.question([text], always=True))[0]
-    assert answer.gaussians == int(anyway.mask.sum())
     shown = selected(viewed, answer, answer.level, float(answer.thresholds[answer.level]))
     assert int((shown != anyway.mask).sum()) <= 1  # one on the threshold, by rounding
 
 
-@pytest.fixture(scope="module", params=[0.85, 0.95])
-def of_things(request: pytest.FixtureRequest) -> ViewedField:
-    """A field whose things answer some texts, and the votes others."""
-    return ViewedField(field_with_things(agreement=request.param), table())
+@pytest.fixture(scope="module")
+def of_things() -> ViewedField:
+    """A field with things, which contains some words and not others."""
+    return ViewedField(field_with_things(), table())
 
 
-def members(viewed: ViewedField, things: list[int]) -> torch.Tensor:
+def members(viewed: ViewedField, things: list[int] | None) -> torch.Tensor:
     """What the page selects by things, whatever their level."""
     assert viewed.field.thing_table is not None
+    assert things is not None
     return torch.isin(viewed.field.thing_table.owners, torch.tensor(things)).any(1)
 
 
@@ -66,38 +76,67 @@ def test_things_level_presence_and_gaussians_are_those_of_select(of_things: View
         texts = of_things.question([answer.text])
         wanted = answer_scene(of_things.field, texts)[0]
         assert of_things.field.levels[answer.level] == wanted.level
-        assert answer.score == pytest.approx(wanted.score, abs=1e-5)
-        assert answer.present == wanted.presence
-        assert answer.z_score == pytest.approx(wanted.z_score, abs=1e-3)
+        assert verdict(answer) == verdict(wanted)
         anyway = answer_scene(of_things.field, of_things.question([answer.text], always=True))[0]
-        assert answer.gaussians == int(anyway.mask.sum())
-        assert (answer.chosen_things is None) == (anyway.threshold is not None)
-        if answer.chosen_things is not None:
-            assert torch.equal(members(of_things, answer.chosen_things), anyway.mask)
-            assert json.loads(json.dumps(answer.record()))["chosen_things"] == answer.chosen_things
+        assert answer.chosen_things == list(anyway.things)
+        assert torch.equal(members(of_things, answer.chosen_things), anyway.mask)
+        assert json.loads(json.dumps(answer.record()))["chosen_things"] == answer.chosen_things
 
 
 def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
-    by_votes = set()
     for answer in of_things.answers(WORDS):
         for level, chosen in enumerate(answer.things):
             question = of_things.question([answer.text], always=True, level=level)
             wanted = answer_scene(of_things.field, question)[0]
-            by_votes.add(chosen is None)
-            if chosen is not None:
-                assert wanted.threshold is None
-                assert torch.equal(members(of_things, chosen), wanted.mask)
-                continue
-            assert wanted.threshold == pytest.approx(float(answer.thresholds[level]))
-    assert False in by_votes  # some are answered by things
+            assert chosen == list(wanted.things)
+            assert torch.equal(members(of_things, chosen), wanted.mask)
     saved = of_things.selection(["thing 1"], 0, always=True)
     wanted = answer_scene(of_things.field, of_things.question(["thing 1"], always=True, level=0))[0]
     assert len(saved) == int(wanted.mask.sum())
 
 
-def test_both_things_and_votes_answer() -> None:
-    answers = ViewedField(field_with_things(), table()).answers(WORDS)
-    assert {answer.chosen_things is None for answer in answers} == {False, True}
+@pytest.mark.parametrize("make", [field_with_things, lambda: random_field(300)], ids=["things", "votes"])
+def test_ways_to_ask_do_not_contradict_each_other(make: Callable[[], LanguageField]) -> None:
+    field = make()
+    viewed, tools = ViewedField(field, table()), SceneTools({"f": field})
+    answers, certainties = field.answer(list(WORDS)), set()
+    page = viewed.answers(WORDS)
+    for answer, on_page, exported in zip(answers, page, exported_verdicts(field, page), strict=True):
+        text, present = answer.text, answer.presence
+        certainties.add(answer.certainty)
+        assert verdict(answer) == verdict(on_page)
+        wanted = {name: verdict(answer)[name] for name in exported}
+        assert exported == wanted | {"score": pytest.approx(wanted["score"])}
+        assert field.levels[on_page.level] == answer.level
+        assert (on_page.chosen_things or [] if present else []) == list(answer.things)
+        selection, place, things = field.select(text), field.location(text), field.things(text)
+        assert torch.equal(selection.mask, answer.mask)
+        assert selection.record() == place.answer.record() == answer.record()
+        assert place.presence == bool(things) == bool(answer.mask.any()) == present
+        labels = field.label([text])
+        found = (labels.scores[0], labels.presence[0], labels.levels[0], labels.things[0])
+        assert found == (answer.score, present, answer.level, answer.things)
+        reply = tools.find("f", text)
+        assert reply["count"] == len(things)
+        said = {name: answer.record()[name] for name in ("score", "certainty", "runner_up")}
+        assert reply["texts"] == [{"text": text, **said}]
+        if answer.things:
+            numbers = [each["thing"] for each in reply["things"]]
+            assert numbers == [each.number for each in things] == list(answer.things)
+            assert reply["things"][0]["level"] == answer.level
+    assert {"sure", "not here"} <= certainties
+
+
+def exported_verdicts(field: CodedScene, answers: list[PageAnswer]) -> Iterator[dict[str, object]]:
+    """What an exported page says of each answer, but for the runner-up."""
+    tensors, metadata = unpacked(words_data(field, answers))
+    for row in range(len(answers)):
+        yield {
+            "score": float(tensors["score"][row]),
+            "certainty": metadata["certainties"][tensors["certainty"][row]],
+            "present": bool(tensors["present"][row]),
+            "gaussians": int(tensors["gaussians"][row]),
+        }
 
 
 def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> None:
@@ -105,7 +144,14 @@ def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> 
     assert answer.chosen_things is None
     assert answer.things == [None, None]
     assert answer.record()["things"] == [None, None]
-    assert "things" not in unpacked(words_data(viewed.field, [answer]))[0]
+    assert not {"things", "runner_up"} & set(unpacked(words_data(viewed.field, [answer]))[0])
+    field = field_with_things()
+    assert field.thing_table is not None
+    none = {name: part[:0] for name, part in vars(field.thing_table).items() if name != "owners"}
+    field.thing_table = ThingTable(torch.full_like(field.thing_table.owners, NO_THING), **none)
+    answer = ViewedField(field, table()).answers(["thing 1"])[0]
+    assert (answer.chosen_things, answer.things) == (None, [None, None])
+    assert not {"things", "runner_up"} & set(unpacked(words_data(field, [answer]))[0])
 
 
 def test_words_name_the_same_things() -> None:
@@ -114,9 +160,13 @@ def test_words_name_the_same_things() -> None:
     tensors = unpacked(words_data(viewed.field, answers))[0]
     counts, numbers = tensors["thing_counts"], iter(tensors["things"].tolist())
     assert counts.shape == (len(WORDS), 3)
-    for row, answer in zip(counts.tolist(), answers, strict=True):
-        found = [[next(numbers) for _ in range(count)] or None for count in row]
-        assert found == [answer.chosen_things, *answer.things]
+    rivals = zip(tensors["runner_up"].tolist(), tensors["runner_up_score"].tolist(), strict=True)
+    for row, (thing, score), answer in zip(counts.tolist(), rivals, answers, strict=True):
+        assert [[next(numbers) for _ in range(count)] for count in row] == [
+            answer.chosen_things,
+            *answer.things,
+        ]
+        assert {"thing": thing, "score": pytest.approx(score)} == answer.verdict["runner_up"]
     assert list(numbers) == []
 
 
@@ -152,9 +202,7 @@ def test_where_no_gaussian_has_a_code_nothing_is_infinite_in_the_record() -> Non
     viewed = viewed_field(count=5)
     viewed.field.code_weights[:] = 0
     record = viewed.answers(["thing 1"])[0].record()
-    assert record["score"] is None
-    assert record["z_score"] is None
-    assert (record["present"], record["gaussians"]) == (False, 0)
+    assert (record["certainty"], record["present"], record["gaussians"]) == ("not here", False, 0)
     json.dumps(record, allow_nan=False)
     assert spans(torch.zeros(2, 0), torch.zeros(2, 0, dtype=torch.bool)).tolist() == [[0.5, 0.5]] * 2
 
@@ -205,16 +253,18 @@ def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     assert tensors["levels"][row] == one.level
     codebook = viewed.field.codebook.numpy()
     np.testing.assert_allclose(tensors["gram"], codebook @ codebook.transpose(0, 2, 1), atol=1e-3)
-    assert tensors["present"][row] == one.present
-    assert tensors["gaussians"][row] == one.gaussians
+    assert (
+        list(exported_verdicts(viewed.field, [one]))
+        == list(exported_verdicts(viewed.field, answers))[row : row + 1]
+    )
     np.testing.assert_allclose(tensors["thresholds"][row], one.thresholds.numpy())
     np.testing.assert_allclose(tensors["spans"][row], one.spans.numpy(), atol=1e-6)
     few = {name: vector for name, vector in table().items() if name not in WORDS[3:]}
     unjudged = ViewedField(random_field(), few)
     assert unjudged.metadata()["present_from"] is None
     stored = unpacked(words_data(unjudged.field, unjudged.answers(["thing 0"])))[0]
-    assert math.isnan(stored["z_scores"][0])
-    assert stored["present"][0] == 1
+    assert math.isnan(stored["score"][0])
+    assert (stored["certainty"][0], stored["present"][0]) == (255, 1)
 
 
 def test_an_encoder_of_another_size_is_refused_only_if_it_was_given() -> None:

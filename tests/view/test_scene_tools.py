@@ -58,6 +58,19 @@ def test_replies_are_those_of_the_field(tools: SceneTools):
     assert measured["metres"] == pytest.approx(measured["distance"] / 2, rel=1e-3)
     found = tools.find("f", "kettle")
     assert found["count"] == len(field.things("kettle"))
+    for text, asked in (
+        ("kettle", ["kettle"]),
+        ("how many kettles", ["kettle"]),
+        ("kettle on the mug", ["kettle", "mug"]),
+    ):
+        records = [field.answer(each).record() for each in asked]
+        kept = ("score", "certainty", "runner_up")
+        wanted = [
+            {"text": each, **{name: one[name] for name in kept}}
+            for each, one in zip(asked, records, strict=True)
+        ]
+        assert tools.find("f", text)["texts"] == wanted
+        assert wanted[0]["runner_up"] is not None
     assert found["frame"]["up"] == field.frame().record()["up"]
     assert found["frame"]["units"] == "scene, of 0.5 metres"
     assert "splat" in found["frame"]["axes"]

@@ -15,19 +15,23 @@ export interface Settings {
   identity: string;
 }
 
-/** What a scene answers to a text. */
+/** What a scene answers to a text; Python decides all of it (`scoup.view.scene_answers`). */
 export interface Answer {
   text: string;
   level: number;
+  /** The share of everyday words that fit this scene less well, 0 to 1; null with too few of them. */
   score: number | null;
-  z_score: number | null;
+  /** The score in words. */
+  certainty: string | null;
   present: boolean;
+  /** The best thing elsewhere. */
+  runner_up: { thing: number; score: number | null } | null;
   /** The stable threshold of each level. */
   thresholds: number[];
   /** Relevancies that rescaling takes to 0 and 1, level by level. */
   spans: [number, number][];
   gaussians: number;
-  /** Things that answer if no level is chosen; null where the votes answer. */
+  /** Things that answer if no level is chosen, or would if the text were in the scene; null in a field without things. */
   chosen_things: number[] | null;
   /** The same if a level is chosen, level by level. */
   things: (number[] | null)[];
@@ -70,7 +74,7 @@ export interface Source {
   /** Names that the text box completes; only these can be asked if `closed`. */
   vocabulary(): Promise<{ names: string[]; closed: boolean }>;
   /** @throws Error with a sentence for the visitor */
-  ask(texts: string[], always: boolean): Promise<Answer[]>;
+  ask(texts: string[]): Promise<Answer[]>;
   thumbnail(camera: number): string | null;
   /** What the page shows first: all Gaussians, or few of a large scene. */
   scene(progress: Progress): Promise<Packed>;

@@ -47,14 +47,12 @@ export function commandLine(settings: Settings, state: State, levels: string[], 
     const out = `${rest ? "without_" : ""}${fileName(texts[0])}.ply`;
     const edit = rest ? " --edit remove" : "";
     lines.push(`scoup select ${field} ${texts.map(oneText).join(" ")}${options}${edit} --out ${quoted(out)}`);
-    // The threshold of a view is another one than that of the scene.
-    const inView = options.replace(/ --threshold \S+/, "");
-    if (camera !== null) lines.push(`scoup query ${field} ${words}${inView} --camera ${quoted(camera)}`);
+    if (camera !== null) lines.push(`scoup query ${field} ${words}${options} --camera ${quoted(camera)}`);
   }
   return lines.join("\n");
 }
 
-/** Whether a command is to find something always: presence is judged once, for the level and threshold that answer best. */
+/** Whether a command is to find something always: the page judges presence without a level or threshold of choice. */
 function isCertain(state: State): boolean {
   return state.absent || state.level !== null || state.threshold !== null;
 }
@@ -80,8 +78,7 @@ export function python(settings: Settings, state: State, levels: string[], camer
     const name = JSON.stringify(`${fileName(query.answer.text)}.scoup`);
     lines.push(rest ? "found |= place.answer.mask" : `field[place.answer.mask].save(${name})`);
     if (camera !== null) {
-      const others = options.filter((option) => !option.startsWith("threshold"));
-      lines.push(`answer = field.answer(${question(text, others)}, ${JSON.stringify(camera)})`);
+      lines.push(`seen = place.answer.in_view(${JSON.stringify(camera)})`);
     }
   }
   if (rest) {

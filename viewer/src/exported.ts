@@ -2,7 +2,7 @@
 import type { Answer, Source } from "./answers";
 import type { Words } from "./picking";
 import { fromBase64, unpack, type Packed, type Progress, type Tensor } from "./safetensors";
-import type { Metadata, Thing } from "./scene_data";
+import { NO_OWNER, type Metadata, type Thing } from "./scene_data";
 
 interface PageData {
   scene: string;
@@ -11,6 +11,12 @@ interface PageData {
   things: Thing[];
   /** Of a large scene; of a page in several files, those that are loaded. */
   parts: string[];
+}
+
+interface WordsMetadata {
+  names: string[];
+  /** Scores in words, which the tensor of that name counts. */
+  certainties: string[];
 }
 
 declare global {
@@ -68,19 +74,22 @@ export class ExportedPage implements Source {
       if (row < 0) throw new Error(unknown(text, names));
       return row;
     });
-    const { tensors } = await this.unpackedWords();
+    const { tensors, metadata } = await this.unpackedWords();
+    const { certainties } = metadata as WordsMetadata;
     const numbers = (name: string) => tensors.get(name)!.data;
+    const known = (name: string, row: number) => (Number.isNaN(numbers(name)[row]) ? null : numbers(name)[row]);
     const [, levels, atoms] = tensors.get("scores")!.shape;
     const things = thingsOf(tensors);
     return rows.map((row) => {
-      const z = numbers("z_scores")[row];
       const spans = numbers("spans");
+      const rival = tensors.get("runner_up")?.data[row] ?? NO_OWNER;
       return {
         text: names[row],
         level: numbers("levels")[row],
-        score: Number.isFinite(numbers("score")[row]) ? numbers("score")[row] : null,
-        z_score: Number.isFinite(z) ? z : null,
+        score: known("score", row),
+        certainty: certainties[numbers("certainty")[row]] ?? null,
         present: numbers("present")[row] > 0,
+        runner_up: rival === NO_OWNER ? null : { thing: rival, score: known("runner_up_score", row) },
         thresholds: Array.from(numbers("thresholds").subarray(row * levels, (row + 1) * levels)),
         spans: Array.from({ length: levels }, (_, level): [number, number] => {
           const at = 2 * (row * levels + level);
@@ -95,7 +104,7 @@ export class ExportedPage implements Source {
   }
 
   private async names(): Promise<string[]> {
-    return this.data.words ? ((await this.unpackedWords()).metadata as { names: string[] }).names : [];
+    return this.data.words ? ((await this.unpackedWords()).metadata as WordsMetadata).names : [];
   }
 
   /** What a click compares with. */
@@ -133,7 +142,7 @@ function thingsOf(tensors: Map<string, Tensor>): (row: number, column: number) =
   for (const count of counts.data) starts.push(starts[starts.length - 1] + count);
   return (row, column) => {
     const at = row * counts.shape[1] + column;
-    return counts.data[at] ? Array.from(numbers.subarray(starts[at], starts[at + 1])) : null;
+    return Array.from(numbers.subarray(starts[at], starts[at + 1]));
   };
 }
 

@@ -15,7 +15,7 @@ export const MODE_NAMES: readonly [Mode, string][] = [
 const LEVEL_NAMES: Record<string, string> = { s: "s (fine)", m: "m (medium)", l: "l (coarse)" };
 const HEAT_STOPS = HEAT.map((color) => `rgb(${color.join(",")})`).join(",");
 const LEVEL_TITLE = "How large the regions are that answer, fine to coarse: parts, objects, groups";
-const Z_TITLE = "How many standard deviations closer the match is to the text than to everyday words";
+const SCORE_TITLE = "Share of everyday words that fit this scene less well than the text";
 /** Modes that only the page can show, not the server. */
 const PAGE_ONLY: readonly Mode[] = ["only", "except", "confidence"];
 
@@ -24,6 +24,8 @@ interface Row {
   all: HTMLElement;
   hide: HTMLElement;
   facts: HTMLElement;
+  /** The facts that are shown, as JSON. */
+  said: string;
   swatch: HTMLElement;
 }
 
@@ -110,7 +112,10 @@ export class Panel {
       const action = query.hidden ? "Show" : "Hide";
       say(row.hide, action);
       row.hide.setAttribute("aria-label", `${action} ${text}`);
-      showFacts(row.facts, this.facts(query));
+      const facts = this.facts(query);
+      const said = JSON.stringify(facts);
+      if (row.said !== said) showFacts(row.facts, facts);
+      row.said = said;
       const isHeat = this.state.isHeat && this.state.visible()[0] === query;
       // The border has the colour of its outline; what lights nothing up has none.
       row.swatch.style.border = isHeat ? `2px solid ${css(query.color)}` : "";
@@ -138,26 +143,33 @@ export class Panel {
     const facts = element("span", { class: "facts" });
     const swatch = element("span", { class: "swatch" });
     const all = element("li", {}, swatch, element("span", { class: "text" }, text), hide, remove, facts);
-    return { all, hide, facts, swatch };
+    return { all, hide, facts, said: "", swatch };
   }
 
-  /** The largest relevancy of a level, the upper end of its span; that within things is not known for each level. */
-  private bestOf(query: Query, level: number): number | null {
-    return this.state.thingsOf(query) ? null : query.answer.spans[level][1];
-  }
-
+  /** Certainty, level and size of an answer. Score and size are those without a level or threshold of choice. */
   private facts(query: Query): [string, string][] {
     const { answer } = query;
-    const zScore = answer.z_score === null ? "" : `z-score ${answer.z_score.toFixed(2)}`;
-    if (!answer.present) return [["not in this scene", ""], [zScore || "fewer than 10 Gaussians", zScore && Z_TITLE]];
-    const level = this.state.level ?? answer.level;
-    const isOwn = this.state.level === null && (this.state.threshold === null || answer.chosen_things === null);
-    const best = isOwn ? answer.score : this.bestOf(query, level);
-    const score = best === null ? "" : `score ${best.toFixed(2)}`;
-    const parts: [string, string][] = [[`level ${this.metadata.levels[level]}`, LEVEL_TITLE], [score, ""]];
-    if (this.state.level === null) parts.push([zScore, Z_TITLE]);
-    if (this.state.level === null && this.state.threshold === null) parts.push([counted(answer.gaussians, "Gaussian"), ""]);
-    return parts.filter(([text]) => text);
+    const { level, threshold } = this.state;
+    const certainty = this.certainty(query);
+    if (!answer.present) return [certainty];
+    const facts: [string, string][] = [[`level ${this.metadata.levels[this.state.levelOf(query)]}`, LEVEL_TITLE]];
+    if (level !== null || threshold !== null) return facts;
+    return [...(answer.score === null ? [] : [certainty]), ...facts, [counted(answer.gaussians, "Gaussian"), ""]];
+  }
+
+  private certainty({ answer }: Query): [string, string] {
+    const { score, certainty, present, runner_up: rival } = answer;
+    if (score === null) return ["not here", ""];
+    const number = score.toFixed(2);
+    const title = [`${SCORE_TITLE}; present from ${this.metadata.present_from}, if enough Gaussians answer`];
+    if (rival) title.push(`Next best: ${this.nameOf(rival.thing)}${rival.score === null ? "" : `, ${rival.score.toFixed(2)}`}`);
+    return [present ? `${certainty} ${number}` : `${certainty} (${number})`, `${title.join(". ")}.`];
+  }
+
+  private nameOf(thing: number): string {
+    const plain = `thing ${thing}`;
+    const name = this.state.things?.nameOf(thing) ?? plain;
+    return name === plain ? plain : `${name} (${plain})`;
   }
 }
 
@@ -173,7 +185,6 @@ function choices(id: string, name: string, options: [string, string, string][], 
 
 /** Facts with their tooltips, separated by commas. */
 function showFacts(out: HTMLElement, facts: [string, string][]): void {
-  if (out.textContent === facts.map(([text]) => text).join(", ")) return;
   const parts = facts.map(([text, title]) => (title ? element("span", { title, class: "explained" }, text) : text));
   out.replaceChildren(...parts.flatMap((part, number) => (number ? [", ", part] : [part])));
 }

@@ -47,8 +47,8 @@ export class LiveServer implements Server {
     return `api/thumbnail/${camera}`;
   }
 
-  async ask(texts: string[], always: boolean): Promise<Answer[]> {
-    const { answers } = await (await this.post("query", { texts, always })).json();
+  async ask(texts: string[]): Promise<Answer[]> {
+    const { answers } = await (await this.post("query", { texts })).json();
     return answers.map((record: Record<string, unknown>) => ({
       ...record,
       scores: new Float32Array(fromBase64(record.scores as string).buffer),

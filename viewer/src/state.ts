@@ -84,7 +84,7 @@ export class State {
     return this.level === null ? answer.chosen_things : answer.things[this.level];
   }
 
-  /** Texts that colour something. */
+  /** Texts that colour something. Presence is judged without a level or threshold of choice. */
   visible(): Query[] {
     return this.queries.filter((query) => !query.hidden && (query.answer.present || this.absent));
   }
@@ -115,7 +115,6 @@ export class State {
     const things = (this.things?.selected ?? []).map((number) => ({ number, name: this.things!.nameOf(number) }));
     const texts = this.visible().map((query) => query.answer.text);
     const { level, threshold } = this;
-    // Presence is judged once, for the level and threshold that answer best; absent texts are not among the visible ones.
     return { things, texts, level, threshold, rest: this.mode === "except", always: true };
   }
 
@@ -129,6 +128,6 @@ export class State {
     const answering = mode === "heat" || mode === "mask" ? visible : [];
     const texts = answering.map(({ answer }) => answer.text);
     const colors = answering.map(({ color }): [number, number, number] => [255 * color[0], 255 * color[1], 255 * color[2]]);
-    return { camera, mode, texts, colors, opacity: this.opacity, level, threshold: this.threshold, always: this.absent, quality };
+    return { camera, mode, texts, colors, opacity: this.opacity, level, threshold: this.threshold, always: true, quality };
   }
 }

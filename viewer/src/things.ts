@@ -36,7 +36,7 @@ export class Things {
   }
 
   nameOf(number: number): string {
-    return this.names.get(number) ?? this.of(number).name ?? `thing ${number}`;
+    return this.names.get(number) ?? this.byNumber.get(number)?.name ?? `thing ${number}`;
   }
 
   /** Name a thing; an empty name takes the name back. */

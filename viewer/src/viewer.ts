@@ -149,7 +149,7 @@ export class Viewer {
     const asking = byId("asking");
     const timer = window.setTimeout(() => (asking.textContent = `Looking for ${texts.join(", ")} …`), PATIENCE_SECONDS * 1000);
     try {
-      this.state.add(await this.source.ask(texts, false));
+      this.state.add(await this.source.ask(texts));
     } catch (error) {
       this.say((error as Error).message);
     } finally {

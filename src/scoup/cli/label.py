@@ -29,7 +29,7 @@ class Label(TextOptions, CameraOptions):
     """Label every Gaussian with the best of a list of words, or none, for other programs.
 
     A word applies to the Gaussians that `scoup select` finds, if it is in the scene. Of several words for one Gaussian,
-    the finer level wins, then the most relevant word.
+    the finer level wins, then the larger score.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -55,9 +55,10 @@ class Label(TextOptions, CameraOptions):
     ] = ()
     """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
     threshold: OptionalNumber = None
-    """Threshold of a word, 0 to 1, on relevancy rescaled over the scene. Default: where its answer changes least."""
+    """Label all Gaussians above this relevancy, 0 to 1 once it is rescaled over the scene. Default: those of things."""
     presence: OptionalNumber = None
-    """Least z-score of a word that is in the scene. Default: 1.4, if the table of --text has 16 words or more."""
+    """Least score of a word that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
+    lower. Default: 0.37, if the table of --text has 16 words or more."""
     always: Flag = False
     """Label with every word, without judging presence."""
 
@@ -107,12 +108,18 @@ class Label(TextOptions, CameraOptions):
 def _report(console: Console, labels: GaussianLabels, out: Path, files: list[str]) -> None:
     """Report the Gaussians of each word, and the files."""
     from scoup.query.label_files import label_record
+    from scoup.query.place import numbered_things
 
     record: dict[str, Any] = label_record(labels)
     for one in record["classes"]:
-        absent = "" if one["present"] else f" (not in this scene, z-score {one['z_score']})"
-        things = f", thing {', '.join(map(str, one['things']))}" if one["things"] else ""
-        console.say(f"{one['name']}: {counted(one['gaussians'], 'Gaussian')}{things}{absent}")
+        things = f", {numbered_things(one['things'])}" if one["things"] else ""
+        found = f"{counted(one['gaussians'], 'Gaussian')}{things}"
+        absent = (
+            f"not in this scene (score {one['score']:.2f})"
+            if one["score"] is not None
+            else "not in this scene"
+        )
+        console.say(f"{one['name']}: {found if one['present'] else absent}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:
         console.say(f"{out / name}")

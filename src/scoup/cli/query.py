@@ -24,7 +24,6 @@ from scoup.cli.options import (
 from scoup.cli.query_options import (
     CameraOptions,
     TextOptions,
-    absence_message,
     check_frame_rate,
     check_metres,
     check_texts,
@@ -32,9 +31,9 @@ from scoup.cli.query_options import (
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.query.answer import Answer
+    from scoup.query.answer import ViewAnswer
     from scoup.query.answer_files import AnswerFiles
-    from scoup.query.locate import Location
+    from scoup.query.place import Place
     from scoup.query.question import Question
     from scoup.raster import Projection
     from scoup.scene.cameras import Camera
@@ -47,13 +46,13 @@ MOST_FRAMES = 100_000
 class Query(TextOptions, CameraOptions):
     """Find things in the views of a field's cameras, and in the world.
 
-    Writes a contact sheet of all answers: the relevancy as a heat map over the colour render, the outline of the mask,
-    its box and the pixel that fits best. One query.json holds level, score, pixel, coverage, box and position of every
-    answer, and where each thing is in the world.
+    A text is answered once, in the scene; each view shows that answer. Writes a contact sheet: the relevancy as a heat
+    map over the colour render, the outline of the mask, its box and its most relevant pixel. query.json contains pixel,
+    coverage, box and position in every view, and level, score and place in the world of each text.
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "answer": "rule threshold level presence always",
+        "answer": "threshold level presence always",
         "output": "out pictures npz coco metres_per_unit",
         "video": "video frames frames_per_second",
     }
@@ -62,22 +61,16 @@ class Query(TextOptions, CameraOptions):
     """What to look for, for example "kettle" "wooden table"."""
     out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
-    rule: Literal["default", "scoup", "langsplatv2", "langsplat"] = "default"
-    """Rules that turn relevancy into masks and points: smoothing, threshold, choice of the level. scoup, langsplatv2
-    and langsplat are those systems' rules for LERF-OVS. default smooths as scoup does, takes the threshold at which the
-    answer changes least and the level whose mask is relevant, stable and whole, and also compares with everyday
-    words."""
     threshold: OptionalNumber = None
-    """Threshold of the mask, 0 to 1, on relevancy rescaled over the view. Default: the rule's; for the rule default,
-    where the answer changes least."""
+    """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
+    in a field without things the Gaussians above the threshold at which the answer changes least."""
     level: OptionalText = None
-    """The level that answers: s (fine), m or l (coarse). Default: as the rule chooses, for each text."""
+    """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     presence: OptionalNumber = None
-    """Least z-score of a text that is in a view: how many standard deviations closer the match is to the text than to
-    everyday words. Below it, the mask is empty and there is no point. Default: 1.4 with the rule default, if the table
-    of --text has 16 words or more; the other rules answer every text."""
+    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
+    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
     always: Flag = False
-    """Answer every text in every view, without judging presence."""
+    """Answer every text, without judging presence."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
@@ -100,11 +93,9 @@ class Query(TextOptions, CameraOptions):
         """Answer every text in every view asked for, and in the world."""
         from scoup.io import write_text
         from scoup.query.answer_files import AnswerFiles
-        from scoup.query.presets import query_preset
 
         check_texts(self.texts)
         self._check_options()
-        preset = query_preset(self.rule, threshold=self.threshold)
         out = self._out()
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
@@ -112,7 +103,7 @@ class Query(TextOptions, CameraOptions):
         question = self.question(
             field,
             self.texts,
-            preset=preset,
+            threshold=self.threshold,
             present_from=self.presence,
             always=self.always,
             level=self.level,
@@ -135,7 +126,7 @@ class Query(TextOptions, CameraOptions):
             if self.video != "none":
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
-        self._report(console, result, question.present_from, places)
+        self._report(console, result, places)
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
@@ -160,7 +151,6 @@ class Query(TextOptions, CameraOptions):
         hidden: Path,
     ) -> list[dict[str, Any]]:
         """Answer in each view and write what belongs to it; the answers as JSON values."""
-        from scoup.query.finding import answer_record
         from scoup.raster import render_colors
 
         records: list[dict[str, Any]] = []
@@ -173,7 +163,7 @@ class Query(TextOptions, CameraOptions):
             rgb = render_colors(field.gaussians, camera, projection).cpu() if files.needs_colors else None
             files.add(camera, answers, rgb, hidden)
             for answer, places in zip(answers, files.of_view(camera, self._out()), strict=True):
-                record = {"camera": camera.name, "text": answer.text, **answer_record(answer)}
+                record = {"camera": camera.name, "text": answer.text, **answer.record()}
                 records.append({**record, "files": places} if places else record)
         self.check_seen(blind, files.n_views)
         return records
@@ -187,7 +177,7 @@ class Query(TextOptions, CameraOptions):
         self,
         field: LanguageField,
         question: Question,
-        places: list[Location],
+        places: list[Place],
         hidden: Path,
         progress: Progress,
     ) -> list[str]:
@@ -215,36 +205,30 @@ class Query(TextOptions, CameraOptions):
         self,
         console: Console,
         result: dict[str, Any],
-        present_from: float | None,
-        places: list[Location],
+        places: list[Place],
     ) -> None:
         """Report the answers and the files."""
         for record in result["answers"]:
-            console.say(_sentence(record, present_from))
+            if record["present"]:
+                console.say(_sentence(record))
         for place in places:
-            where = f"at {place.said(self.metres_per_unit)}"
-            if place.position is None:
-                where = absence_message("scene", place.answer.z_score, present_from)
-            console.say(f"in the world  {place.answer.text}: {where}")
+            at = "at " if place.presence else ""
+            console.say(f"in the scene  {place.answer.text}: {at}{place.said(self.metres_per_unit)}")
         for path in (*result["sheets"], *result.get("videos", ())):
             console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
         console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")
         console.result({"out": self._out(), **result})
 
 
-def _sees_nothing(field: LanguageField, projection: Projection, answers: list[Answer]) -> bool:
+def _sees_nothing(field: LanguageField, projection: Projection, answers: list[ViewAnswer]) -> bool:
     """True if nothing of the field is visible."""
     # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
     return all((each.heat == 0.5).all() for each in answers) and not field.is_visible(projection)
 
 
-def _sentence(record: dict[str, Any], present_from: float | None) -> str:
-    """An answer in words."""
+def _sentence(record: dict[str, Any]) -> str:
+    """Return an answer that is in the scene, in words."""
     start = f"{record['camera']}  {record['text']}:"
-    if not record.get("present", True):
-        return f"{start} {absence_message('view', record['z_score'], present_from)}"
-    box = "no pixel" if record["box"] is None else f"box {record['box']}"
-    return (
-        f"{start} score {record['score']:.2f} at level {record['level']}, pixel {record['pixel']}, {box}, "
-        f"{record['coverage']:.1%} of the view"
-    )
+    if not record["visible"]:
+        return f"{start} not visible from here"
+    return f"{start} pixel {record['pixel']}, box {record['box']}, {record['coverage']:.1%} of the view"

@@ -222,13 +222,3 @@ def check_metres(metres_per_unit: float | None) -> None:
 
     if metres_per_unit is not None and not 0 < metres_per_unit < math.inf:
         raise InputError(f"--metres-per-unit must be above 0, got {metres_per_unit}")
-
-
-def absence_message(place: str, z_score: float | None, threshold: float | None) -> str:
-    """Return the sentence about a text that is not in a place; its z-score is None or infinite without evidence."""
-    from scoup.query.presence import LEAST_GAUSSIANS
-
-    found = z_score is not None and math.isfinite(z_score)
-    lacking = f"fewer than {LEAST_GAUSSIANS} Gaussians" if place == "scene" else "nothing found"
-    reason = f"z-score {z_score:.2f}" if found else lacking
-    return f"not in this {place} ({reason}, threshold {threshold:g})"

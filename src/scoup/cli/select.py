@@ -16,15 +16,14 @@ from scoup.cli.query_options import (
     CameraOptions,
     FrameOptions,
     TextOptions,
-    absence_message,
     check_metres,
     check_texts,
 )
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.query.answer import SceneAnswer
-    from scoup.query.locate import Location
+    from scoup.query.answer import Answer
+    from scoup.query.place import Place
     from scoup.scene.gaussians import Gaussians
 
 
@@ -33,12 +32,12 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
     left.
 
-    Gaussians are selected by their own codes, without rendering. From PLY to PLY, rows are copied byte for byte except
+    From PLY to PLY, rows are copied byte for byte except
     for the change. A .scoup contains its Gaussians and can be queried again.
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "choice": "threshold absolute level presence always neighbours",
+        "choice": "threshold level presence always",
         "shape": "largest shrink grow within",
         "output": "out edit color opacity picture metres_per_unit",
     }
@@ -75,20 +74,15 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     metres_per_unit: OptionalNumber = None
     """Length of the scene's unit in metres, to print positions and sizes in metres, too."""
     threshold: OptionalNumber = None
-    """Threshold of the selection, 0 to 1, on relevancy rescaled over the scene. Default: where the answer changes
-    least; 0.6 with --absolute."""
-    absolute: Flag = False
-    """Apply the threshold to relevancy itself; 0.5 is a draw with the canonical phrases and everyday words."""
+    """Select all Gaussians above this relevancy, 0 to 1 once it is rescaled over the scene. Default: things answer; in
+    a field without things the Gaussians above the threshold at which the answer changes least."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     presence: OptionalNumber = None
-    """Least z-score of a text that is in the scene: how many standard deviations closer the match is to the text than
-    to everyday words. Below it, nothing is selected. Default: 1.4, if the table of --text has 16 words or more."""
+    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
+    lower. Below it, nothing is selected. Default: 0.37, if the table of --text has 16 words or more."""
     always: Flag = False
-    """Answer every text without judging presence, unless the threshold is absolute."""
-    neighbours: int = 0
-    """Blend the relevancy of each Gaussian half and half with the mean of this many nearest neighbours; 10 is usual, 0
-    is off."""
+    """Answer every text without judging presence."""
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
@@ -108,21 +102,12 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             field,
             expression,
             threshold=self.threshold,
-            neighbours=self.neighbours,
-            rescaled=not self.absolute,
             present_from=self.presence,
             always=self.always,
             level=self.level,
         )
         whole = field.select(question, shape, self.open_frame(field))
-        absent = [
-            f"{part.text}: {absence_message('scene', part.z_score, question.present_from)}"
-            for part in whole.parts
-            if not part.presence
-        ]
-        for message in absent:
-            console.say(message)
-        self._check_found(whole, absent)
+        self._check_found(whole)
         written = self._write(field, whole)
         self._report(console, whole, written, field.location(whole))
 
@@ -135,8 +120,6 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         if not 0 <= self.opacity <= 1:
             raise InputError(f"--opacity must be 0 to 1, got {self.opacity}")
         check_metres(self.metres_per_unit)
-        if self.neighbours < 0:
-            raise InputError(f"--neighbours must be 0 or more, got {self.neighbours}")
         self._rgb()
         is_field = self.out.suffix.lower() == ".scoup"
         if not is_field:
@@ -174,7 +157,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             if source and self.out.exists() and source.exists() and self.out.samefile(source):
                 raise InputError(f"{self.out}: is the {what}; use another name with --out")
 
-    def _check_found(self, answer: SceneAnswer, absent: list[str]) -> None:
+    def _check_found(self, answer: Answer) -> None:
         """Refuse to write nothing, or the scene as it was.
 
         Raises:
@@ -186,13 +169,14 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         if self.edit == "ids" or (found and not (self.edit == "remove" and found == count)):
             return
         advice = "try a higher --threshold" if found else "try a lower --threshold"
+        absent = [f"{part.text}: {part.remark()}" for part in answer.parts if not part.presence]
         if absent and not found:
             advice = f"{'; '.join(absent)}; --always chooses something anyway"
         raise InputError(
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )
 
-    def _write(self, field: LanguageField, whole: SceneAnswer) -> int:
+    def _write(self, field: LanguageField, whole: Answer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
         from scoup.query.edits import edited
@@ -216,7 +200,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             save_gaussians(left.to("cpu"), self.out, self.overwrite)
         return len(left)
 
-    def _draw(self, field: LanguageField, whole: SceneAnswer, left: Gaussians) -> None:
+    def _draw(self, field: LanguageField, whole: Answer, left: Gaussians) -> None:
         """Write the picture, if it is wanted."""
         from dataclasses import replace
 
@@ -229,11 +213,12 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         camera = best_camera(field, whole.mask, cameras)
         save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
 
-    def _report(self, console: Console, whole: SceneAnswer, written: int, place: Location) -> None:
+    def _report(self, console: Console, whole: Answer, written: int, place: Place) -> None:
         """Report the selection, its place and the files."""
         counts = {part.text: int(part.mask.sum()) for part in whole.parts}
-        for text, count in counts.items():
-            console.say(f"{text}: {count:,} of {counted(len(whole.mask), 'Gaussian')}")
+        for part in whole.parts:
+            found = f"{counts[part.text]:,} of {counted(len(whole.mask), 'Gaussian')}"
+            console.say(f"{part.text}: {found if part.presence else part.remark()}")
         selected = int(whole.mask.sum())
         if list(counts) != [whole.text]:
             console.say(f"{whole.text}: {selected:,}")
@@ -249,7 +234,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
                 "out": self.out,
                 "written": written,
                 "chosen": counts,
-                "thresholds": {part.text: part.record()["threshold"] for part in whole.parts},
+                "texts": {part.text: part.record() for part in whole.parts},
                 "gaussians": len(whole.mask),
                 "expression": whole.text,
                 "selected": selected,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +186,7 @@ def _things(tensors: dict[str, Tensor]) -> ThingTable | None:
 
 def _thing_tensors(things: ThingTable) -> dict[str, Tensor]:
     """Return the tensors of things, with numbers of two bytes; the largest means none."""
-    tensors = {f"things.{name}": tensor for name, tensor in vars(things).items()}
+    tensors = {f"things.{each.name}": getattr(things, each.name) for each in fields(things)}
     for name in ("things.owners", "things.parents"):
         tensors[name] = torch.where(tensors[name] == NO_THING, MOST_THINGS, tensors[name]).to(torch.uint16)
     return tensors

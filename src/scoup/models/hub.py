@@ -211,8 +211,9 @@ def _here_or_from_hub(request: ModelRequest, load: Callable[[dict[str, Any]], Lo
 
 def open_clip_identity(request: ModelRequest) -> ModelIdentity:
     """Return what the output of a model of open_clip depends on; its weights may be a file."""
+    files = file_states(_open_clip_parts(request)[1])
     package = f"open_clip {getattr(request.package('open_clip', 'open-clip'), '__version__', '')}"
-    return ModelIdentity(request.name, "", package, file_states(_open_clip_parts(request)[1]))
+    return ModelIdentity(request.name, "", package, files)
 
 
 def load_open_clip(

@@ -14,7 +14,7 @@ from scoup.base.file_names import unique_slugs
 from scoup.base.npz import write_npz
 from scoup.io import save_png
 from scoup.io.coco import CocoAnnotations
-from scoup.query.answer import Answer
+from scoup.query.answer import ViewAnswer
 from scoup.query.answer_sheet import AnswerSheets
 from scoup.scene.cameras import Camera
 
@@ -87,7 +87,7 @@ class AnswerFiles:
             for names in self._singles
         ]
 
-    def add(self, camera: Camera, answers: Sequence[Answer], rgb: Tensor | None, hidden: Path) -> None:
+    def add(self, camera: Camera, answers: Sequence[ViewAnswer], rgb: Tensor | None, hidden: Path) -> None:
         """Write the files of one view, given one answer per text and its colours [H, W, 3], into a folder."""
         folder = hidden / self._folders[camera.name]
         if self._sheets is not None and rgb is not None:
@@ -102,7 +102,7 @@ class AnswerFiles:
         if self._coco is not None:
             masks = [answer.mask.numpy() for answer in answers]
             size = (camera.width, camera.height)
-            self._coco.add(camera.name, size, masks, [answer.score for answer in answers])
+            self._coco.add(camera.name, size, masks, [answer.score or 0.0 for answer in answers])
 
     def finish(self, hidden: Path) -> None:
         """Write the files of all views together."""
@@ -113,17 +113,16 @@ class AnswerFiles:
             self._coco.write(hidden / COCO)
 
 
-def answer_arrays(answers: Sequence[Answer]) -> dict[str, np.ndarray]:
+def answer_arrays(answers: Sequence[ViewAnswer]) -> dict[str, np.ndarray]:
     """Return the answers of one view as arrays: texts [Q] and levels [Q] as strings, relevancy [Q, H, W] float32 at the
-    level of each mask, mask [Q, H, W] boolean, score, threshold (NaN if it is not known) and present [Q].
+    level of each answer, mask [Q, H, W] boolean, score (NaN if it is not known) and present [Q].
     """
-    thresholds = [np.nan if answer.threshold is None else answer.threshold for answer in answers]
+    scores = [np.nan if answer.score is None else answer.score for answer in answers]
     return {
         "texts": np.array([answer.text for answer in answers]),
         "levels": np.array([answer.level for answer in answers]),
         "relevancy": np.stack([answer.heat.numpy() for answer in answers]),
         "mask": np.stack([answer.mask.numpy() for answer in answers]),
-        "score": np.array([answer.score for answer in answers], np.float32),
-        "threshold": np.array(thresholds, np.float32),
+        "score": np.array(scores, np.float32),
         "present": np.array([answer.presence for answer in answers]),
     }

@@ -15,7 +15,7 @@ from scoup.base.errors import InputError
 from scoup.pictures import answer_overlay, as_picture, contact_sheet, heat_legend, stacked
 from scoup.pictures.colors import Picture
 from scoup.pictures.sheet import GAP
-from scoup.query.answer import Answer
+from scoup.query.answer import ViewAnswer
 
 MOST_VIEWS = 12  # on a sheet
 MOST_TEXTS = 6  # on a sheet; more are spread evenly over several
@@ -26,7 +26,7 @@ LEAST_SPAN = 0.05  # of the relevancy that the colours stand for
 
 HOW_TO_READ = (
     "Heat: relevancy, the same colours in all cells. White line: the mask. Cross: the pixel that fits best. Blue: the "
-    "box around the mask without strays. Grey all over: not in this view."
+    "box around the mask without specks. Grey all over: absent, or not visible from here."
 )
 
 
@@ -39,8 +39,8 @@ class _Cell:
     box: tuple[float, float, float, float] | None
     point: tuple[float, float] | None
     remark: str
-    presence: bool
-    score: float
+    visible: bool
+    coverage: float
     largest: float  # relevancy before resizing
 
 
@@ -57,8 +57,8 @@ class _Row:
 class AnswerSheets:
     """Contact sheets: rows are views and columns texts; the views of a single text stand beside each other.
 
-    Of more views than ``MOST_VIEWS`` only the best are kept: the texts choose in turn, each the view in which it is
-    present with the largest score among those not yet chosen.
+    Of more views than ``MOST_VIEWS`` only the best are kept: the texts choose in turn, each the view in which its
+    mask is largest among those not yet chosen.
 
     Args:
         texts: of the query.
@@ -80,7 +80,7 @@ class AnswerSheets:
         """Number of sheets."""
         return -(-len(self.texts) // MOST_TEXTS)
 
-    def add(self, view: str, answers: Sequence[Answer], rgb: Tensor) -> None:
+    def add(self, view: str, answers: Sequence[ViewAnswer], rgb: Tensor) -> None:
         """Add a view by its name, one answer per text, and its colour render [H, W, 3] float 0..1."""
         picture = as_picture(rgb)
         width = self._cell_width
@@ -106,7 +106,7 @@ class AnswerSheets:
         for row in self._rows:
             for column in columns:
                 cell = row.cells[column]
-                heat = cell.heat if cell.presence else np.zeros_like(cell.heat)
+                heat = cell.heat if cell.visible else np.zeros_like(cell.heat)
                 tiles.append(answer_overlay(heat, cell.mask, row.picture, span, cell.box, cell.point))
                 titles.append(row.view if alone else self.texts[column])
                 remarks.append(cell.remark if alone else f"{row.view}: {cell.remark}")
@@ -124,7 +124,7 @@ class AnswerSheets:
         if shown == self.views:
             return f"{texts} in {counted(shown, 'view')}"
         turns = ", the texts choosing in turn" if len(self.texts) > 1 else ""
-        return f"{texts} in {shown} of {counted(self.views, 'view')}: those of the best answers{turns}"
+        return f"{texts} in {shown} of {counted(self.views, 'view')}: those that show most{turns}"
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
@@ -132,13 +132,13 @@ def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
     left, chosen = list(rows), []
     for turn in range(min(count, len(rows))):
         column = turn % len(rows[0].cells)
-        best = max(left, key=lambda row: (row.cells[column].presence, row.cells[column].score, -row.number))
+        best = max(left, key=lambda row: (row.cells[column].visible, row.cells[column].coverage, -row.number))
         left.remove(best)
         chosen.append(best)
     return sorted(chosen, key=lambda row: row.number)
 
 
-def _cell(answer: Answer, size: tuple[int, int]) -> _Cell:
+def _cell(answer: ViewAnswer, size: tuple[int, int]) -> _Cell:
     height, width = answer.mask.shape
     x, y = size[0] / width, size[1] / height
     relevancy, how = answer.heat.numpy(), Image.Resampling.BILINEAR
@@ -149,7 +149,7 @@ def _cell(answer: Answer, size: tuple[int, int]) -> _Cell:
         box=answer.box and (answer.box[0] * x, answer.box[1] * y, answer.box[2] * x, answer.box[3] * y),
         point=answer.point and ((answer.point[0] + 0.5) * x, (answer.point[1] + 0.5) * y),
         remark=answer.remark(),
-        presence=answer.presence,
-        score=answer.score,
+        visible=answer.visible,
+        coverage=answer.coverage,
         largest=float(relevancy.max()),
     )

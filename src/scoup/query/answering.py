@@ -1,180 +1,191 @@
-"""Answers to questions, in one view or in the whole scene."""
+"""Answers to questions: decided once, in the scene, and drawn in views."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from numbers import Integral
 
+import torch
 from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
-from scoup.query.answer import Answer, SceneAnswer
+from scoup.query.answer import Answer, AskedText, RunnerUp, ViewAnswer
 from scoup.query.coded_scene import CodedScene
-from scoup.query.localize import averaged_relevancy, best_pixel
-from scoup.query.presence import scene_z_scores, view_z_scores, with_evidence
-from scoup.query.presets import QUERY_PRESETS, QueryPreset
+from scoup.query.instances import find_instances
+from scoup.query.presence import LEAST_GAUSSIANS, NullScores, other_words
 from scoup.query.question import Question
-from scoup.query.segment import Segmentation, main_parts, mask_box, segment
-from scoup.query.select import Selection, select_each
-from scoup.query.things import thing_fits, thing_of_scene, things_of_view
+from scoup.query.select import SampledVotes, select_each
+from scoup.query.things import choose_things, compare_things
 from scoup.query.view_depth import ViewDepth
-from scoup.scene.cameras import Camera
+from scoup.query.view_masks import main_parts, mask_box, most_relevant_pixel
+from scoup.scene.cameras import Camera, Cameras
+
+INSIDE = 0.5
+"""A pixel belongs to an answer whose Gaussians contribute more than this share of it."""
 
 
-def answer_view(
-    field: CodedScene,
-    camera: Camera | str | int,
-    question: Question,
-    projection: raster.Projection | None = None,
-) -> list[Answer]:
-    """Answer each text in one view; ``field.answer`` calls this and documents the arguments.
+def answer_scene(field: CodedScene, question: Question) -> list[Answer]:
+    """Answer each text in the scene; every way to ask calls this.
 
-    Raises:
-        InputError: the vectors do not fit the field, there is no such level, or there are too few everyday words to
-            judge presence.
-    """
-    place = (camera, (Camera, str, Integral))
-    check_arguments("answer_view", field=(field, CodedScene), camera=place, question=(question, Question))
-    camera = field.camera(camera)
-    projection = field.project(camera) if projection is None else projection
-    maps = field.relevancy(camera, question.queries, question.canonical, projection).unbind(1)
-    found = [_segmented(each, question.preset, question.level) for each in maps]
-    judged: list[float | None] = [None] * len(found)
-    if question.present_from is not None:
-        judged = view_z_scores(field, projection, found, question.queries, question.everyday).tolist()
-    fits = thing_fits(field, question) if question.preset.follows_things else None
-    if fits is not None:
-        seen = things_of_view(fits, projection, [each.mask for each in found], question.level)
-        found = [
-            each if thing is None else _of_thing(each, relevancy, *thing)
-            for each, relevancy, thing in zip(found, maps, seen.masks, strict=True)
-        ]
-        judged = [
-            None if z is None else z + of_things for z, of_things in zip(judged, seen.presence, strict=True)
-        ]
-    render, depth = partial(_colors, field, camera), ViewDepth(field, camera, projection)
-    return [
-        replace(
-            _answer(field.levels, shape, relevancy, z_score, question.present_from),
-            text=text,
-            view=camera.name,
-            render=render,
-            depth=depth,
-        )
-        for text, shape, relevancy, z_score in zip(question.texts, found, maps, judged, strict=True)
-    ]
-
-
-def answer_scene(field: CodedScene, question: Question) -> list[SceneAnswer]:
-    """Answer each text in the scene, without rendering; ``field.select`` and ``field.location`` call this.
+    Things answer where the field has them. The votes of the Gaussians answer in other fields, and where the question
+    has a threshold for them.
 
     Raises:
-        InputError: as ``answer_view``, or ``neighbours`` is below 0.
+        InputError: the vectors do not fit the field, or the threshold is not 0 to 1.
     """
     check_arguments("answer_scene", field=(field, CodedScene), question=(question, Question))
-    answers = []
-    for text, (each, z_score) in zip(question.texts, judged_selections(field, question), strict=True):
-        presence = _presence(z_score, question.present_from)
-        answers.append(
-            SceneAnswer(
-                mask=each.mask.cpu() & presence,
-                relevancy=each.relevancy.cpu().clone(),  # without the other levels
-                level=field.levels[each.level],
-                score=each.score,
-                z_score=z_score,
-                presence=presence,
-                text=text,
-                threshold=each.threshold,
-            )
+    answers = _by_things if question.threshold is None and field.thing_table is not None else _by_votes
+    found = []
+    for number, answer in enumerate(answers(field, question)):
+        presence = question.present_from is None or (
+            answer.score is not None
+            and answer.score >= question.present_from
+            and int(answer.mask.sum()) >= LEAST_GAUSSIANS
         )
-    return answers
+        mask = answer.mask if presence else torch.zeros_like(answer.mask)
+        asked = (AskedText(question.one(number), field.level_index(answer.level)),)
+        kept = {} if presence else {"things": (), "instances": ()}
+        found.append(replace(answer, mask=mask, presence=presence, asked=asked, field=field, **kept))
+    return found
 
 
-def judged_selections(field: CodedScene, question: Question) -> Iterator[tuple[Selection, float | None]]:
-    """Yield the selection of each text in the scene, and its z-score.
+def _by_things(field: CodedScene, question: Question) -> Iterator[Answer]:
+    known = compare_things(field, question)
+    if known is None:
+        yield from _by_votes(field, question)
+        return
+    fits = known.fits(question.queries.float().cpu())
+    scores = null_scores(question, known.best_fits)
+    level = question.level or 0
+    for number, found in enumerate(choose_things(known, fits, question.level)):
+        text, score = question.texts[number], scores[number]
+        if found is None:
+            nothing = torch.zeros(len(field), dtype=torch.bool)
+            yield Answer(text, nothing, field.levels[level], 0.0 if question.can_judge_presence else None)
+            continue
+        level = int(known.things.levels[found.things[0]])
+        rival = found.runner_up
+        yield Answer(
+            text=text,
+            mask=known.things.members(found.things).cpu(),
+            level=field.levels[level],
+            score=score(found.fit),
+            things=tuple(found.things.tolist()),
+            instances=tuple(find_instances(known, fits[:, number], found.things).tolist()),
+            runner_up=None if rival is None else RunnerUp(rival, score(float(fits[rival, number]))),
+        )
 
-    Things answer where the field has them, unless the question has rules for the votes: a threshold or neighbours.
+
+def _by_votes(field: CodedScene, question: Question) -> Iterator[Answer]:
+    scores: list[float | None] = [None] * len(question.texts)
+    if question.can_judge_presence:
+        votes = sampled_votes(field, question)
+        null = null_scores(question, votes.best_fits)
+        scores = [score(fit) for score, fit in zip(null, votes.fits(question.queries).tolist(), strict=True)]
+    for number, (found, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
+        text, level = question.texts[number], field.levels[found.level]
+        yield Answer(text, found.mask.cpu(), level, score, threshold=found.threshold)
+
+
+def null_scores(question: Question, best_fits: Tensor) -> list[NullScores]:
+    """Return the scores of each text against the best fits of everyday words [B]; none with too few words."""
+    queries, words = question.queries.float().cpu(), question.everyday.float().cpu()
+    if not question.can_judge_presence:
+        return [NullScores(best_fits[:0], torch.zeros(0, dtype=torch.bool))] * len(queries)
+    return [NullScores(best_fits, others) for others in other_words(queries, words)]
+
+
+def sampled_votes(field: CodedScene, question: Question) -> SampledVotes:
+    """Return the votes of some Gaussians of a field for everyday words; the last ones are kept."""
+    key = SampledVotes.key(field, question)
+    found = field.recent.get(key)
+    if found is None:
+        found = SampledVotes(field, question)
+        field.recent.keep(key, found, found.best_fits.nbytes)
+    return found
+
+
+def draw_answers(
+    field: CodedScene,
+    answers: Sequence[Answer],
+    camera: Camera | str | int,
+    projection: raster.Projection | None = None,
+    scale: float = 1.0,
+) -> list[ViewAnswer]:
+    """Draw answers of ``answer_scene`` in one view; ``Answer.in_view`` and ``field.answer`` document the arguments."""
+    check_arguments("draw_answers", camera=(camera, (Camera, str, Integral)))
+    camera = field.camera(camera)
+    if scale != 1.0:
+        camera = Cameras([camera]).scaled(scale)[0]
+    projection = field.project(camera) if projection is None else projection
+    masks = answer_masks(field, answers, projection)
+    asked = [one for answer in answers for one in answer.asked]
+    heats = iter(_heats(field, camera, asked, projection))
+    render, depth = partial(_colors, field, camera), ViewDepth(field, camera, projection)
+    found = []
+    for answer, mask in zip(answers, masks, strict=True):
+        heat = torch.stack([next(heats) for _ in answer.asked]).amax(0)
+        parts, largest = main_parts(mask)
+        point = most_relevant_pixel(heat, largest)
+        found.append(
+            ViewAnswer(answer, camera.name, mask, heat, parts, mask_box(parts), point, render, depth)
+        )
+    return found
+
+
+def answer_masks(field: CodedScene, answers: Sequence[Answer], projection: raster.Projection) -> list[Tensor]:
+    """Return the pixels [H, W] boolean of each answer, on the CPU (``ViewAnswer.mask``)."""
+    masks = [torch.zeros(projection.height, projection.width, dtype=torch.bool) for _ in answers]
+    shown = [number for number, answer in enumerate(answers) if bool(answer.mask.any())]
+    if not shown:
+        return masks
+    wholes: list[Tensor] = []
+    places: list[int] = []
+    for number in shown:
+        whole = counting_gaussians(field, answers[number])
+        # Those of most answers are the same, and are rendered once.
+        places.append(next((k for k, each in enumerate(wholes) if torch.equal(each, whole)), len(wholes)))
+        if places[-1] == len(wholes):
+            wholes.append(whole)
+    values = torch.stack([*wholes, *(answers[number].mask for number in shown)], 1)
+    image = raster.render_values(projection, values.float().to(field.codebook.device)).cpu()
+    for column, (number, place) in enumerate(zip(shown, places, strict=True), start=len(wholes)):
+        masks[number] = image[..., column] > INSIDE * image[..., place]
+    return masks
+
+
+def counting_gaussians(field: CodedScene, answer: Answer) -> Tensor:
+    """Return the Gaussians [N] boolean whose contributions an answer must exceed half of.
+
+    They are those that belong to any thing of its level, or where the votes answer, that have a code there.
     """
-    threshold, neighbours = question.threshold, question.neighbours or None
-    by_things = threshold is None and neighbours is None and question.rescaled
-    fits = thing_fits(field, question) if by_things else None
-    found_by_votes = select_each(
-        field, question.queries, question.canonical, threshold, neighbours, question.rescaled, question.level
-    )
-    for number, found in enumerate(found_by_votes):
-        query = question.queries[number : number + 1]
-        z_score = None
-        if question.present_from is not None:
-            z_score = float(scene_z_scores(field, [found], query, question.everyday)[0])
-        if fits is not None:
-            thing = thing_of_scene(fits, number, found.mask, question.level)
-            found = found if thing is None else _selected_thing(found, *thing)
-            z_score = None if z_score is None else z_score + fits.presence(number)
-        yield found, None if z_score is None else with_evidence(z_score, found.mask)
+    found = answer.mask.clone()
+    for part in answer.parts or (answer,):  # of an expression
+        level = field.level_index(part.level)
+        if field.thing_table is None or part.threshold is not None:
+            found |= field.coded_levels()[level].cpu()
+        else:
+            found |= field.thing_table.owned[level].cpu()
+    return found
 
 
-def _segmented(relevancy: Tensor, preset: QueryPreset, level: int | None) -> Segmentation:
-    """The mask of the votes in relevancy [S, H, W], at one level if given."""
-    if level is None:
-        return segment(relevancy, preset)
-    return replace(segment(relevancy[level : level + 1], preset), level=level)
-
-
-def _of_thing(voted: Segmentation, relevancy: Tensor, mask: Tensor, level: int) -> Segmentation:
-    """The mask of a thing instead of the votes'."""
-    smoothed = 0.5 * (
-        relevancy[level] + averaged_relevancy(relevancy[level][None], QUERY_PRESETS["default"])[0]
-    )
-    coverage = int(mask.sum()) / mask.numel()
-    mask = mask.to(smoothed.device)
-    return Segmentation(mask, smoothed, level, float(smoothed[mask].max()), coverage, None)
-
-
-def _selected_thing(voted: Selection, mask: Tensor, level: int) -> Selection:
-    """The Gaussians of a thing instead of those that the votes select."""
-    relevancy = voted.relevancy
-    if level != voted.level:
-        assert voted.of_levels is not None
-        relevancy = voted.of_levels[level]
-    mask = mask.to(relevancy.device)
-    return Selection(mask, relevancy, level, float(relevancy[mask].max()) if mask.any() else -math.inf, None)
-
-
-def _answer(
-    levels: tuple[str, ...],
-    shape: Segmentation,
-    relevancy: Tensor,  # [S, H, W]
-    z_score: float | None,
-    present_from: float | None,
-) -> Answer:
-    """Point, box and mask are of one thing at one level."""
-    presence = _presence(z_score, present_from)
-    mask = shape.mask.cpu() & presence
-    heat = relevancy[shape.level].clone().cpu()  # a copy, so that the other levels can be freed
-    point = best_pixel(shape.smoothed.cpu(), mask) if presence else None
-    parts = mask if point is None else main_parts(mask, point, heat)
-    return Answer(
-        mask=mask,
-        heat=heat,
-        main_parts=parts,
-        box=mask_box(parts),
-        coverage=shape.coverage if presence else 0.0,
-        level=levels[shape.level],
-        score=shape.score,
-        point=point,
-        z_score=z_score,
-        presence=presence,
-        threshold=shape.threshold,
-    )
+def _heats(
+    field: CodedScene, camera: Camera, asked: Sequence[AskedText], projection: raster.Projection
+) -> list[Tensor]:
+    """Return the relevancy [H, W] of each text at its level, on the CPU; texts of one question in one pass."""
+    heats: list[Tensor] = [torch.empty(0)] * len(asked)
+    for canonical in {id(one.question.canonical): one.question.canonical for one in asked}.values():
+        mine = [number for number, one in enumerate(asked) if one.question.canonical is canonical]
+        queries = torch.cat([asked[number].question.queries for number in mine])
+        maps = field.relevancy(camera, queries, canonical, projection)
+        for place, number in enumerate(mine):
+            # A copy, so that the other levels can be freed.
+            heats[number] = maps[asked[number].level, place].clone().cpu()
+    return heats
 
 
 def _colors(field: CodedScene, camera: Camera) -> Tensor:
     return raster.render_colors(field.gaussians, camera, field.project(camera))
-
-
-def _presence(z_score: float | None, present_from: float | None) -> bool:
-    return z_score is None or present_from is None or z_score >= present_from

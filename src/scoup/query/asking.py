@@ -17,7 +17,6 @@ from scoup.base.errors import InputError, MissingFileError
 from scoup.query.coded_scene import CodedScene
 from scoup.query.expression import Expression
 from scoup.query.presence import presence_threshold
-from scoup.query.presets import QueryPreset, query_preset
 from scoup.query.question import Question
 from scoup.query.text_vectors import TextVectors, encode_texts
 from scoup.scene.directions import query_vectors
@@ -82,7 +81,7 @@ class AskedScene(CodedScene):
         if isinstance(encoder, TextEncoder):
             self._encoder = encoder
         elif self._encoder is None or not name or name != self._encoder_name:
-            self._known.clear()
+            self.recent.clear()
             self._encoder = TextEncoder.open(encoder, device=self.codebook.device)
         self._encoder_name = name
         return self._encoder
@@ -91,17 +90,14 @@ class AskedScene(CodedScene):
         """Use the encoder that another field has open, or would open."""
         self._encoder, self._encoder_name = other._encoder, other._encoder_name
 
-    def question(  # noqa: PLR0913  the public face: each keyword is one choice of the user
+    def question(
         self,
         texts: Texts | Expression,
         *,
         encoder: Encoder | None = None,
-        preset: str | QueryPreset = "default",
         always: bool = False,
         present_from: float | None = None,
         threshold: float | None = None,
-        rescaled: bool = True,
-        neighbours: int = 0,
         level: str | int | None = None,
     ) -> Question:
         """Make a question, which every method of a field takes; texts alone are a question without options.
@@ -111,10 +107,9 @@ class AskedScene(CodedScene):
                 expression (``scoup.parse_expression``), for ``select``.
             encoder: see ``text_encoder``. For vectors, a dict of the canonical phrases ("object", "things", "stuff",
                 "texture") is enough.
-            preset: its name, or one of ``scoup.query.presets``; see ``Question``.
-            always: find something for any text; presence is not judged, and ``z_score`` is None.
-            present_from: by default 1.4, where there are enough everyday words; see ``Question``.
-            threshold, rescaled, neighbours, level: see ``Question``.
+            always: find something for any text; presence is not judged.
+            present_from: by default 0.37, where there are enough everyday words; see ``Question``.
+            threshold, level: see ``Question``.
 
         Raises:
             InputError, UnknownNameError: texts or options do not fit the field, a number is out of range, or the field
@@ -125,35 +120,24 @@ class AskedScene(CodedScene):
             >>> field.question("kettle", level="m", always=True).level
             1
         """
-        check_arguments("question", preset=(preset, (str, QueryPreset)))
         source = self.text_encoder(encoder)
-        key = _question_key(
-            texts, source, preset, always, present_from, threshold, rescaled, neighbours, level
-        )
-        known = None if key is None else self._known.get(key)
+        key = _question_key(texts, source, always, present_from, threshold, level)
+        known = None if key is None else self.recent.get(key)
         if known is not None:
             return known
-        preset = query_preset(preset) if isinstance(preset, str) else preset
-        if threshold is not None:
-            preset = replace(preset, threshold=threshold)
         expression = texts if isinstance(texts, Expression) else None
         words = list(texts.texts) if isinstance(texts, Expression) else texts
         vectors = self._vectors(words)
-        everyday = preset.name == "default"
-        judged = not always and (everyday or present_from is not None)
         question = Question.from_vectors(
-            vectors.with_everyday() if everyday else vectors,
-            preset=preset,
+            vectors.with_everyday(),
             threshold=threshold,
-            present_from=presence_threshold(vectors, present_from) if judged else None,
+            present_from=None if always else presence_threshold(vectors, present_from),
             is_single=_is_single(words),
             expression=expression,
-            rescaled=rescaled,
-            neighbours=neighbours,
             level=None if level is None else self.level_index(level),
         )
         if key is not None:
-            self._known.keep(key, question, question.queries.nbytes + question.canonical.nbytes)
+            self.recent.keep(key, question, question.queries.nbytes + question.canonical.nbytes)
         return question
 
     def _vectors(self, texts: Texts) -> TextVectors:

@@ -11,12 +11,13 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.html import card
+from scoup.query.answering import null_scores
 from scoup.query.coded_scene import CodedScene
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.question import Question
 from scoup.query.relations import related_pairs
-from scoup.query.relevancy import relevancy
 from scoup.query.scene_things import Thing, all_things
+from scoup.query.things import compare_things
 
 NAMES = 3
 """Names kept per thing: the best and the next best ones."""
@@ -37,8 +38,7 @@ class Catalog:
     """
 
     things: tuple[Thing, ...]
-    """Every thing with its best name as ``text``, finer levels first; ``confidence`` is the relevancy of the name to
-    the mean embedding of its regions."""
+    """Every thing with its best name as ``text`` and the score of this name, finer levels first."""
     names: tuple[tuple[str, ...], ...]
     """Up to three names per thing, best first."""
     relations: tuple[tuple[int, str, int], ...]
@@ -82,15 +82,20 @@ def make_catalog(field: CodedScene, question: Question, frame: Frame | None = No
             f"{field.path or 'this field'}: contains no things; build it again with things, from its photographs"
         )
     frame = scene_frame(field) if frame is None else frame
-    things = all_things(field)
-    embeddings = table.embeddings.float().cpu()[[thing.number or 0 for thing in things]]
-    cosines, canonical = embeddings @ question.queries.cpu().T, embeddings @ question.canonical.cpu().T
-    best = best_words(cosines)
-    sure = relevancy(cosines, canonical).gather(1, best)[:, 0]
+    things, known = all_things(field), compare_things(field, question)
+    if known is None:  # of no things
+        return Catalog((), (), (), frame)
+    numbers = [thing.number or 0 for thing in things]
+    queries = question.queries.float().cpu()
+    best = best_words(known.embeddings[numbers] @ queries.T)
+    fits = known.fits(queries)[numbers]
+    used = {word: question.one(word) for word in best[:, 0].tolist()}
+    scores = {word: null_scores(one, known.best_fits)[0] for word, one in used.items()}
+    sure = [scores[word](float(fits[row, word])) for row, word in enumerate(best[:, 0].tolist())]
     names = tuple(tuple(question.texts[word] for word in row) for row in best.tolist())
     named = tuple(
-        replace(thing, text=own[0], confidence=confidence)
-        for thing, own, confidence in zip(things, names, sure.tolist(), strict=True)
+        replace(thing, text=own[0], score=score)
+        for thing, own, score in zip(things, names, sure, strict=True)
     )
     return Catalog(named, names, tuple(related_pairs(field, named, frame)), frame)
 
@@ -106,7 +111,7 @@ def best_words(cosines: Tensor) -> Tensor:
 def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list[list[Any]]:
     """Return the things as rows of a table, the first with the names of the columns."""
     unit = 1.0 if metres_per_unit is None else metres_per_unit
-    head = ["thing", "name", "other names", "level", "parent", "confidence"]
+    head = ["thing", "name", "other names", "level", "parent", "score"]
     rows: list[list[Any]] = [[*head, "x", "y", "z", "length", "width", "height", "gaussians", "regions"]]
     for thing, names in zip(catalog.things, catalog.names, strict=True):
         numbers: Sequence[float] = [
@@ -114,7 +119,7 @@ def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list
             *(thing.box.extent * unit).tolist(),
         ]
         parent = "" if thing.parent is None else thing.parent
-        confidence = round(thing.confidence or 0.0, 4)
-        facts = [thing.number, thing.text, "; ".join(names[1:]), thing.level, parent, confidence]
+        score = "" if thing.score is None else round(thing.score, 4)
+        facts = [thing.number, thing.text, "; ".join(names[1:]), thing.level, parent, score]
         rows.append([*facts, *np.round(numbers, 6).tolist(), thing.n_gaussians, thing.n_regions])
     return rows

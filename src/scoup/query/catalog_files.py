@@ -153,8 +153,9 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str) -> str:
         position = ", ".join(f"{value:.3g}" for value in thing.position.tolist())
         extent = " x ".join(f"{value:.3g}" for value in thing.box.extent.tolist())
         image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
+        score = "" if thing.score is None else f"score {thing.score:.2f}"
         items.append(
-            f"<li>{image}<b>{_shown(thing.text)}</b> <small>{thing.confidence:.2f}</small><br>"
+            f"<li>{image}<b>{_shown(thing.text)}</b> <small>{score}</small><br>"
             f"<small>or {_shown(alternatives)}<br>thing {thing.number}, level {_shown(thing.level)}<br>"
             f"at {position}<br>size {extent}</small></li>"
         )

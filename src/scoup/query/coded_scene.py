@@ -76,7 +76,7 @@ class CodedScene:
         self._gaussians = None
         self._cosines = FieldCosines()
         self.known_things = KnownThings()
-        self._known = Recent(MOST_KEPT, MOST_BYTES)
+        self.recent = Recent(MOST_KEPT, MOST_BYTES)
         if gaussians is not None:
             self.attach(gaussians)
 

@@ -21,7 +21,7 @@ from scoup.pictures import (
     swatch_legend,
 )
 from scoup.pictures.colors import Picture
-from scoup.query.answering import answer_view
+from scoup.query.answering import answer_scene, draw_answers
 from scoup.query.coded_scene import CodedScene
 from scoup.query.question import Question
 from scoup.scene.cameras import Camera
@@ -51,12 +51,14 @@ def color_drawing(field: CodedScene, plain: bool = False) -> Draw:
 def relevancy_drawing(field: CodedScene, question: Question, plain: bool = False) -> Draw:
     """Return what draws a heat map of the relevancy to the first text of a question, at the level of its mask."""
 
+    answers = answer_scene(field, question)
+
     def draw(camera: Camera, projection: raster.Projection) -> Picture:
-        answer = answer_view(field, camera, question, projection)[0]
+        shown = draw_answers(field, answers, camera, projection)[0]
         rgb = raster.render_colors(field.gaussians, camera, projection).cpu()
         if plain:
-            return heat_overlay(answer.heat, rgb)
-        return heat_map(answer.heat, rgb, answer.text, answer.level, answer.score, camera.name)
+            return heat_overlay(shown.heat, rgb)
+        return heat_map(shown.heat, rgb, shown.text, shown.level, float(shown.heat.max()), camera.name)
 
     return draw
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.query.answer import SceneAnswer
+from scoup.query.answer import Answer
 from scoup.query.coded_scene import CodedScene
 from scoup.query.expression import Expression
 from scoup.query.reshape import UNCHANGED, Reshaping, reshaped
@@ -23,25 +23,29 @@ Edit = Literal["keep", "remove", "recolor", "fade"]
 def combined_answer(
     field: CodedScene,
     expression: Expression,
-    answers: Sequence[SceneAnswer],
+    answers: Sequence[Answer],
     wanted: Reshaping = UNCHANGED,
     phrases: Mapping[str, Tensor] = MappingProxyType({}),  # [N] boolean of each of its phrases, by its text
-) -> SceneAnswer:
+) -> Answer:
     """Return the answer to an expression, from one answer of ``answer_scene`` per text; ``field.select`` calls this.
 
-    Level, score, z-score and threshold are those of the wanted text with the largest score; relevancy is the largest of
-    all wanted texts.
+    Level, score, runner-up and threshold are those of the wanted text with the largest score.
     """
     of_text = {answer.text: answer for answer in answers}
     mask = expression.combine({**{text: answer.mask for text, answer in of_text.items()}, **phrases})
     wanted_answers = [of_text[text] for text in expression.wanted]
-    best = max(wanted_answers, key=lambda answer: (answer.presence, answer.score))
-    relevancy = torch.stack([answer.relevancy for answer in wanted_answers]).amax(0)
+    best = max(wanted_answers, key=lambda answer: (answer.presence, answer.score or 0.0))
+    asked = tuple(one for answer in wanted_answers for one in answer.asked)
+    whole = replace(best, mask=mask, parts=tuple(answers), asked=asked)
     if wanted.changes:
-        mask = reshaped(field.gaussians, mask, relevancy, wanted)
-    text = best.text if len(of_text) == 1 and expression.is_plain else str(expression)
-    presence = best.presence if expression.is_plain else bool(mask.any())
-    return replace(best, mask=mask, relevancy=relevancy, text=text, presence=presence, parts=tuple(answers))
+        whole = replace(whole, mask=reshaped(field.gaussians, mask, whole.relevancy(), wanted))
+    if len(of_text) == 1 and expression.is_plain:
+        return whole
+    things = tuple(dict.fromkeys(thing for answer in wanted_answers for thing in answer.things))
+    presence = best.presence if expression.is_plain else bool(whole.mask.any())
+    return replace(
+        whole, text=str(expression), presence=presence, things=things if expression.is_plain else ()
+    )
 
 
 def edited(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,11 +10,10 @@ from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
-from scoup.query.answering import judged_selections
+from scoup.query.answer import Answer
+from scoup.query.answering import answer_scene
 from scoup.query.coded_scene import CodedScene
-from scoup.query.locate import answering_things
 from scoup.query.question import Question
-from scoup.query.select import Selection
 
 NONE = -1
 """The id of a Gaussian that no word fits."""
@@ -36,10 +35,8 @@ class GaussianLabels:
     """[N] int32, the position of a word in ``names``; -1 for none of them."""
     names: tuple[str, ...]
     """Q words."""
-    scores: Tensor
-    """[N] float32 relevancy to the word; minus infinity for none of them."""
-    z_scores: tuple[float, ...] | None
-    """Per word, as in ``Answer``; None if presence was not judged."""
+    scores: tuple[float | None, ...]
+    """Per word, as of ``Answer``; None with too few everyday words."""
     presence: tuple[bool, ...]
     """Per word, whether the thing is in the scene; true if that was not judged."""
     levels: tuple[str, ...]
@@ -76,53 +73,34 @@ class GaussianLabels:
 def label(field: CodedScene, question: Question) -> GaussianLabels:
     """Return the word that fits each Gaussian best, or "none"; ``field.label`` calls this.
 
-    A word fits the Gaussians that ``answer_scene`` returns for it. Of several words that fit, the one answered by the
-    finest level counts, for the name of a part says more than that of its whole; of words of one level the most
-    relevant.
+    A word applies to the Gaussians that ``answer_scene`` returns for it. Of several words for one Gaussian, the one
+    answered by the finest level counts, for the name of a part says more than that of its whole; of words of one level
+    the one with the largest score.
     """
-    names, present_from = question.texts, question.present_from
+    names = question.texts
     if len(set(names)) < len(names) or NONE_NAME in names:
         raise InputError(
             f"labels need words that differ from each other and from {NONE_NAME!r} (got {', '.join(names)})"
         )
-    judged: list[float] = []
-    presence: list[bool] = []
-    levels: list[str] = []
-    things: list[tuple[int, ...]] = []
-
-    def selections() -> Iterator[tuple[Selection, bool]]:
-        """One after the other, so that only one relevancy is in memory."""
-        for found, z_score in judged_selections(field, question):
-            if z_score is not None:
-                judged.append(z_score)
-            presence.append(present_from is None or judged[-1] >= present_from)
-            levels.append(field.levels[found.level])
-            numbers = answering_things(field, found.mask, found.level, found.threshold)
-            things.append(tuple(numbers.tolist()) if presence[-1] and numbers is not None else ())
-            yield found, presence[-1]
-
-    ids, scores = label_by_selections(selections(), len(field), field.codebook.device)
-    z_scores = tuple(judged) if present_from is not None else None
+    answers = answer_scene(field, question)
     return GaussianLabels(
-        ids.cpu(), names, scores.cpu(), z_scores, tuple(presence), tuple(levels), tuple(things)
+        labels_of_answers(answers, field.levels),
+        names,
+        tuple(answer.score for answer in answers),
+        tuple(answer.presence for answer in answers),
+        tuple(answer.level for answer in answers),
+        tuple(answer.things for answer in answers),
     )
 
 
-def label_by_selections(
-    found: Iterable[tuple[Selection, bool]], count: int, device: torch.device | str = "cpu"
-) -> tuple[Tensor, Tensor]:
-    """Label ``count`` Gaussians by the selection of each word, and whether it counts.
-
-    Returns:
-        [N] int32 numbers of words, ``NONE`` for none, and [N] float32 relevancy to them.
-    """
-    best = torch.full((count,), -torch.inf, device=device)
-    ids = torch.full((count,), NONE, dtype=torch.int32, device=device)
-    finest = torch.full((count,), torch.iinfo(torch.int32).max, dtype=torch.int32, device=device)
-    for number, (each, counts) in enumerate(found):
-        finer, as_fine = each.level < finest, each.level == finest
-        better = each.mask & (finer | (as_fine & (each.relevancy > best))) & counts
-        best = torch.where(better, each.relevancy, best)
-        ids[better] = number
-        finest[better] = each.level
-    return ids, best
+def labels_of_answers(answers: Sequence[Answer], levels: Sequence[str]) -> Tensor:
+    """Return the number of the word of each Gaussian, [N] int32, ``NONE`` for none."""
+    ids = torch.full((len(answers[0].mask),), NONE, dtype=torch.int32)
+    # The word that counts comes last and overwrites the others; of equals the first word counts.
+    order = sorted(
+        range(len(answers)),
+        key=lambda number: (-levels.index(answers[number].level), answers[number].score or 0.0, -number),
+    )
+    for number in order:
+        ids[answers[number].mask] = number
+    return ids

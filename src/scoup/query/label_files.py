@@ -145,7 +145,7 @@ def label_record(labels: GaussianLabels) -> dict[str, Any]:
             "level": labels.levels[number],
             "things": list(labels.things[number]),
             "present": labels.presence[number],
-            **({} if labels.z_scores is None else {"z_score": _finite(labels.z_scores[number])}),
+            "score": None if labels.scores[number] is None else round(labels.scores[number] or 0.0, 4),
         }
         for number, name in enumerate(labels.names)
     ]
@@ -172,7 +172,3 @@ def point_cloud(gaussians: Gaussians) -> PlyTable:
     for column, name in enumerate(("red", "green", "blue")):
         rows[name] = rgb[:, column]
     return PlyTable(Path("<memory>"), rows)
-
-
-def _finite(value: float) -> float | None:
-    return round(value, 3) if np.isfinite(value) else None  # JSON knows no infinity

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, overload
 
 from torch import Tensor
@@ -11,23 +11,22 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
-from scoup.query.answer import Answer, SceneAnswer
-from scoup.query.answering import answer_scene, answer_view
+from scoup.query.answer import Answer, ViewAnswer
+from scoup.query.answering import answer_scene, draw_answers
 from scoup.query.asking import AskedScene, Texts
 from scoup.query.catalog import Catalog, make_catalog
 from scoup.query.cosines import versions
 from scoup.query.edits import combined_answer
 from scoup.query.expression import Expression, parse_expression
-from scoup.query.finding import Finding
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.label import GaussianLabels, label
-from scoup.query.locate import Location, location
 from scoup.query.phrases import counted_text
+from scoup.query.place import Place, place_of
 from scoup.query.question import Question
 from scoup.query.relations import phrase_masks, things_of_question
 from scoup.query.reshape import UNCHANGED, Reshaping
 from scoup.query.scene_things import Thing, all_things
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.cameras import Camera
 
 View: TypeAlias = "Camera | str | int"
 """A camera, or its name or position among a field's."""
@@ -44,19 +43,21 @@ class FieldQueries(AskedScene):
         return question if isinstance(question, Question) else self.question(question)
 
     @overload
+    def answer(self, question: str) -> Answer: ...
+    @overload
     def answer(
         self,
         question: str,
-        camera: View = 0,
+        camera: View,
         *,
         projection: raster.Projection | None = None,
         scale: float = 1.0,
-    ) -> Answer: ...
+    ) -> ViewAnswer: ...
     @overload
     def answer(
         self,
         question: Question | Texts,
-        camera: View = 0,
+        camera: View | None = None,
         *,
         projection: raster.Projection | None = None,
         scale: float = 1.0,
@@ -64,48 +65,48 @@ class FieldQueries(AskedScene):
     def answer(
         self,
         question: Question | Texts,
-        camera: View = 0,
+        camera: View | None = None,
         *,
         projection: raster.Projection | None = None,
         scale: float = 1.0,
-    ) -> Answer | list[Answer]:
-        """Return where something is in one view: mask, heat map, box, point, presence.
+    ) -> Answer | ViewAnswer | list[Answer] | list[ViewAnswer]:
+        """Return what answers a text, decided once in the scene; with a camera, as its view shows it.
 
         Args:
             question: from ``question``, or texts.
-            camera: of the view, or its name or position among ``cameras``.
+            camera: of the view, or its name or position among ``cameras``; None: the answer of the scene itself.
             projection: what ``field.project(camera)`` returned; further questions with it take less time.
             scale: of the picture, for a quicker look: with 0.25 all is in pixels of a view of a quarter of the width.
 
         Returns:
-            An answer, or a list of them for several texts or vectors.
+            An answer, or a list of them for several texts or vectors. In a view: mask, heat map, box, point.
 
         Raises:
             InputError, UnknownNameError: as ``question``, or there is no such camera.
 
         Example:
-            >>> answer = field.answer(field.question("kettle", always=True), "view_00.png")
-            >>> answer.presence, answer.mask.shape
+            >>> question = field.question("kettle", always=True)
+            >>> field.answer(question).presence, field.answer(question, "view_00.png").mask.shape
             (True, torch.Size([30, 40]))
         """
-        question = self._asked(question)
-        if scale != 1.0:
-            camera = Cameras([self.camera(camera)]).scaled(scale)[0]
-        answers = answer_view(self, camera, question, projection)
-        return answers[0] if question.is_single else answers
+        asked = self._asked(question)
+        answers = self._scene_answers(asked)
+        if camera is not None:
+            answers = draw_answers(self, answers, camera, projection, scale)
+        return answers[0] if asked.is_single else answers
 
     @overload
-    def location(self, question: str | SceneAnswer) -> Location: ...
+    def location(self, question: str | Answer) -> Place: ...
     @overload
     def location(self, question: Question | Texts) -> Any: ...
-    def location(self, question: Question | Texts | SceneAnswer) -> Location | list[Location]:
-        """Return where something is in the world: position, oriented box, confidence, and the Gaussians.
+    def location(self, question: Question | Texts | Answer) -> Place | list[Place]:
+        """Return where something is in the world: the position, oriented box and Gaussians of the best thing.
 
         Args:
-            question: from ``question``, or texts; or an answer of ``select``.
+            question: from ``question``, or texts; or an answer of ``answer``.
 
         Returns:
-            A location, or a list of them for several texts or vectors; ``position`` is None for what is not there.
+            A place, or a list of them for several texts or vectors; ``position`` is None for what is not there.
 
         Raises:
             InputError, UnknownNameError: as ``question``.
@@ -114,46 +115,13 @@ class FieldQueries(AskedScene):
             >>> field.location(field.question("kettle", always=True)).position.shape
             torch.Size([3])
         """
-        if isinstance(question, SceneAnswer):
-            return location(self, question)
+        if isinstance(question, Answer):
+            return place_of(self, question)
         asked = self._asked(question)
         found = self._recent(
-            (asked, Location), lambda: [location(self, answer) for answer in answer_scene(self, asked)]
+            (asked, Place), lambda: [place_of(self, answer) for answer in self._scene_answers(asked)]
         )
         return found[0] if asked.is_single else found
-
-    @overload
-    def finding(self, question: str, cameras: Iterable[View] | None = None) -> Finding: ...
-    @overload
-    def finding(self, question: Question | Texts, cameras: Iterable[View] | None = None) -> Any: ...
-    def finding(
-        self, question: Question | Texts, cameras: Iterable[View] | None = None
-    ) -> Finding | list[Finding]:
-        """Return where something is in the views of several cameras and in the world: all that `scoup query` prints.
-
-        Args:
-            question: from ``question``, or texts.
-            cameras: of the views, or their names or positions among ``cameras``; by default all of those.
-
-        Returns:
-            A finding, or a list of them for several texts or vectors.
-
-        Raises:
-            InputError, UnknownNameError: as ``answer``.
-
-        Example:
-            >>> found = field.finding(field.question("kettle", always=True), ["view_00.png"])
-            >>> found.presence, found.best.view
-            (True, 'view_00.png')
-        """
-        question = self._asked(question)
-        views = self.cameras or () if cameras is None else cameras
-        answers = [answer_view(self, camera, question) for camera in views]
-        found = [
-            Finding(answer.text, tuple(of_view[number] for of_view in answers), location(self, answer))
-            for number, answer in enumerate(answer_scene(self, question))
-        ]
-        return found[0] if question.is_single else found
 
     def things(
         self, question: Question | str | Sequence[str] | None = None, frame: Frame | None = None
@@ -179,11 +147,12 @@ class FieldQueries(AskedScene):
         """
         if question is None:
             return self._recent(("things",), lambda: all_things(self))
-        if isinstance(question, str):
-            question = self._singular(counted_text(question)) or question
-        asked = self._asked_expression(question)
+        to_count = counted_text(question) if isinstance(question, str) else None
+        counted = to_count is not None
+        asked = self._asked_expression(self._singular(to_count) if to_count else question)
         return self._recent(
-            (asked, frame, Thing), lambda: things_of_question(self, asked, answer_scene(self, asked), frame)
+            (asked, frame, Thing, counted),
+            lambda: things_of_question(self, asked, self._scene_answers(asked), frame, counted),
         )
 
     def catalog(self, question: Question | Texts, frame: Frame | None = None) -> Catalog:
@@ -225,7 +194,7 @@ class FieldQueries(AskedScene):
         question: Question | str | Sequence[str],
         reshaping: Reshaping = UNCHANGED,
         frame: Frame | None = None,
-    ) -> SceneAnswer:
+    ) -> Answer:
         """Return the Gaussians that answer an expression, such as "mug and not handle" or "mug left of the laptop".
 
         Args:
@@ -248,8 +217,8 @@ class FieldQueries(AskedScene):
         check_arguments("select", reshaping=(reshaping, Reshaping))
         asked = self._asked_expression(question)
 
-        def selected() -> list[SceneAnswer]:
-            expression, answers = asked.expression or Expression.of(asked.texts), answer_scene(self, asked)
+        def selected() -> list[Answer]:
+            expression, answers = asked.expression or Expression.of(asked.texts), self._scene_answers(asked)
             phrases = phrase_masks(self, asked, answers, frame)
             return [combined_answer(self, expression, answers, reshaping, phrases)]
 
@@ -270,6 +239,9 @@ class FieldQueries(AskedScene):
         """
         return label(self, self._asked(question))
 
+    def _scene_answers(self, asked: Question) -> list[Answer]:
+        return self._recent((asked, Answer), lambda: answer_scene(self, asked))
+
     def _asked_expression(self, question: Question | str | Sequence[str]) -> Question:
         if isinstance(question, Question):
             return question
@@ -280,10 +252,10 @@ class FieldQueries(AskedScene):
             )
         return self.question(parse_expression(words))
 
-    def _singular(self, text: str | None) -> str | None:
+    def _singular(self, text: str) -> str:
         """Return a text of which several are counted in the form that the words of a table have."""
-        known = getattr(self.text_encoder(), "names", ()) if text else ()
-        if not text or not known or text in known:
+        known = self.text_encoder().names
+        if not known or text in known:
             return text
         forms = (text.removesuffix("s"), text.removesuffix("es"), f"{text.removesuffix('ies')}y")
         return next((form for form in forms if form in known), text)
@@ -292,10 +264,10 @@ class FieldQueries(AskedScene):
         """Return a copy of the answers kept for the same question, or make them."""
         parts = self._parts()  # kept with the answers, so that no other part can get the id of one
         key = (*key, *versions(*parts))
-        known = self._known.get(key)
+        known = self.recent.get(key)
         if known is None:
             known = make(), parts
-            self._known.keep(key, known, sum(map(_bytes, known[0])))
+            self.recent.keep(key, known, sum(map(_bytes, known[0])))
         return copy.deepcopy(known[0])
 
 
@@ -305,6 +277,8 @@ def _bytes(answer: Any) -> int:
         return answer.nbytes
     if isinstance(answer, tuple):
         return sum(map(_bytes, answer))
-    return (
-        sum(map(_bytes, vars(answer).values())) if isinstance(answer, (Location, SceneAnswer, Thing)) else 0
-    )
+    if isinstance(answer, Place):
+        return _bytes(answer.answer) + _bytes(answer.thing)
+    if isinstance(answer, Answer):
+        return _bytes(answer.mask) + _bytes(answer.parts)
+    return sum(map(_bytes, vars(answer).values())) if isinstance(answer, Thing) else 0

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from scoup.query.expression import Expression
-from scoup.query.presets import QUERY_PRESETS, QueryPreset
 from scoup.query.text_vectors import TextVectors
 
 
@@ -20,23 +19,14 @@ class Question(TextVectors):
         (('kettle', 'wooden table'), 0.6, torch.Size([2, 16]))
     """
 
-    preset: QueryPreset = QUERY_PRESETS["default"]
-    """How relevancy becomes masks and points in a view (``scoup.query.presets.QUERY_PRESETS``). "default" also compares
-    with everyday words; the others follow the papers' systems: without these words, and always finding something."""
     threshold: float | None = None
-    """A Gaussian answers above this, 0 to 1, once relevancy is rescaled over the scene. None: the threshold at which
-    the answer changes least (``scoup.query.stable_threshold``). ``field.question`` puts it into the preset as well,
-    for the pixels of a view."""
-    rescaled: bool = True
-    """False puts the threshold of Gaussians on the relevancy itself, where 0.5 is a draw with what texts are compared
-    with; None is 0.6 then."""
-    neighbours: int = 0
-    """Blend the relevancy of each Gaussian half and half with the mean of this many nearest neighbours; 0 is off."""
+    """Gaussians with relevancy above this, 0 to 1 once it is rescaled over the scene, answer in place of things. None:
+    things answer, or in a field without things the Gaussians above the threshold at which the answer changes least
+    (``scoup.query.stable_threshold``)."""
     level: int | None = None
-    """Position of the one that answers; ``field.question`` also takes its name. None: the preset chooses, for each
-    text."""
+    """Position of the one that answers; ``field.question`` also takes its name. None: the best, for each text."""
     present_from: float | None = None
-    """The z-score from which a text counts as present (``scoup.query.presence``). None: presence is not judged, and
+    """The score from which a text counts as present (``scoup.query.presence``). None: presence is not judged, and
     something is found for any text."""
     is_single: bool = False
     """It was one text or vector, not a list, and so is the answer."""
@@ -50,5 +40,8 @@ class Question(TextVectors):
 
     def one(self, number: int, **options: Any) -> Question:
         """Return the question of one of its texts, with some attributes replaced."""
-        chosen = slice(number, number + 1)
+        return self.some(slice(number, number + 1), **options)
+
+    def some(self, chosen: slice, **options: Any) -> Question:
+        """Return the question of some of its texts, with some attributes replaced."""
         return replace(self, texts=self.texts[chosen], queries=self.queries[chosen], **options)

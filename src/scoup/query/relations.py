@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.query.answer import SceneAnswer
+from scoup.query.answer import Answer
 from scoup.query.coded_scene import CodedScene
 from scoup.query.expression import Expression
 from scoup.query.frame import Frame, scene_frame
@@ -49,7 +49,11 @@ def resolve(
 
 
 def things_of_question(
-    field: CodedScene, question: Question, answers: Sequence[SceneAnswer], frame: Frame | None = None
+    field: CodedScene,
+    question: Question,
+    answers: Sequence[Answer],
+    frame: Frame | None = None,
+    counted: bool = False,
 ) -> list[Thing]:
     """Return every thing that one of the texts or phrases of a question singles out, best first, each once.
 
@@ -58,10 +62,11 @@ def things_of_question(
         question: from ``field.question``; a text or phrase, or several joined by "or".
         answers: to its texts, from ``answer_scene``.
         frame: what right, up and away mean; by default ``scene_frame``.
+        counted: return the things that are one instance each, to be counted.
     """
     expression = question.expression or Expression.of(question.texts)
     found = [
-        thing for each in _resolved(field, question, expression.targets, answers, frame) for thing in each
+        thing for each in _resolved(field, expression.targets, answers, frame, counted) for thing in each
     ]
     first: dict[int, Thing] = {}
     for thing in found:
@@ -70,12 +75,12 @@ def things_of_question(
 
 
 def phrase_masks(
-    field: CodedScene, question: Question, answers: Sequence[SceneAnswer], frame: Frame | None = None
+    field: CodedScene, question: Question, answers: Sequence[Answer], frame: Frame | None = None
 ) -> dict[str, Tensor]:
     """Return the Gaussians [N] boolean of each phrase of an expression; arguments as ``things_of_question``."""
     phrases = question.expression.phrases if question.expression else ()
     masks = {str(phrase): torch.zeros(len(field), dtype=torch.bool) for phrase in phrases}
-    for mask, things in zip(masks.values(), _resolved(field, question, phrases, answers, frame), strict=True):
+    for mask, things in zip(masks.values(), _resolved(field, phrases, answers, frame), strict=True):
         for thing in things:
             mask[thing.gaussians] = True
     return masks
@@ -83,17 +88,14 @@ def phrase_masks(
 
 def _resolved(
     field: CodedScene,
-    question: Question,
     targets: Sequence[Target],
-    answers: Sequence[SceneAnswer],
+    answers: Sequence[Answer],
     frame: Frame | None,
+    counted: bool = False,
 ) -> list[list[Thing]]:
     if not targets:
         return []
-    of_texts = {
-        answer.text: things_of_answer(field, question, number, answer)
-        for number, answer in enumerate(answers)
-    }
+    of_texts = {answer.text: things_of_answer(field, answer, counted) for answer in answers}
     related = any(isinstance(target, Phrase) for target in targets)
     frame = scene_frame(field) if frame is None and related else frame
     return [resolve(field, target, of_texts, frame) for target in targets]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.query.locate import LONGEST_LINK, NEIGHBOURS, connected_parts
+from scoup.query.space import LONGEST_LINK, NEIGHBOURS, connected_parts
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.neighbours import nearest_points
 
@@ -34,7 +34,7 @@ class Reshaping:
     """
 
     largest: bool = False
-    """Keep only the connected part that weighs most, as ``scoup.query.locate`` does."""
+    """Keep only the connected part that weighs most, as the first of ``field.things`` in a field without things."""
     shrink: int = 0
     """Remove the Gaussians that have a neighbour outside, so many times."""
     grow: int = 0

@@ -12,14 +12,14 @@ from torch import Tensor
 
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
-from scoup.query.answer import SceneAnswer
+from scoup.query.answer import Answer
+from scoup.query.answering import null_scores
 from scoup.query.coded_scene import CodedScene
-from scoup.query.locate import answering_things, connected_parts, metres_record
 from scoup.query.presence import LEAST_GAUSSIANS
-from scoup.query.question import Question
 from scoup.query.select import true_rows
+from scoup.query.space import metres_record, rough_parts
 from scoup.query.thing_shapes import OrientedBox, ThingPoints
-from scoup.query.things import thing_fits
+from scoup.query.things import compare_things
 from scoup.scene.up import estimate_up
 
 LEAST_SHARE = 0.1
@@ -45,11 +45,8 @@ class Thing:
     text: str
     """The text it answers, or its name in a catalogue; "" if nothing was asked."""
     score: float | None
-    """How well the text fits it, in units of the scene's spread, by which the things of a text are ranked; None if
-    nothing was asked, and for a part of a selection."""
-    confidence: float | None
-    """Mean relevancy of its Gaussians, 0 to 1, where 0.5 is a draw with the canonical phrases; None if nothing was
-    asked."""
+    """As of ``Answer``, for this thing alone: the share of everyday words whose best fit in this scene is lower, 0 to
+    1. None if nothing was asked, with too few everyday words, and for a part of a selection."""
     position: Tensor
     """[3] float64 world units: the weighted median of its Gaussians."""
     box: OrientedBox
@@ -94,8 +91,7 @@ class Thing:
             "text": self.text,
             "level": self.level,
             "parent": self.parent,
-            "score": None if self.score is None else round(self.score, 3),
-            "confidence": None if self.confidence is None else round(self.confidence, 4),
+            "score": None if self.score is None else round(self.score, 4),
             "position": rounded_vector(self.position.tolist()),
             "box": self.box.record(),
             **metres_record(self.position, self.box, metres_per_unit),
@@ -117,34 +113,26 @@ def all_things(field: CodedScene) -> list[Thing]:
     return _things_of_table(field, numbers)
 
 
-def things_of_answer(field: CodedScene, question: Question, number: int, answer: SceneAnswer) -> list[Thing]:
-    """Return the things that answer one text of a question, best first; none where it is not present.
+def things_of_answer(field: CodedScene, answer: Answer, counted: bool = False) -> list[Thing]:
+    """Return the things of an answer of ``answer_scene``, best first; none where the text is not present.
 
-    Where the votes answer, or in a field without things, they are the parts of the selection that are connected in
-    space.
-
-    Args:
-        field: that was asked.
-        question: from ``field.question``.
-        number: of the text in the question.
-        answer: to this text, from ``answer_scene``.
+    Where the votes answer, and of an expression, they are the parts of the selection that are connected in space, those
+    that weigh most first. To be ``counted``, things are those that are one instance each.
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
-    numbers = answering_things(field, answer.mask, answer.level, answer.threshold)
-    of_things = thing_fits(field, question.one(number))
-    if numbers is None or of_things is None:
+    if not answer.things or len(answer.asked) != 1:
         return _connected_things(field, answer)
-    fits = of_things.fits[:, 0]
-    ranked = numbers[fits[numbers].argsort(descending=True, stable=True)].tolist()
+    asked = answer.asked[0]
+    known = compare_things(field, asked.question)
+    assert known is not None
+    numbers = list(answer.instances if counted else answer.things)
+    fits = known.fits(asked.question.queries.float().cpu())[numbers, 0].tolist()
+    (score,) = null_scores(asked.question, known.best_fits)
+    scores = {number: score(fit) for number, fit in zip(numbers, fits, strict=True)}
     return [
-        replace(
-            thing,
-            text=answer.text,
-            score=float(fits[thing.number or 0]),
-            confidence=float(answer.relevancy[thing.gaussians].mean()),
-        )
-        for thing in _things_of_table(field, ranked)
+        replace(thing, text=answer.text, score=scores[thing.number or 0])
+        for thing in _things_of_table(field, numbers)
     ]
 
 
@@ -180,12 +168,12 @@ def _parts(field: CodedScene, members: Sequence[Tensor], level: str) -> list[Thi
     points = ThingPoints.of(field.gaussians, members)
     shapes = zip(points.medians(), points.boxes(estimate_up(field.cameras or ())), members, strict=True)
     return [
-        box and Thing(None, level, None, "", None, None, torch.from_numpy(position.copy()), box, own, None)
+        box and Thing(None, level, None, "", None, torch.from_numpy(position.copy()), box, own, None)
         for position, box, own in shapes
     ]
 
 
-def _connected_things(field: CodedScene, answer: SceneAnswer) -> list[Thing]:
+def _connected_things(field: CodedScene, answer: Answer) -> list[Thing]:
     """The connected parts of a selection, those that weigh most first; a Gaussian weighs opacity times relevancy."""
     rows = true_rows(answer.mask)
     gaussians = field.gaussians.select(rows.to(field.gaussians.device)).to("cpu")
@@ -193,18 +181,19 @@ def _connected_things(field: CodedScene, answer: SceneAnswer) -> list[Thing]:
     rows, means = rows[usable], gaussians.means[usable].double().numpy()
     if not len(rows):
         return []
-    relevancy = answer.relevancy[rows].double()
-    parts = connected_parts(means)
+    relevancy = answer.relevancy()[rows].double()
+    parts = rough_parts(means)
     weights = np.bincount(parts, (gaussians.opacities[usable].double().clamp(0, 1) * relevancy).numpy())
     sizes = np.bincount(parts)
+    heaviest = np.argsort(-weights, kind="stable").tolist()
     largest = [
         part
-        for part in np.argsort(-weights, kind="stable").tolist()
+        for part in heaviest
         if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= LEAST_SHARE * weights.max()
-    ]
+    ] or heaviest[:1]  # where all are small, they are what there is
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
     return [
-        replace(thing, text=answer.text, confidence=float(answer.relevancy[thing.gaussians].mean()))
+        replace(thing, text=answer.text)
         for thing in _parts(field, members, answer.level)
         if thing is not None
     ]

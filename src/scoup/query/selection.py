@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from scoup.base.native import native_core
-from scoup.query.smoothing import rescale
 
 BINS = 100
 
@@ -105,3 +104,15 @@ def _rows(values: Tensor) -> np.ndarray:
 
 def _bytes(included: Tensor | None) -> np.ndarray | None:
     return None if included is None else included.contiguous().view(torch.uint8).numpy()
+
+
+def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:
+    """Stretch values of any shape to 0..1 and cut off the lower half: clip(2 n - 1, 0, 1) with
+    n = (v - min) / (max - min + 1e-9) (protocols.md, LERF-OVS, step 2). Constant values become 0.
+
+    Pass minimum and maximum where these are only some of the values."""
+    low = values.min() if low is None else low
+    high = values.max() if high is None else high
+    # float64, in which 1e-9 does not vanish beside the range.
+    stretched = (values.double() - low) / (high.double() - low + 1e-9)
+    return (2 * stretched - 1).clamp(0, 1).to(values.dtype)

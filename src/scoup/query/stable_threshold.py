@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.query.selection import BINS, stretched_counts
+from scoup.query.selection import BINS
 
 
 @dataclass(frozen=True)
@@ -39,39 +39,22 @@ class Stability:
 STABILITY = Stability()
 
 
-def stable_thresholds(
-    values: Tensor, fixed: float | None = None, stability: Stability = STABILITY
-) -> tuple[Tensor, Tensor]:
-    """Return the most stable threshold of each row, and the instability of the answer there.
+def thresholds_of_counts(counts: Tensor, stability: Stability = STABILITY) -> Tensor:
+    """Return the most stable threshold of each row.
 
     Args:
-        values: [S, M] relevancy of pixels or Gaussians, finite.
-        fixed: take this threshold instead.
+        counts: [S, ``BINS``] of values of relevancy (``stretched_counts``).
         stability: the rule.
 
     Returns:
-        thresholds [S] on the rescaled relevancy (``rescale``), and the change [S] of the logarithm of the area over the
-        window there: 0 for a step, 2 and more for what fades away. Both float32 on the CPU. Rows that are empty,
-        constant or not finite have the centre and 0.
+        [S] float32 on the CPU, on the rescaled relevancy. Rows that are empty, constant or not finite have the centre.
     """
-    counts = stretched_counts(values, None, stability.lowest_share if fixed is None else 0.0)[1]
-    return thresholds_of_counts(counts, fixed, stability)
-
-
-def thresholds_of_counts(
-    counts: Tensor, fixed: float | None = None, stability: Stability = STABILITY
-) -> tuple[Tensor, Tensor]:
-    """Return ``stable_thresholds`` of rows with these counts [S, ``BINS``] (``stretched_counts``)."""
     above = counts.double().flip(1).cumsum(1).flip(1)  # values in bin b and further up
     area = above.clamp(min=1).log()
     half = round(stability.window / 2 * BINS)
-    if fixed is not None:
-        at = min(max(round(fixed * BINS), half), BINS - 1 - half)
-        change = area[:, at - half] - area[:, at + half]
-        return torch.full((len(counts),), fixed, dtype=torch.float32), change.float()
     bins = torch.arange(round(stability.lowest * BINS), round(stability.highest * BINS) + 1)
     bins = bins[(bins >= half) & (bins < BINS - half)]
     change = area[:, bins - half] - area[:, bins + half]
     at = bins / BINS
     best = (change + stability.pull * (at - stability.centre).abs()).argmin(1)
-    return at[best], change.gather(1, best[:, None])[:, 0].float()
+    return at[best].float()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Literal
 
@@ -15,7 +14,7 @@ from scoup.pictures import captioned, heat_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.coded_scene import CodedScene
 from scoup.query.edit_picture import best_camera
-from scoup.query.locate import Location
+from scoup.query.place import Place
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.paths import camera_path, turntable
 from scoup.scene.up import estimate_up
@@ -24,9 +23,7 @@ Motion = Literal["path", "turntable"]
 SHARE = 0.35  # of the picture's height for a thing on a turntable
 
 
-def moving_cameras(
-    field: CodedScene, place: Location, cameras: Cameras, motion: Motion, count: int
-) -> Cameras:
+def moving_cameras(field: CodedScene, place: Place, cameras: Cameras, motion: Motion, count: int) -> Cameras:
     """Return the cameras of a video with ``count`` frames.
 
     "path" leads through the cameras; "turntable" goes around the thing at ``place``, from the camera that sees most of
@@ -58,17 +55,17 @@ def moving_cameras(
 
 
 def heat_frames(
-    field: CodedScene, query: Tensor, canonical: Tensor, place: Location, cameras: Cameras
+    field: CodedScene, query: Tensor, canonical: Tensor, place: Place, cameras: Cameras
 ) -> Iterator[Picture]:
     """Yield heat maps of one text [D] beside canonical phrases [P, D], at the level of its answer and with one scale of
     colours, [H, W, 3] uint8 each.
     """
     answer = place.answer
     level = field.level_index(answer.level)
-    known = answer.relevancy[(field.code_weights[:, level] > 0).any(1).cpu()]
-    low = float(known.median()) if len(known) else 0.0
-    span = (low, max(answer.score, low)) if math.isfinite(answer.score) else (0.0, 1.0)
-    remark = f"level {answer.level}" if answer.presence else "not in this scene"
+    known = field.gaussian_relevancy(query[None], canonical)[level, 0][field.coded_levels()[level]].cpu()
+    span = (float(known.median()), float(known.max())) if len(known) else (0.0, 1.0)
+    low = span[0]
+    remark = f"level {answer.level}, {answer.remark()}"
     for camera in cameras:
         projection = field.project(camera)
         heat = field.relevancy(camera, query[None], canonical, projection)[level, 0].cpu()

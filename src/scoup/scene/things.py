@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -75,6 +76,11 @@ class ThingTable:
     def __len__(self) -> int:
         return len(self.levels)
 
+    @cached_property
+    def owned(self) -> Tensor:
+        """[S, N] boolean, the Gaussians that belong to a thing of each level."""
+        return (self.owners != NO_THING).T.contiguous()
+
     @property
     def disagreement(self) -> float:
         """1 - the median agreement of the things merged from enough regions: 0 where all views say the same."""
@@ -119,4 +125,4 @@ class ThingTable:
         return replace(self, owners=self.owners[chosen])
 
     def to(self, device: torch.device | str) -> ThingTable:
-        return ThingTable(*(part.to(device) for part in vars(self).values()))
+        return ThingTable(*(getattr(self, each.name).to(device) for each in fields(self)))

@@ -15,15 +15,16 @@ from scoup.base.errors import InputError
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.pictures.overlays import heat_overlay, texts_overlay
+from scoup.query.answer import Answer
+from scoup.query.answering import draw_answers
 from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import Draw, code_drawing
 from scoup.query.methods import FieldQueries
-from scoup.query.presence import mean_embedding
-from scoup.query.question import Question
 from scoup.query.relevancy import relevancy
 from scoup.query.text_vectors import TextVectors
 from scoup.query.thing_shapes import ThingPoints
 from scoup.scene.cameras import Camera
+from scoup.scene.codes import signed
 
 Colors: TypeAlias = Sequence[tuple[float, float, float]]
 PictureMode = Literal["color", "heat", "mask", "codes"]
@@ -39,7 +40,7 @@ class PictureRequest:
     mode: PictureMode = "color"
     """heat: relevancy over the splat, of several texts a colour each; mask: a colour each; codes: like meaning, like
     colour."""
-    question: Question | None = None  # for heat and mask
+    answers: Sequence[Answer] = ()  # for heat and mask
     colors: Colors = ()  # of the texts, 0..255
     opacity: float = 1.0  # of heat and masks, 0..1
     level: int | None = None  # position of the level whose codes are shown; None: the middle one
@@ -51,10 +52,10 @@ class PictureRequest:
             )
         if max(self.camera.width, self.camera.height) > LARGEST_SIDE:
             raise InputError(f"a picture has sides of at most {LARGEST_SIDE} pixels")
-        if self.mode in ("heat", "mask") and self.question is None:
+        if self.mode in ("heat", "mask") and not self.answers:
             raise InputError(f"the picture {self.mode!r} needs a text")
-        if self.question is not None and len(self.colors) != len(self.question.texts):
-            raise InputError(f"expected {len(self.question.texts)} colors, got {len(self.colors)}")
+        if self.answers and len(self.colors) != len(self.answers):
+            raise InputError(f"expected {len(self.answers)} colors, got {len(self.colors)}")
 
 
 class ExactPictures:
@@ -74,12 +75,12 @@ class ExactPictures:
                 self._code_drawings[level] = code_drawing(self.field, level, plain=True)
             return self._code_drawings[level](camera, projection)
         rgb = raster.render_colors(self.field.gaussians, camera, projection).cpu()
-        if request.mode == "color" or request.question is None:
+        if request.mode == "color":
             return as_picture(rgb)
         # A projection that was queried before answers quicker, and rounds otherwise: as nobody has queried this copy,
         # the picture does not depend on what others have asked.
         unasked = copy.copy(projection)
-        answers = self.field.answer(request.question, camera, projection=unasked)
+        answers = draw_answers(self.field, request.answers, camera, unasked)
         if request.mode == "heat" and len(answers) == 1:
             return heat_overlay(answers[0].heat, rgb, opacity=request.opacity)
         heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
@@ -133,7 +134,7 @@ def what_is_at(
     position = _position(field, camera, pixel, gaussians, shares)
     levels = []
     for level, name in enumerate(field.levels):
-        embedding = mean_embedding(field, level, gaussians, weights)
+        embedding = _mean_embedding(field, level, gaussians, weights)
         sure = confidence[gaussians.cpu(), level]
         own = shares * (sure > 0)
         found = float((own * sure).sum() / own.sum()) if float(own.sum()) > 0 else 0.0
@@ -163,3 +164,13 @@ def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]
     values = relevancy(cosines[None], canonical[None])[0]
     best = values.argsort(descending=True, stable=True)[:_WORDS_SHOWN].tolist()
     return [{"text": words.texts[row], "relevancy": round(float(values[row]), 4)} for row in best]
+
+
+def _mean_embedding(field: CodedScene, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
+    """Return the sum of the decoded codes of Gaussians [M] by weights [M] at one level, [D] on the CPU."""
+    # On the CPU: sums by index on a GPU are not the same twice.
+    own = signed(field.code_indices)[:, level].index_select(0, gaussians)
+    atoms = own.view(field.code_indices.dtype).cpu().long()
+    shares = (field.code_weights[:, level].index_select(0, gaussians).float() * weights[:, None]).cpu()
+    code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
+    return code.float() @ field.codebook[level].cpu()

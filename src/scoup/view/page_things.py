@@ -7,7 +7,7 @@ from typing import Any
 from scoup.query.catalog import best_words
 from scoup.query.methods import FieldQueries
 from scoup.query.question import Question
-from scoup.query.things import thing_fits
+from scoup.query.things import compare_things
 
 
 def page_things(field: FieldQueries, vocabulary: Question | None) -> list[dict[str, Any]]:
@@ -17,8 +17,10 @@ def page_things(field: FieldQueries, vocabulary: Question | None) -> list[dict[s
         field: to be shown.
         vocabulary: the words that things are named by; None: things have numbers only.
     """
-    fits = None if vocabulary is None else thing_fits(field, vocabulary)
-    words: list[int] = [] if fits is None else best_words(fits.cosines)[:, 0].tolist()
+    known = None if vocabulary is None else compare_things(field, vocabulary)
+    words: list[int] = []
+    if vocabulary is not None and known is not None:
+        words = best_words(known.embeddings @ vocabulary.queries.float().cpu().T)[:, 0].tolist()
     found = []
     for thing in field.things():
         record, number = thing.record(), thing.number or 0

@@ -28,7 +28,8 @@ _SCALE_SHARES = (0.0005, 0.9995)  # smaller scales than the first count as it
 _LARGER = 6.0  # logarithm of how much larger than the second a scale may be
 _CODES_FOR_COLORS = 50_000
 _FOR_SURROUNDINGS = 100_000  # Gaussians, whose medians are those of all
-_NO_OWNER = 65535
+NO_OWNER = 65535
+"""In the place of the number of a thing."""
 
 
 def scene_metadata(
@@ -40,7 +41,7 @@ def scene_metadata(
         field: to be shown.
         name: shown as its title.
         words_problem: why no text can be asked; None if texts can.
-        present_from: the z-score from which a thing counts as present; None: presence is not judged.
+        present_from: the score from which a text counts as present; None: presence is not judged.
     """
     up, centre, radius = surroundings(field.gaussians, field.cameras)
     model = field.embedding_model
@@ -103,7 +104,7 @@ def _rows(field: CodedScene, shown: Shown, codes: UnitCodes) -> tuple[dict[str, 
     }
     if field.thing_table is not None:
         own = field.thing_table.owners.cpu()[shown.rows].T.numpy()
-        tensors["owners"] = np.where(own == NO_THING, _NO_OWNER, own).astype(np.uint16)
+        tensors["owners"] = np.where(own == NO_THING, NO_OWNER, own).astype(np.uint16)
     return tensors, {**ranges, "weights_scale": largest}
 
 

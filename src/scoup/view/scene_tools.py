@@ -19,6 +19,7 @@ from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
 from scoup.query.methods import FieldQueries
+from scoup.query.phrases import counted_text
 from scoup.query.scene_things import Thing
 from scoup.scene.cameras import Cameras
 
@@ -28,6 +29,7 @@ MOST_MARKED = 12
 """Things marked in one picture."""
 WIDEST = 1024
 """Pixels of the longer side of a picture."""
+_OF_TEXTS = ("score", "certainty", "runner_up")
 _COLORS = ((255, 92, 40), (64, 160, 255), (90, 200, 90), (240, 200, 40), (200, 90, 220), (40, 210, 210))
 
 
@@ -85,16 +87,26 @@ class SceneTools:
         `text` is a name ("mug"), or a phrase with a relation or an order: "mug left of the laptop", "book on the
         shelf", "kettle nearest to the sink", "largest box", "second chair from the left", "how many cups". An unknown
         relation is an error that lists the known ones. Left, right, in front of and behind are meant as seen from the
-        camera `seen_from`. `count` is 0 where the thing is not in the scene. `frame` says what positions are in: unit
-        vectors right, up and away from the viewer in the same axes, and the unit of length.
+        camera `seen_from`. A score is the share of everyday words that fit this scene less well than the text, 0 to 1;
+        null with too few everyday words.
+        `texts` has one entry per text of the phrase: its score, the same in words (sure, likely, doubtful, not here),
+        and the runner-up, the best thing elsewhere. `count` is 0 where a text is not here, or where no thing has the
+        relation. `frame` says what positions are in: unit vectors right, up and away from the viewer in the same axes,
+        and the unit of length.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
         reply = self._reply(field.things(_bounded(text), frame), limit)
+        counted = counted_text(text)
+        asked = text if counted is None else field._singular(counted) or counted
+        answers = {answer.text: answer.record() for answer in field.select(asked, frame=frame).parts}
         units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
         axes = "x, y, z of the splat that the field was built on"
         return {
             **reply,
+            "texts": [
+                {"text": name, **{key: each[key] for key in _OF_TEXTS}} for name, each in answers.items()
+            ],
             "directions": frame.said(),
             "frame": {"axes": axes, "units": units, **frame.record()},
         }

@@ -18,6 +18,7 @@ from scoup.io import PlyTable
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
+from scoup.query.answer import Answer
 from scoup.query.asking import Encoder
 from scoup.query.methods import FieldQueries
 from scoup.query.question import Question
@@ -202,8 +203,8 @@ class ViewedField:
         always: bool = False,
     ) -> Picture:
         """Return the method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
-        question = self.question(list(texts), always, level=level, threshold=threshold) if texts else None
-        return self._pictures.picture(PictureRequest(camera, mode, question, colors, opacity, level))
+        answers = self._chosen_answers(texts, level, threshold, always) if texts else []
+        return self._pictures.picture(PictureRequest(camera, mode, answers, colors, opacity, level))
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
         """Return what is at a pixel; see ``scoup.view.exact.what_is_at``."""
@@ -219,14 +220,19 @@ class ViewedField:
         always: bool = False,
     ) -> PlyTable:
         """Return the Gaussians that answer any of the texts, or all others, as `scoup select` writes them."""
-        question = self.question(texts, always, threshold=threshold)
-        levels = [level] * len(texts)
-        if threshold is not None and level is None:  # the page moves the threshold and leaves the level
-            levels = [answer.level for answer in self.answers(texts, always)]
-        chosen = torch.zeros(len(self.field), dtype=torch.bool)
-        for number, own in enumerate(levels):
-            chosen |= self.field.select(question.one(number, level=own)).mask
+        answers = self._chosen_answers(texts, level, threshold, always)
+        chosen = torch.stack([answer.mask for answer in answers]).any(0)
         return self._table(~chosen if rest else chosen)
+
+    def _chosen_answers(
+        self, texts: Sequence[str], level: int | None, threshold: float | None, always: bool
+    ) -> list[Answer]:
+        """Return the answers to texts; without a level of choice, a threshold leaves the level that answers."""
+        question = self.question(texts, always, level=level, threshold=threshold)
+        if threshold is None or level is not None:
+            return self.field.answer(question)
+        levels = [answer.asked[0].level for answer in self.field.answer(self.question(texts, always))]
+        return [self.field.answer(question.one(number, level=own))[0] for number, own in enumerate(levels)]
 
     def things(self) -> list[dict[str, Any]]:
         """Return the things of the scene as the page lists them (``page_things``)."""

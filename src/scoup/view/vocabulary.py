@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
@@ -16,11 +16,13 @@ from scoup.io.reading import existing_file, read_text
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.coded_scene import CodedScene
+from scoup.query.presence import Certainty
 from scoup.query.question import Question
 from scoup.view.packing import packed
-from scoup.view.scene_answers import PageAnswer, scene_answers
+from scoup.view.scene_answers import AT_A_TIME, PageAnswer, scene_answers
+from scoup.view.scene_data import NO_OWNER
 
-AT_A_TIME = 16  # words between two reports of progress
+_NONE = 255  # of a certainty
 
 
 def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
@@ -52,7 +54,12 @@ def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9
         answers: one a word.
         effort: of compression, 1 to 9.
     """
-    z_scores = [math.nan if answer.z_score is None else answer.z_score for answer in answers]
+    verdicts = [answer.verdict for answer in answers]
+    words = get_args(Certainty)
+    certainties = [
+        _NONE if each["certainty"] is None else words.index(each["certainty"]) for each in verdicts
+    ]
+    rivals = [each["runner_up"] or {"thing": NO_OWNER, "score": None} for each in verdicts]
     codebook = field.codebook.float().cpu()
     tensors = {
         "gram": (codebook @ codebook.transpose(1, 2)).half().numpy(),
@@ -60,19 +67,21 @@ def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9
         "thresholds": torch.stack([answer.thresholds for answer in answers]).float().numpy(),
         "spans": torch.stack([answer.spans for answer in answers]).float().numpy(),
         "levels": np.array([answer.level for answer in answers], np.uint8),
-        "score": np.array([answer.score for answer in answers], np.float32),
-        "z_scores": np.array(z_scores, np.float32),
-        "present": np.array([answer.present for answer in answers], np.uint8),
-        "gaussians": np.array([answer.gaussians for answer in answers], np.int32),
+        "score": np.array([each["score"] for each in verdicts], np.float32),  # None becomes NaN
+        "certainty": np.array(certainties, np.uint8),
+        "present": np.array([each["present"] for each in verdicts], np.uint8),
+        "gaussians": np.array([each["gaussians"] for each in verdicts], np.int32),
     }
-    if field.thing_table is not None:
+    if answers[0].chosen_things is not None:
         tensors |= _things(answers)
-    return packed(tensors, {"names": [answer.text for answer in answers]}, effort)
+        tensors["runner_up"] = np.array([each["thing"] for each in rivals], np.uint16)
+        tensors["runner_up_score"] = np.array([each["score"] for each in rivals], np.float32)
+    return packed(tensors, {"names": [answer.text for answer in answers], "certainties": words}, effort)
 
 
 def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
-    """Return how many things answer each word, [V, 1 + S]: without and with a level of choice, 0 where the votes
-    answer; and their numbers, one after the other."""
+    """Return how many things answer each word, [V, 1 + S]: without and with a level of choice; and their numbers, one
+    after the other."""
     found = [[answer.chosen_things, *answer.things] for answer in answers]
     counts = [[0 if each is None else len(each) for each in row] for row in found]
     numbers = [number for row in found for each in row for number in each or ()]

@@ -163,11 +163,13 @@ def answered(field: LanguageField, scene: DemoScene, labelled: LabelledScene) ->
     pairs = []
     for frame, camera in labelled.frames:
         for answer in field.answer(question_of(scene, frame.labels), camera) if frame.labels else ():
-            assert answer.point is not None
-            hit = any_inside(torch.tensor([answer.point]), frame.boxes[answer.text])
+            point = torch.tensor([answer.point or (-1, -1)])
+            hit = any_inside(point, frame.boxes[answer.text])
             level = field.level_index(answer.level)
             found = iou(answer.mask, frame.masks[answer.text])
-            pairs.append(PairScore(frame.name, answer.text, found, hit, level, answer.score, answer.point))
+            pairs.append(
+                PairScore(frame.name, answer.text, found, hit, level, answer.score or 0.0, answer.point)
+            )
     return SceneScore("", "default", tuple(pairs))
 
 

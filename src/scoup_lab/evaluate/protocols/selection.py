@@ -95,5 +95,6 @@ def score_method(
     chosen = {}
     for label, query in zip(vectors.texts, vectors.queries, strict=True):
         relevancy = fitted.gaussian_relevancy(query[None], vectors.canonical)[:, 0]
-        chosen[label] = select_by_relevancy(relevancy, coded, around, rule.threshold).mask
+        blended = relevancy if around is None else around.blend(relevancy, coded)
+        chosen[label] = select_by_relevancy(blended, coded, rule.threshold).mask
     return score_scene(scene.name, gaussians, scene.frames, chosen, raster_preset, rule)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.query.answer import SceneAnswer
-from scoup.query.locate import MOST_LINKED, Location, connected_parts, location, rough_parts
+from query.conftest import random_vectors
+from scoup.query.answer import Answer, AskedText
+from scoup.query.place import Place, place_of
+from scoup.query.question import Question
+from scoup.query.space import MOST_LINKED, connected_parts, rough_parts
 from scoup.query.thing_shapes import ThingPoints
 from scoup.scene.gaussians import Gaussians
 from support import examples
@@ -22,13 +26,21 @@ from support import examples
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
 
+VECTOR = random_vectors(1, 3)
+ASKED = AskedText(Question(("thing",), VECTOR, VECTOR, VECTOR), 0)
+
+
 @dataclass
 class Placed:
-    """As much of a field as ``location`` looks at."""
+    """As much of a field as ``place_of`` looks at."""
 
     gaussians: Gaussians
+    relevancy: Tensor  # [N] of its only level
     thing_table: None = None
     cameras: None = None
+
+    def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
+        return self.relevancy[None, None]
 
 
 def gaussians_at(means: Tensor, opacities: Tensor | None = None) -> Gaussians:
@@ -39,10 +51,11 @@ def gaussians_at(means: Tensor, opacities: Tensor | None = None) -> Gaussians:
     return Gaussians(means.float(), quats, torch.full((count, 3), 0.01), opacities, torch.zeros(count, 1, 3))
 
 
-def located(means: Tensor, relevancy: Tensor | None = None, opacities: Tensor | None = None) -> Location:
+def located(means: Tensor, relevancy: Tensor | None = None, opacities: Tensor | None = None) -> Place:
     relevancy = torch.full((len(means),), 0.8) if relevancy is None else relevancy
-    answer = SceneAnswer(torch.ones(len(means), dtype=torch.bool), relevancy, "m", 0.8, text="thing")
-    return location(Placed(gaussians_at(means, opacities)), answer)  # pyright: ignore[reportArgumentType]
+    field: Any = Placed(gaussians_at(means, opacities), relevancy)
+    mask = torch.ones(len(means), dtype=torch.bool)
+    return place_of(field, Answer("thing", mask, "m", None, asked=(ASKED,), field=field))
 
 
 def block(count: int, size: list[float], seed: int = 0) -> Tensor:
@@ -69,8 +82,8 @@ def test_a_turned_block_is_found_where_it_is() -> None:
     assert abs(float(found.box.axes[0] @ turn[:, 0])) > 0.99
     assert found.box.axes[2].tolist() == [0, 0, 1]  # without cameras, +z is up
     assert float(torch.linalg.det(found.box.axes)) == pytest.approx(1)
-    assert found.confidence == pytest.approx(0.8, abs=1e-6)
-    assert len(found.gaussians) == 4000
+    assert found.thing is not None
+    assert (found.thing.n_gaussians, found.thing.text, found.thing.number) == (4000, "thing", None)
     corners = found.box.corners()
     assert corners.shape == (8, 3)
     torch.testing.assert_close(corners.mean(0), found.box.centre)
@@ -115,7 +128,8 @@ def test_strays_do_not_move_it() -> None:
     assert found.position is not None
     assert (found.position - alone.position).norm() < 0.1
     assert found.box.extent.max() < 1.3 * alone.box.extent.max()
-    assert int((found.gaussians < 60).sum()) <= 1
+    assert found.thing is not None
+    assert int((found.thing.gaussians < 60).sum()) <= 1
 
 
 def test_of_two_things_the_heavier_is_meant() -> None:
@@ -141,8 +155,8 @@ def test_a_gaussian_weighs_its_opacity_times_its_relevancy() -> None:
 def test_what_has_no_place() -> None:
     for empty in (torch.zeros(0, 3), torch.full((4, 3), torch.nan)):
         found = located(empty)
-        assert (found.position, found.box, found.confidence) == (None, None, 0.0)
-        assert "not in this scene" in repr(found)
+        assert (found.thing, found.position, found.box, found.presence) == (None, None, None, False)
+        assert found.record()["position"] is None
     assert located(torch.ones(5, 3), opacities=torch.zeros(5)).position is None
 
 
@@ -151,6 +165,7 @@ def test_a_few_gaussians_at_one_place_make_a_box_without_extent(count: int) -> N
     found = located(torch.full((count, 3), 2.5))
     assert found.position is not None
     assert found.box is not None
+    assert found.presence
     assert found.position.tolist() == [2.5, 2.5, 2.5]
     assert float(found.box.extent.abs().max()) < 1e-6
     assert torch.isfinite(found.box.axes).all()

@@ -1,0 +1,88 @@
+"""The place of an answer in the world: that of its best thing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from scoup.base.counts import verb
+from scoup.base.html import card
+from scoup.base.records import rounded_vector
+from scoup.query.answer import Answer
+from scoup.query.coded_scene import CodedScene
+from scoup.query.scene_things import Thing, things_of_answer
+from scoup.query.space import metres_record
+from scoup.query.thing_shapes import OrientedBox
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Place:
+    """The place of an answer in the world. Tensors are on the CPU.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> place = field.location(field.question("kettle", always=True))
+        >>> place.position.shape
+        torch.Size([3])
+    """
+
+    answer: Answer
+    """All that answers, with level, score and presence."""
+    thing: Thing | None
+    """The first of ``field.things``; None if it is not there."""
+
+    @property
+    def position(self) -> Tensor | None:
+        """[3] float64 world units, the median of the thing's Gaussians; None if it is not there."""
+        return None if self.thing is None else self.thing.position
+
+    @property
+    def box(self) -> OrientedBox | None:
+        """Around the thing; None if it is not there."""
+        return None if self.thing is None else self.thing.box
+
+    @property
+    def presence(self) -> bool:
+        """Whether the thing is there; true if that was not judged and any Gaussian answers."""
+        return self.thing is not None
+
+    def __repr__(self) -> str:
+        return f"Place({self.answer.text!r}: {self.said()})"
+
+    def _repr_html_(self) -> str:
+        facts = {name: value for name, value in self.record().items() if name != "box"}
+        return card(f"{self.answer.text!r} in the world", facts | (self.record()["box"] or {}))
+
+    def said(self, metres_per_unit: float | None = None) -> str:
+        """Return position, extent and score in a few words; in metres, too, if the length of the unit is known."""
+        if self.thing is None:
+            return self.answer.remark()
+        extent = " x ".join(f"{side:.3g}" for side in self.thing.box.extent.tolist())
+        if metres_per_unit is not None:
+            sides = (self.thing.box.extent * metres_per_unit).tolist()
+            extent += f" ({' x '.join(f'{side:.3g}' for side in sides)} m)"
+        position = ", ".join(f"{part:g}" for part in rounded_vector(self.thing.position.tolist()))
+        numbers = f", {numbered_things(self.answer.things)}" if self.answer.things else ""
+        return f"[{position}], extent {extent}{numbers}, {self.answer.remark()}"
+
+    def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+        """Return the place as plain JSON values, rounded; in metres, too, if the length of the unit is known."""
+        return {
+            **metres_record(self.position, self.box, metres_per_unit),
+            "position": None if self.position is None else rounded_vector(self.position.tolist()),
+            "box": None if self.box is None else self.box.record(),
+            **self.answer.record(),
+        }
+
+
+def numbered_things(numbers: Sequence[int]) -> str:
+    """Return the numbers of one or more things as people read them."""
+    return f"{verb(len(numbers), 'thing', 'things')} {', '.join(map(str, numbers))}"
+
+
+def place_of(field: CodedScene, answer: Answer) -> Place:
+    """Return the place of an answer of ``answer_scene``; ``field.location`` calls this."""
+    return Place(answer, next(iter(things_of_answer(field, answer)), None))

@@ -1,0 +1,209 @@
+"""One answer: no two ways to ask a scene for a text contradict each other."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+import torch
+
+from query.conftest import without_things
+from scoup import raster
+from scoup.field.language_field import LanguageField
+from scoup.io import load_cameras, load_gaussians, load_regions
+from scoup.query.answer import Answer, ViewAnswer
+from scoup.query.answering import INSIDE
+from scoup.query.question import Question
+from scoup.query.view_masks import main_parts
+from scoup.scene.cameras import Camera
+from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
+from scoup_lab.data.labels import read_labels
+from scoup_lab.synthetic.scene import make_demo_scene
+
+SETTINGS = BuildSettings(n_atoms=32, epochs=200)
+ROUNDING = 1e-5  # of shares of pixels
+
+
+def check_scene(field: LanguageField, question: Question) -> Answer:
+    """Ask for one text in every way that the scene has."""
+    (text,) = question.texts
+    answer = field.answer(question)
+    things, place, labels = field.things(question), field.location(question), field.label(question)
+    selected = field.select(question)
+    assert selected.mask.equal(answer.mask)
+    assert selected.record() == answer.record()
+    assert (bool(answer.mask.any()), bool(answer.things)) == (
+        bool(things), bool(things) and field.thing_table is not None,
+    )  # fmt: skip
+    if not answer.presence:
+        assert not things
+    assert [thing.number for thing in things if thing.number is not None] == list(answer.things)
+    assert {thing.level for thing in things} <= {answer.level}
+    assert {thing.text for thing in things} <= {text}
+    of_things = torch.zeros(len(field), dtype=torch.bool)
+    for thing in things:
+        of_things[thing.gaussians] = True
+    if answer.things:
+        assert of_things.equal(answer.mask)
+        assert things[0].score == answer.score
+        scores = [thing.score or 0.0 for thing in things]
+        assert scores == sorted(scores, reverse=True)
+        assert answer.runner_up is None or answer.runner_up.thing not in answer.things
+    else:  # connected parts, without strays
+        assert not (of_things & ~answer.mask).any()
+    for found in (place, field.location(answer)):
+        assert found.answer.record() == answer.record()
+        first = None if found.thing is None else found.thing.record()
+        assert first == (things[0].record() if things else None)
+        assert found.presence == bool(things)
+        assert found.position is None or found.position.equal(things[0].position)
+    assert labels.mask(text).equal(answer.mask)
+    assert (labels.levels, labels.scores, labels.presence, labels.things) == (
+        (answer.level,), (answer.score,), (answer.presence,), (answer.things,),
+    )  # fmt: skip
+    return answer
+
+
+def check_view(seen: ViewAnswer, answer: Answer, shares: torch.Tensor, whole: torch.Tensor) -> None:
+    """Compare an answer in a view with the shares [H, W] of its Gaussians, and of all that count."""
+    assert (seen.text, seen.level, seen.score, seen.presence) == (
+        answer.text, answer.level, answer.score, answer.presence,
+    )  # fmt: skip
+    clear = (shares - INSIDE * whole).abs() > ROUNDING
+    assert seen.mask[clear].equal((shares > INSIDE * whole)[clear])
+    parts, largest = main_parts(seen.mask)
+    assert seen.main_parts.equal(parts)
+    assert not (parts & ~seen.mask).any()
+    if not seen.mask.any():
+        assert (seen.point, seen.box, seen.visible, seen.coverage) == (None, None, False, 0)
+        return
+    rows, columns = parts.any(1).nonzero()[:, 0], parts.any(0).nonzero()[:, 0]
+    assert seen.box == (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
+    assert seen.point is not None
+    x, y = seen.point
+    assert bool(largest[y, x])
+    assert bool(seen.mask[y, x])
+    assert float(shares[y, x]) > INSIDE * float(whole[y, x]) - ROUNDING
+
+
+def check_words(field: LanguageField, words: Sequence[str]) -> list[Answer]:
+    """Ask for each word alone, with others, and with a refusal of absence; return the answers of the last."""
+    judged = field.answer(field.question(list(words)))
+    assert {answer.presence for answer in judged} == {True, False}
+    forced = field.answer(field.question(list(words), always=True))
+    for word, one, other in zip(words, judged, forced, strict=True):
+        alone = check_scene(field, field.question(word))
+        assert alone.mask.equal(one.mask)
+        assert alone.record() == one.record()
+        assert (one.level, one.score) == (other.level, other.score)
+        if one.presence:
+            assert one.record() == other.record()
+            continue
+        alone = check_scene(field, field.question(word, always=True))
+        assert alone.mask.equal(other.mask)
+        assert alone.record() == other.record()
+    return forced
+
+
+def check_catalog(field: LanguageField, answers: Sequence[Answer]) -> None:
+    of_text, found = {answer.text: answer for answer in answers}, 0
+    for thing in field.catalog(list(of_text)).things:
+        answer = of_text[thing.text]
+        if thing.number in answer.things:
+            scores = {each.number: each.score for each in field.things(answer.asked[0].question)}
+            assert scores[thing.number] == thing.score
+            found += 1
+    assert found
+
+
+def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequence[Camera]) -> None:
+    answers, table = check_words(field, words), field.thing_table
+    counting = field.coded_levels() if table is None else table.owned
+    masks = torch.stack([*(answer.mask for answer in answers), *counting], 1).float()
+    for camera in cameras:
+        projection = field.project(camera)
+        image = raster.render_values(projection, masks)
+        seen = field.answer(field.question(list(words), always=True), camera, projection=projection)
+        for number, (each, answer) in enumerate(zip(seen, answers, strict=True)):
+            whole = image[..., len(words) + field.level_index(answer.level)]
+            check_view(each, answer, image[..., number], whole)
+        for number, answer in enumerate(answers[:3]):
+            one = field.question(words[number], always=True)
+            for alone in (answer, field.answer(one), field.select(one)):
+                assert alone.in_view(camera, projection).mask.equal(seen[number].mask)
+    if table is not None:
+        check_catalog(field, answers)
+
+
+@pytest.fixture(scope="module")
+def demo() -> tuple[LanguageField, list[str]]:
+    scene = make_demo_scene(0, 4000, 96, 72, 6, 0)
+    field = build(scene.gaussians, scene.building, scene.regions, SETTINGS)
+    field.text_encoder(dict(zip(scene.words.texts, torch.from_numpy(scene.words.vectors), strict=True)))
+    names = {name for level in field.levels for name in scene.parts.names(level)}
+    words = [word for word in scene.words.texts if word in names]
+    others = [word for word in scene.words.texts if word not in names]
+    return field, [*words, *others[:10]]
+
+
+@pytest.mark.parametrize("has_things", [True, False])
+def test_the_demo_scene(demo: tuple[LanguageField, list[str]], has_things: bool) -> None:
+    field, words = demo
+    assert field.cameras is not None
+    check_everything(field if has_things else without_things(field), words, list(field.cameras))
+
+
+def photographed(folder: Path) -> LanguageField:
+    gaussians, cameras = load_gaussians(folder / "point_cloud.splat"), load_cameras(folder)
+    return build(gaussians, cameras, load_regions(folder / "language_features", cameras), SETTINGS)
+
+
+def desk(data: Path, _: Path) -> tuple[LanguageField, list[str]]:
+    field = photographed(data / "desk")
+    field.text_encoder(data / "desk" / "desk_words.npz")
+    return field, ["kettle", "laptop computer", "penguin"]
+
+
+def kitchen(data: Path, out: Path) -> tuple[LanguageField, list[str]]:
+    folder = data / "kitchen"
+    script = [sys.executable, folder / "make_langsplat_features.py", folder, "--out", out]
+    subprocess.run([str(part) for part in script], check=True, capture_output=True)
+    cameras = load_cameras(folder, downscale=4)
+    regions = load_regions(out, cameras)
+    field = build(load_gaussians(folder / "scene" / "model.splat"), cameras, regions, SETTINGS)
+    field.text_encoder(data / "clip" / "text_vit_b16_laion2b.npz")
+    return field, sorted({name for frame in read_labels(folder / "label") for name in frame.labels})
+
+
+def real(name: str) -> Callable[[Path, Path], tuple[LanguageField, list[str]]]:
+    def made(data: Path, _: Path) -> tuple[LanguageField, list[str]]:
+        field = photographed(data / "real" / name)
+        field.text_encoder(data / "desk" / "desk_words.npz")
+        return field, list(json.loads((data / "real" / name / "words.json").read_text()))
+
+    return made
+
+
+REAL = {
+    "desk": desk,
+    "kitchen": kitchen,
+    **{f"real/{name}": real(name) for name in ("table-20", "shelves-20", "hall-20", "yard-20")},
+}
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REAL)
+def test_a_real_scene(data_folder: Path, tmp_path: Path, name: str) -> None:
+    if not (data_folder / name).is_dir():
+        pytest.skip(f"no {name} in {data_folder}")
+    field, words = REAL[name](data_folder, tmp_path)
+    known = field.text_encoder().names
+    absent = [word for word in known if word not in words][:: max(1, len(known) // 12)]
+    assert field.cameras is not None
+    check_everything(field, [*words, *absent], field.cameras.scaled(0.25)[:: len(field.cameras) // 3])

@@ -1,0 +1,110 @@
+"""Boxes, parts and points of masks against literal loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from raster.parity import needs_native
+from scoup.query.view_masks import (
+    LEAST_SHARE,
+    main_parts,
+    mask_box,
+    mask_parts,
+    most_relevant_pixel,
+    plain_mask_parts,
+)
+from support import examples
+
+
+def flooded(mask: Tensor) -> list[set[tuple[int, int]]]:
+    """Sets of pixels that touch, in the order of their first pixels."""
+    left, parts = {(y, x) for y, x in mask.nonzero().tolist()}, []
+    for first in sorted(left):
+        if first not in left:
+            continue
+        reached, waiting = set(), [first]
+        while waiting:
+            y, x = waiting.pop()
+            if (y, x) in left:
+                left.remove((y, x))
+                reached.add((y, x))
+                waiting += [(y + i, x + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        parts.append(reached)
+    return parts
+
+
+masks = st.builds(
+    lambda shape, share, seed: torch.rand(shape, generator=torch.Generator().manual_seed(seed)) < share / 10,
+    st.tuples(st.integers(1, 16), st.integers(1, 16)),
+    st.integers(0, 10),
+    st.integers(0, 2**31),
+)
+
+
+@settings(max_examples=examples(60))
+@given(masks)
+def test_boxes_and_main_parts_are_what_a_flood_reaches(mask: Tensor) -> None:
+    parts = flooded(mask)
+    kept, largest = main_parts(mask)
+    if not parts:
+        assert not kept.any()
+        assert not largest.any()
+        assert mask_box(mask) is None
+        return
+    areas = [len(part) for part in parts]
+    most = max(areas)
+    assert {tuple(each) for each in largest.nonzero().tolist()} == parts[areas.index(most)]
+    expected = set().union(*(part for part in parts if len(part) >= LEAST_SHARE * most))
+    assert {tuple(each) for each in kept.nonzero().tolist()} == expected
+    rows, columns = zip(*expected, strict=True)
+    assert mask_box(kept) == (min(columns), min(rows), max(columns) + 1, max(rows) + 1)
+
+
+def test_specks_are_no_main_parts() -> None:
+    mask = torch.zeros(30, 40, dtype=torch.bool)
+    mask[10:20, 10:20] = mask[20, 20] = True  # the last touches at a corner
+    mask[2, 35] = mask[28, 1:3] = True  # of 101 pixels, a fiftieth is 2.02
+    kept, largest = main_parts(mask)
+    assert mask_box(kept) == mask_box(largest) == (10, 10, 21, 21)
+    mask[2, 35:38] = True
+    kept, largest = main_parts(mask)
+    assert (mask_box(kept), mask_box(largest)) == ((10, 2, 38, 21), (10, 10, 21, 21))
+    assert mask_box(torch.zeros(0, 4, dtype=torch.bool)) is None
+
+
+@settings(max_examples=examples(60))
+@given(masks, st.integers(0, 2**31))
+def test_the_most_relevant_pixel_has_the_largest_mean_around_it(mask: Tensor, seed: int) -> None:
+    heat = torch.randint(0, 9, mask.shape, generator=torch.Generator().manual_seed(seed)) / 8
+    found = most_relevant_pixel(heat, mask)
+    if not mask.any():
+        assert found is None
+        return
+    assert found is not None
+    means = {
+        (x, y): float(heat[max(0, y - 3) : y + 4, max(0, x - 3) : x + 4].mean())
+        for y, x in mask.nonzero().tolist()
+    }
+    assert means[found] == pytest.approx(max(means.values()), abs=1e-6)
+
+
+def test_of_a_plateau_the_middle_is_the_point() -> None:
+    mask = torch.zeros(40, 60, dtype=torch.bool)
+    mask[5:36, 10:51] = True
+    assert most_relevant_pixel(torch.full((40, 60), 0.7), mask) == (30, 20)
+
+
+@needs_native
+@settings(max_examples=examples(60))
+@given(st.integers(0, 40), st.integers(0, 40), st.floats(0, 1), st.integers(0, 2**31))
+def test_parts_of_a_mask_are_those_of_scipy(height: int, width: int, share: float, seed: int) -> None:
+    mask = np.random.default_rng(seed).random((height, width)) < share
+    parts, count = mask_parts(mask)
+    expected, expected_count = plain_mask_parts(mask)
+    assert count == expected_count
+    np.testing.assert_array_equal(parts, expected)
