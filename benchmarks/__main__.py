@@ -15,10 +15,8 @@ STUDIES = Family(
     """,
     {
         "answers": "benchmarks.answers:Answers",
+        "real": "benchmarks.answers:Real",
         "likeness": "benchmarks.likeness:Likeness",
-        "absence": "benchmarks.absence:Absence",
-        "selection": "benchmarks.selection:Selections",
-        "labels": "benchmarks.labels:Labels",
         "locate": "benchmarks.locate:Locate",
         "things": "benchmarks.things:Things",
         "views": "benchmarks.views:Views",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.desk import DESKS, Desk
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
+from benchmarks.real_scenes import REAL_SCENES, RealScene
 from benchmarks.scenes import scene_of
 from scoup import raster
 from scoup.base.errors import looked_up
@@ -61,8 +61,10 @@ class AnswerScene:
     everyday: Tensor  # [B, D] unit vectors of everyday words, the labels among them
     words: tuple[str, ...]  # the everyday words
     absent: tuple[str, ...]  # those of them that nothing in the scene is called
-    # label -> [N] boolean, the Gaussians that truly are it; empty for desk, where it is not known
+    # label -> [N] boolean, the Gaussians that truly are it; empty for scenes of real models, where it is not known
     members: dict[str, Tensor]
+    # label -> how many instances are visible; empty where that is not known
+    counts: dict[str, int] = field(default_factory=dict)
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
@@ -73,7 +75,9 @@ class AnswerScene:
         """Return what methods are fitted to, with the faults of a case (``scoup_lab.synthetic.faults``)
         drawn by a seed."""
         levels = perturbed(self.levels, case, draw)
-        return UpliftInputs(as_region_sums(levels), [level.embeddings for level in levels])
+        sums = as_region_sums(levels)
+        sums.means = self.gaussians.means.cpu()
+        return UpliftInputs(sums, [level.embeddings for level in levels])
 
 
 class DrawName(NamedTuple):
@@ -100,10 +104,10 @@ class DrawName(NamedTuple):
 
 
 def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
-    """Return a scene by name: a draw of the kitchen (``DrawName``, ``benchmarks.kitchen_draws``), "desk" or "desk-all"
-    (``benchmarks.desk``), or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
-    if name in DESKS:
-        return _desk(name, data)
+    """Return a scene by name: a draw of the kitchen (``DrawName``, ``benchmarks.kitchen_draws``), a scene of real
+    models (``benchmarks.real_scenes``), or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
+    if name in REAL_SCENES:
+        return _real_scene(name, data)
     draw = DrawName.parse(name)
     if draw is not None:
         return _kitchen_draw(data, draw, size.kitchen_scale)
@@ -129,11 +133,12 @@ def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
     return prepared(str(name), truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members)
 
 
-def _desk(name: str, data: Path) -> AnswerScene:
-    desk = Desk.open(name, data)
-    gaussians = scoup.load_gaussians(data / "desk" / "point_cloud.splat")
-    texts = Texts(desk.canonical, desk.words, desk.everyday, desk.absent)
-    return prepared(name, gaussians, desk.cameras, desk.regions, desk.frames, texts, {})
+def _real_scene(name: str, data: Path) -> AnswerScene:
+    scene = RealScene.open(name, data)
+    gaussians = scoup.load_gaussians(scene.folder / "point_cloud.splat")
+    texts = Texts(scene.canonical, scene.words, scene.everyday, scene.absent)
+    found = prepared(name, gaussians, scene.cameras, scene.regions, scene.frames, texts, {})
+    return replace(found, counts=scene.counts)
 
 
 class Texts(NamedTuple):

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import mean
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 
+from benchmarks.answer_fit import fit_record, fit_row, fit_table
+from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence_table
 from benchmarks.answer_scenes import AnswerScene, make_scene
+from benchmarks.drawn import answers_of, drawn_masks
+from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Record
 from benchmarks.ways import DRAWS, LAYOUTS, WAYS, StudyOfScenes, groups_of
 from scoup.models.words import with_everyday
-from scoup.query.answering import answer_view
-from scoup.query.localize import localize
 from scoup.query.presence import PRESENT_FROM
-from scoup.query.presets import QUERY_PRESETS
-from scoup.query.question import Question
-from scoup.query.segment import segment
 from scoup.uplift.build_settings import BuildSettings
-from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
+from scoup_lab.evaluate.relevancy_maps import localize, segment
+from scoup_lab.evaluate.rules import MASK_RULES
 
 RULES = ("peak", "always", "asked", "localisation")
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
@@ -47,13 +48,14 @@ class Answers(StudyOfScenes):
     are simulated everywhere but on desk: figures compare ways with each other and cannot be set against published ones.
 
     All ways are scored by the same rules. peak: the protocol of LERF-OVS, threshold 0.6, the level with the largest
-    relevancy. always: as `scoup query --always` answers. asked: as `scoup query` answers; a text that it calls absent
+    relevancy. always: as `scoup query --always` answers, once in the scene: by things, or without them by the Gaussians
+    above the threshold at which the answer changes least. asked: as `scoup query` answers; a text that it calls absent
     scores 0, and ways that are no field, which cannot judge presence, have none. localisation: by the protocol of
-    LERF-OVS, 1 where the point is right.
+    LERF-OVS, 1 where the point is right. presence: scores of the labels, and of up to 40 absent words.
     """
 
     scenes: tuple[str, ...] = (*DRAWS, *(f"{name}x2" for name in DRAWS), *LAYOUTS)
-    """Draws of the kitchen, layouts of benchmarks.scenes with a seed, desk and desk-all."""
+    """Draws of the kitchen, layouts of benchmarks.scenes with a seed, scenes of benchmarks.real_scenes."""
     cases: tuple[str, ...] = ("clean",)
     """Faults, see scoup_lab.synthetic.faults."""
     ways: tuple[str, ...] = ("dense", "votes", "default")
@@ -62,10 +64,17 @@ class Answers(StudyOfScenes):
     """Of the codebook; scores are means over them."""
     epochs: int = 4000
     """Of the Adam solver."""
+    fit: bool = False
+    """Choose the constants of the answer in place of scoring: the best of a grid on all scenes, and what the best on
+    all other scenes reaches on each."""
 
-    rows_depend_on: ClassVar[tuple[str, ...]] = ("seeds", "epochs", "size")
+    rows_depend_on: ClassVar[tuple[str, ...]] = ("seeds", "epochs", "size", "fit")
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        if self.fit:
+            for key, scene, fitted in self.fields(known, self.seeds[0]):
+                yield key, fit_row(scene, fitted)
+            return
         for name in self.scenes:
             keys = [
                 (case, way) for case in self.cases for way in self.ways if f"{name}/{case}/{way}" not in known
@@ -90,14 +99,25 @@ class Answers(StudyOfScenes):
         }
         by_seeds = {rule: [round(mean(of[rule]), 4) for of in by_seed] for rule in RULES if by_seed[0][rule]}
         seconds = round(time.perf_counter() - started, 1)
-        return {**means, "seeds": by_seeds, "bytes_per_gaussian": size, "seconds": seconds}
+        presence = by_seed[0]["presence"]
+        return {
+            **means,
+            "presence": presence,
+            "seeds": by_seeds,
+            "bytes_per_gaussian": size,
+            "seconds": seconds,
+        }
 
     def line(self, figures: Any) -> str:
+        if self.fit:
+            return "tried"
         scores = figures["scores"]
         return "  ".join(f"{rule} {mean(scores[rule]):.3f}" for rule in RULES if scores[rule])
 
     def record(self, rows: dict[str, Any]) -> Record:
         """Return means over scenes, and paired differences: queries are drawn, each scene counting alike."""
+        if self.fit:
+            return {"fit": fit_record(rows)}
         pairs: Record = {}
         scores: Record = {}
         for key, figures in rows.items():
@@ -126,6 +146,8 @@ class Answers(StudyOfScenes):
                 for first, second in COMPARED
                 if {first, second} <= set(self.ways)
             },
+            "presence": presence_of_groups(scores, groups_of(self.scenes), self.ways),
+            "counts": counts_of_scenes(scores),
             "pairs": pairs,
             "scores": {
                 cell: {way: scores[cell][way] for way in self.ways if way in scores[cell]} for cell in scores
@@ -134,39 +156,66 @@ class Answers(StudyOfScenes):
 
     @staticmethod
     def table(record: Record) -> str:
+        if "fit" in record:
+            return fit_table(record["fit"])
         keys = next(iter(record["ways"].values()))
         return "\n".join(f"\n{key}\n\n" + table_of(record, key) for key in keys)
 
 
-def score(scene: AnswerScene, fitted: FittedMethod) -> dict[str, list[float]]:
-    """Return per rule the IoU of each (frame, label) pair, or whether it is a hit; none if the way cannot follow it."""
+def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
+    """Return per rule the IoU of each (frame, label) pair, or whether it is a hit; and the scores of texts that are in
+    the scene and of those that are not, for fields.
+    """
     scores: dict[str, list[float]] = {rule: [] for rule in RULES}
-    everyday = with_everyday(scene.canonical, scene.everyday)
-    fixed, asked = QUERY_PRESETS["scoup"], QUERY_PRESETS["default"]
-    field = fitted.field if isinstance(fitted, FittedField) else None
-    if field is not None:
-        field.attach(scene.gaussians, known=True)
-    for (frame, view), camera in zip(scene.frames, scene.cameras, strict=True):
+    everyday, fixed = with_everyday(scene.canonical, scene.everyday), MASK_RULES["scoup"]
+    labels, absent = tuple(scene.queries), scene.absent[:MOST_ABSENT]
+    answers = answers_of(scene, fitted, labels, everyday)
+    for frame, view in scene.frames:
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
-        if field is not None:
-            question = Question(
-                tuple(frame.labels), queries, everyday, scene.everyday, scene.name, present_from=-math.inf
-            )
-            answers = answer_view(field, camera, question, view)
-            found = [iou(answer.mask, frame.masks[answer.text]) for answer in answers]
-            scores["always"] += found
-            there = [(answer.z_score or 0) >= PRESENT_FROM for answer in answers]
-            scores["asked"] += [each * float(present) for each, present in zip(found, there, strict=True)]
-        for position, label in enumerate(frame.labels):
-            truth = frame.masks[label]
+        masks = drawn_masks([answers[label] for label in frame.labels], view)
+        for position, (label, mask) in enumerate(zip(frame.labels, masks, strict=True)):
+            truth, score = frame.masks[label], answers[label].score
+            found = iou(mask, truth)
+            scores["always"].append(found)
+            if score is not None:
+                scores["asked"].append(found * float(score >= PRESENT_FROM))
             hit = any_inside(localize(plain[:, position], fixed).pixels, frame.boxes[label])
             scores["localisation"].append(float(hit))
             scores["peak"].append(iou(segment(plain[:, position], fixed).mask, truth))
-            if field is None:
-                votes = segment(fitted.relevancy(view, queries[[position]], everyday)[:, 0], asked)
-                scores["always"].append(iou(votes.mask, truth))
-    return scores
+    of_absent = answers_of(scene, fitted, absent, everyday) if absent else {}
+    presence = {
+        "present": [answers[label].score for label in labels],
+        "absent": [answer.score for answer in of_absent.values()],
+    }
+    counts = [
+        [scene.counts[label], answers[label].count]
+        for label in labels
+        if scene.counts.get(label) and answers[label].count
+    ]
+    return {**scores, "presence": presence, "counts": counts}
+
+
+def counts_of_scenes(scores: Record) -> Record:
+    """Return how many words with one instance were counted exactly, and of those with several how many exactly and
+    within 1, with the numbers of words: per scene and in all.
+    """
+    found: Record = {}
+    for cell, ways in scores.items():
+        pairs = np.array(ways.get("default", {}).get("counts") or np.zeros((0, 2)))
+        if len(pairs):
+            one, off = pairs[:, 0] == 1, np.abs(pairs[:, 0] - pairs[:, 1])
+            found[cell.split("/")[0]] = {
+                "one, exact": [int((off[one] == 0).sum()), int(one.sum())],
+                "several, exact": [int((off[~one] == 0).sum()), int((~one).sum())],
+                "several, within 1": [int((off[~one] <= 1).sum()), int((~one).sum())],
+            }
+    if found:
+        kinds = next(iter(found.values()))
+        found["all"] = {
+            kind: [sum(of[kind][place] for of in found.values()) for place in (0, 1)] for kind in kinds
+        }
+    return found
 
 
 def table_of(record: Record, key: str) -> str:
@@ -209,3 +258,48 @@ def _difference(
         scenes += [cell] * len(of_cell)
     found = bootstrap_interval(values, labels, scenes=scenes)
     return [round(value, 4) for value in (found.mean, found.low, found.high)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Real(Answers):
+    """Score ways of building a field, presence and counts on scenes with real masks and real embeddings.
+
+    The scenes are those of `benchmarks.real_scenes` whose data are at hand: desk, and rendered photographs of a table,
+    shelves, a hall and a yard, with two poolings of the embeddings each. Rules and figures are those of `benchmarks
+    answers`. The constants of the answer were chosen on these scenes; `benchmarks answers --fit` says what constants
+    chosen on the other scenes reach on each.
+    """
+
+    scenes: tuple[str, ...] = tuple(REAL_SCENES)
+    """Scenes of benchmarks.real_scenes."""
+    ways: tuple[str, ...] = ("default", "votes", "paper", "dense")
+    """Names of benchmarks.ways.WAYS."""
+    seeds: tuple[int, ...] = (2,)
+    """Of the codebook."""
+
+    def record(self, rows: dict[str, Any]) -> Record:
+        """Return figures per scene, none of single words."""
+        return {key: of for key, of in super().record(rows).items() if key not in ("pairs", "scores")}
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return `always` of each way on each scene."""
+        ways = list(record["scenes"])
+        cells = list(record["scenes"][ways[0]])
+        body = [
+            [cell.removesuffix("/clean"), *(f"{record['scenes'][way][cell]['always']:.3f}" for way in ways)]
+            for cell in cells
+        ]
+        means = [mean(record["scenes"][way][cell]["always"] for cell in cells) for way in ways]
+        body.append(["mean", *(f"{each:.3f}" for each in means)])
+        counts = [
+            [name, *("{} of {}".format(*pair) for pair in of.values())]
+            for name, of in record["counts"].items()
+        ]
+        heads = ["names counted", *next(iter(record["counts"].values()), {})]
+        tables = (
+            markdown(["scene, mIoU", *ways], body),
+            presence_table(record["presence"]),
+            markdown(heads, counts),
+        )
+        return "\n\n".join(tables)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.desk import DESKS, Desk
+from benchmarks.real_scenes import REAL_SCENES, RealScene
 from scoup.query.text_vectors import TextVectors
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
@@ -55,8 +55,8 @@ def entropy_rows(demo: DemoScene) -> dict[str, Any]:
 
 def desk_scene(data: Path) -> StudyScene:
     """Return the real scene desk, all of whose photographs are built from."""
-    desk, folder = Desk.open("desk", data), data / "desk"
-    files = folder, folder / "point_cloud.splat", folder / DESKS["desk"]
+    desk, folder = RealScene.open("desk", data), data / "desk"
+    files = folder, folder / "point_cloud.splat", folder / REAL_SCENES["desk"][1]
     labelled = LabelledScene("desk", *files, desk.cameras, PROTOCOL, desk.frames)
     labels, canonical = tuple(labelled.labels), desk.canonical
     queries = torch.stack([desk.everyday[desk.words.index(label)] for label in labels])

@@ -16,11 +16,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 import tyro
 
-from benchmarks.absence import Absence
+from benchmarks.answers import Answers, Real
 from benchmarks.city import Cities
 from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
@@ -29,13 +30,11 @@ from benchmarks.editors import Editors
 from benchmarks.embed import Embedding
 from benchmarks.endurance import Endurance
 from benchmarks.extract import Extraction
-from benchmarks.labels import Labels
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.likeness import Likeness
 from benchmarks.locate import Locate
 from benchmarks.mask_rules import MaskRules
 from benchmarks.query import Query
-from benchmarks.selection import Selections
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
@@ -56,25 +55,32 @@ def record(name: str) -> dict[str, Any]:
 
 
 def readme() -> str:
-    """Return three ways of building by two rules, the real scene first; in its columns the best is bold."""
-    ways = record("answers")["ways"]
+    """Return four ways of building on scenes with real models and on simulated ones; bold: the best of a column."""
+    real, simulated = record("real"), record("answers")["ways"]
     names = {
         "default": "`scoup build`",
+        "votes": "the same without things",
         "paper": "`scoup build --preset paper`",
         "dense": "dense 512-d uplift",
     }
-    rules = {"always": "`--always`", "peak": "LERF-OVS"}
+    columns = {
+        title: {
+            way: mean(of["always"] for cell, of in real["scenes"][way].items() if cell.startswith(name))
+            for way in names
+        }
+        for name, title in REAL_COLUMNS.items()
+    } | {
+        title: {way: simulated[way][f"{group}, clean"]["always"] for way in names}
+        for group, title in README_COLUMNS.items()
+    }
     rows = []
-    for rule, rule_title in rules.items():
-        of = {way: [ways[way][f"{group}, clean"][rule] for group in README_COLUMNS] for way in names}
-        best = [max(column) for column in zip(*of.values(), strict=True)]
-        for way, title in names.items():
-            cells = [
-                f"**{found:.3f}**" if found == most else f"{found:.3f}"
-                for found, most in zip(of[way], best, strict=True)
-            ]
-            rows.append([rule_title, title, *cells])
-    return markdown(["rule", "mIoU", *README_COLUMNS.values()], rows)
+    for way, title in names.items():
+        cells = [
+            f"**{of[way]:.3f}**" if of[way] == max(of.values()) else f"{of[way]:.3f}"
+            for of in columns.values()
+        ]
+        rows.append([title, *cells])
+    return markdown(["mIoU", *columns], rows)
 
 
 def extraction() -> str:
@@ -116,8 +122,11 @@ def whole_way() -> str:
     return markdown(["step", "measured on", "time"], rows)
 
 
+REAL_COLUMNS = {
+    "desk": "**desk, all real**",
+    **{name: f"**{name}**" for name in ("table", "shelves", "hall", "yard")},
+}
 README_COLUMNS = {
-    "desk (real)": "**real photographs, masks, embeddings (desk)**",
     "kitchen draws, desk's statistics": "simulated: kitchen, as desk",
     "kitchen draws, CLIP's statistics": "kitchen, as CLIP",
     "kitchen draws": "kitchen, as before",
@@ -164,18 +173,17 @@ def points(name: str, metric: str) -> str:
 
 
 STUDIES: dict[str, tuple[type[Study], str]] = {
-    "selections": (Selections, "selection"),
-    "labels": (Labels, "labels"),
     "locate": (Locate, "locate"),
     "things": (Things, "things"),
     "views": (Views, "views"),
-    "absence": (Absence, "absence"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "coding, compared": (Coding, "coding"),
     "extract": (Extraction, "extract"),
     "embed": (Embedding, "embed"),
     "mask rules": (MaskRules, "mask_rules"),
     "likeness": (Likeness, "likeness"),
+    "real": (Real, "real"),
+    "constants": (Answers, "answers_fit"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "editors": (Editors, "editors"),
@@ -201,11 +209,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""
-SCENES_IN_THE_RECORD = r"(kitchen|table|shelves|hall|yard)-\d+"
 HIDDEN = {
-    "selections": SCENES_IN_THE_RECORD,
-    "labels": SCENES_IN_THE_RECORD,
-    "absence": r"from (0|0\.5|1|4)",
     "likeness": r"desk-all",
     "coding, compared": "20,000",
     "bench": "100,000",

@@ -49,7 +49,11 @@ def _points(values: list[float]) -> str:
 
 
 def _accuracy(record: Records) -> list[list[str]]:
-    beside = record("answers")["differences"]["paper - dense"]
+    beside = {
+        key: of
+        for name in ("answers", "real")
+        for key, of in record(name)["differences"]["paper - dense"].items()
+    }
     found = [beside[key]["peak"] for key in (CLEAN, NOISE, LAYOUTS)]
     measured = "; ".join(
         f"{name} {_points(each)}"

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 
 from benchmarks.data import data_folder
-from benchmarks.desk import DESKS, Desk
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.extract import FOUND
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.mask_rules import FATES, fate
+from benchmarks.real_scenes import RealScene
 from benchmarks.study import Record, Study
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS, Regions
@@ -51,9 +51,9 @@ class Likeness(Study):
     """Folder that contains kitchen/, clip/ and desk/."""
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        for name in DESKS:
+        for name in ("desk", "desk-all"):
             if name not in known:
-                desk = Desk.open(name, self.data)
+                desk = RealScene.open(name, self.data)
                 words = dict(zip(desk.words, desk.everyday.numpy(), strict=True))
                 yield name, likeness(desk.regions, desk.frames, words)
         truth = Truth.open(self.data, 1.0)

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.desk import Desk
 from benchmarks.kitchen_draws import Truth, make_draw
+from benchmarks.real_scenes import RealScene
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record
 from scoup import raster
@@ -66,7 +66,7 @@ def _scene(name: str, data: Path) -> tuple[Gaussians, Cameras, Tensor, Tensor | 
         gaussians = scoup.load_gaussians(data / name / "guitar.ply")
         return gaussians, scoup.choose_cameras(gaussians, count=VIEWS), torch.zeros(len(gaussians), 0), None
     if name == "desk":
-        desk = Desk.open(name, data)
+        desk = RealScene.open(name, data)
         field = scoup.build(
             scoup.load_gaussians(data / name / "point_cloud.splat"), desk.cameras, desk.regions
         )

@@ -14,7 +14,6 @@ from benchmarks.query_verbs import verb_seconds
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.segment import localize_and_segment
 from scoup.scene.field_info import FieldInfo
 from scoup_lab.bench import Stopwatch, markdown, random_scene_cameras, random_scene_gaussians, torch_threads
 from scoup_lab.synthetic.random_scene import HEIGHT, WIDTH, clip_like, random_scene_codes
@@ -23,7 +22,6 @@ STAGES = {
     "project": "project, bin and sort",
     "first relevancy": "relevancy, first query through a view",
     "further relevancy": "relevancy, further query through the same view",
-    "place and mask": "place and mask",
     "query, new camera": "whole answer, new camera",
     "query, same camera": "whole answer, same camera",
     "first location": "location in the scene, first text",
@@ -79,19 +77,22 @@ class Query(Study):
                 query, other = queries[number][None], queries[number - 1][None]
                 view = clock("project", field.project, camera, self.backend)
                 clock("first relevancy", field.relevancy, camera, other, canonical, view)
-                maps = clock("further relevancy", field.relevancy, camera, query, canonical, view)
-                clock("place and mask", localize_and_segment, maps[:, 0])
+                clock("further relevancy", field.relevancy, camera, query, canonical, view)
                 fresh = field.with_gaussians(field.gaussians)
                 fresh.text_encoder(words)
                 clock("first location", fresh.location, asked[2 * number])
                 for stage in ("further location", "same location"):
                     clock(stage, fresh.location, asked[2 * number + 1])
+                answer = fresh.answer(asked[2 * number + 1])
+                unseen = field.project(camera, self.backend)
+                for stage in ("drawn, new camera", "drawn, same camera"):
+                    clock(stage, answer.in_view, camera, unseen)
                 clock("ten locations", fresh.location, batch)
                 clock("ten things", fresh.location, self._things(fresh, number))
                 clock("quarter", fresh.answer, asked[2 * number + 1], camera, scale=0.25)
         least = {stage: min(times[1:]) for stage, times in clock.seconds.items()}
-        least["query, new camera"] = least["project"] + least["first relevancy"] + least["place and mask"]
-        least["query, same camera"] = least["further relevancy"] + least["place and mask"]
+        least["query, new camera"] = least["project"] + least.pop("drawn, new camera")
+        least["query, same camera"] = least.pop("drawn, same camera")
         verbs = verb_seconds(field, cameras, self.threads, self.verb_repeats) if self.verb_repeats else {}
         yield "stages", least | {verb: min(times) for verb, times in verbs.items()}
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 import scoup
 from benchmarks.data import data_folder
-from benchmarks.desk import Desk
 from benchmarks.kitchen_draws import Truth, make_draw
+from benchmarks.real_scenes import RealScene
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
@@ -239,7 +239,7 @@ def relations(built: scoup.LanguageField, frame: Frame, cases: Cases, most: int)
 
 def of_desk(data: Path) -> Record:
     """Return how many facts of the real scene are found."""
-    desk = Desk.open("desk", data)
+    desk = RealScene.open("desk", data)
     gaussians = scoup.load_gaussians(data / "desk" / "point_cloud.splat")
     built = scoup.build(gaussians, desk.cameras, desk.regions)
     built.text_encoder(data / "desk" / "desk_words.npz")

@@ -11,9 +11,9 @@ import torch
 
 import scoup
 from benchmarks.answer_scenes import AnswerScene, DrawName, SceneSize, Texts, prepared, texts_of
-from benchmarks.desk import Desk
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.kitchen_draws import Truth, make_draw
+from benchmarks.real_scenes import RealScene
 from benchmarks.scenes import scene_of
 from scoup.base.errors import InputError
 from scoup.extract.own_views import save_views
@@ -111,7 +111,7 @@ def _kitchen(data: Path, name: DrawName, scale: float) -> ViewScene:
 
 
 def _desk(data: Path, observed: Path | None) -> ViewScene:
-    desk = Desk.open(DESK, data)
+    desk = RealScene.open(DESK, data)
     gaussians = scoup.load_gaussians(data / DESK / "point_cloud.splat")
     labelled = {camera.name for _, camera in desk.frames}
 

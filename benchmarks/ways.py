@@ -9,8 +9,8 @@ from typing import Any
 
 from benchmarks.answer_scenes import AnswerScene, DrawName, SceneSize, make_scene
 from benchmarks.data import data_folder
-from benchmarks.desk import DESKS
 from benchmarks.embedding_kinds import KINDS
+from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Study
 from scoup.base.errors import looked_up
 from scoup_lab.baselines.fitted import FittedMethod
@@ -75,8 +75,8 @@ def groups_of(scenes: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _group_of(name: str) -> str:
-    if name in DESKS:
-        return "desk (real)"
+    if name in REAL_SCENES:
+        return "desk (real)" if name.startswith("desk") else "rendered photographs, real models"
     draw = DrawName.parse(name)
     if draw is None:
         return "procedural"

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 from benchmarks import answers
+from benchmarks.answer_fit import GRID, fit_record
 from benchmarks.answer_scenes import SceneSize, make_scene
 from benchmarks.study import run
 from benchmarks.ways import WAYS
@@ -85,6 +86,19 @@ def test_kept_pairs_give_the_means_and_differences(
             pytest.approx(value, abs=1e-4) for value in (expected.mean, expected.low, expected.high)
         ]
     assert set(kept["ways"]["dense"]) == {"procedural, clean", "procedural, wrong20", "all"}
+
+
+def test_constants_are_chosen_on_the_other_scenes() -> None:
+    found = run(tiny(ways=("default",), seeds=(0,), fit=True), "answers")["fit"]
+    assert set(found["means"]) == {"/".join(map(str, each)) for each in GRID}
+    assert found["left out"]["table-0"]["mIoU"] == found["means"][found["constants"]]
+    rows = {
+        "default/a": {"0.5/2.0/0.5": 0.1, "0.5/3.0/0.5": 0.9},
+        "default/b": {"0.5/2.0/0.5": 0.9, "0.5/3.0/0.5": 0.0},
+    }
+    assert (
+        fit_record(rows)["left out"]["a"]["mIoU"] == 0.1 or fit_record(rows)["left out"]["b"]["mIoU"] == 0.0
+    )
 
 
 def test_what_cannot_be(tmp_path: Path) -> None:

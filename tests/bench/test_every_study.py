@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import torch
-from benchmarks import labels, locate
-from benchmarks.absence import Absence, auc
+from benchmarks import locate
+from benchmarks.answer_presence import auc, presence_of_group
 from benchmarks.answer_scenes import SceneSize
 from benchmarks.claims import Claims
 from benchmarks.claims_scenes import as_glass, desk_rows, marked_members, members, study_scene
@@ -16,12 +16,12 @@ from benchmarks.coding import GRAM, PAPER_EPOCHS, PLAIN, Coding
 from benchmarks.documents import STUDIES, record
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
-from benchmarks.selection import RULES, Selections
+from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study, run
 from benchmarks.things import PAIRS, Things
+from benchmarks.true_counts import true_counts
 
 from scoup.coding.exact import EFFORTS
-from scoup.query.label import NONE
 from scoup_lab.bench import usable_backends
 from scoup_lab.synthetic.scene import make_demo_scene
 
@@ -55,8 +55,7 @@ def test_a_whole_build(backend: str) -> None:
 def test_what_it_costs_to_ask() -> None:
     least = ran(Query(n_gaussians=200, n_atoms=8, repeats=2, verb_repeats=1, **SMALL))["least"]
     assert set(least) == set(STAGES)
-    parts = ("project", "first relevancy", "place and mask")
-    assert least["query, new camera"] == pytest.approx(sum(least[part] for part in parts))
+    assert least["query, new camera"] > least["project"]
 
 
 @pytest.mark.slow
@@ -136,45 +135,26 @@ def test_things_and_relations() -> None:
     assert row["bytes"][0] > row["bytes"][1] == 6  # three levels, two bytes each
 
 
-@pytest.mark.slow
-def test_words_of_gaussians() -> None:
-    found = ran(labels.Labels(ways=("default", "dense"), **OF_SCENES))
-    for way in ("default", "dense"):
-        of_words = found["scores"][way]["table-0"]
-        for words in labels.WORDS:
-            assert of_words[words]["words"]["absent"] == (8 if words == "half the words" else 0)
-            assert all(0 < of_words[words][rule]["miou"] < 1 for rule in labels.RULES)
-        # Argmax has no "none of these".
-        half = of_words["half the words"]
-        assert half["as labelled"]["accuracy"] > half["argmax"]["accuracy"]
-
-
-def test_agreement_counts_by_word() -> None:
-    truth = torch.tensor([0, 0, 0, 1, 1, NONE, NONE, NONE])
-    given = torch.tensor([0, 0, 1, 1, NONE, NONE, NONE, 0])
-    found = labels.agreement(truth, given, ["mug", "cup", "pot"])
-    assert found["accuracy"] == 5 / 8
-    assert found["ious"] == {"mug": 2 / 4, "cup": 1 / 3}
-    assert found["none"] == 2 / 4
-    assert found["miou"] == pytest.approx((1 / 2 + 1 / 3) / 2)
-
-
-@pytest.mark.slow
-def test_selections_and_presence() -> None:
-    scores = ran(Selections(**OF_SCENES))["scores"]
-    assert {way: set(of["table-0"]) for way, of in scores.items()} == {way: set(RULES) for way in scores}
-    assert all(0 <= each <= 1 for of in scores.values() for rule in of["table-0"].values() for each in rule)
-    (found,) = ran(Absence(**OF_SCENES))["scenes"].values()
-    assert all(count > 0 for count in found["questions"].values())
-    shares = [of["present"] for of in found["from"].values()]
-    assert shares == sorted(shares, reverse=True)
-
-
 def test_the_area_under_the_curve_counts_ties_half() -> None:
     tensor = torch.tensor([1.0, 2.0]).numpy()
     assert auc(tensor, tensor) == 0.5
     assert auc(tensor + 1, tensor) == 0.875
-    assert auc(tensor, tensor[:0]) is None
+
+
+def test_presence_by_thresholds_chosen_on_the_other_scenes() -> None:
+    one = {"present": [0.9, 0.8], "absent": [0.1, 0.5]}
+    other = {"present": [0.45] * 4, "absent": [0.3]}
+    found = presence_of_group({"desk": one, "table-real": other, "table-real-all": other})
+    assert found["thresholds"] == {"desk": 0.45, "table-real": 0.805, "table-real-all": 0.805}
+    assert found["chosen elsewhere"] == [pytest.approx(1 / 3, abs=1e-4), pytest.approx(2.5 / 3, abs=1e-4)]
+    assert found["from"]["0.37"] == [1.0, pytest.approx(2.5 / 3, abs=1e-4)]
+
+
+def test_visible_instances_are_counted() -> None:
+    cameras = scene_of("table-0", 4000, 160, 120, 6, 2).building
+    meanings = {"either": ["teapot", "table"], "nothing": ["no such name"]}
+    assert true_counts("table", cameras.scaled(4), meanings) == {"either": 2, "nothing": 0}
+    assert true_counts("table", cameras.scaled(0.05), meanings)["either"] == 0
 
 
 @pytest.mark.slow

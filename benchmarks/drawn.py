@@ -1,0 +1,62 @@
+"""Answers of ways of building a field, once in the scene, and their masks in views: one rule for all ways."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from benchmarks.answer_scenes import AnswerScene
+from scoup import raster
+from scoup.query.answering import INSIDE, answer_scene, counting_gaussians
+from scoup.query.question import Question
+from scoup.query.select import select_by_relevancy
+from scoup_lab.baselines.fitted import FittedField, FittedMethod
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnAnswer:
+    """The Gaussians that answer a text."""
+
+    mask: Tensor  # [N] boolean
+    counting: Tensor  # [N] boolean, those whose contributions it must exceed half of
+    score: float | None = None  # None of ways that are no field
+    count: int | None = None  # of instances; None of ways without things
+
+
+def question_of(scene: AnswerScene, texts: Sequence[str], everyday: Tensor) -> Question:
+    """Return the question of some words of a scene; presence is scored and not judged."""
+    queries = torch.stack([scene.everyday[scene.words.index(text)] for text in texts])
+    return Question(tuple(texts), queries, everyday, scene.everyday, scene.name)
+
+
+def answers_of(
+    scene: AnswerScene, fitted: FittedMethod, texts: Sequence[str], everyday: Tensor
+) -> dict[str, DrawnAnswer]:
+    """Return the answer to each word: a field's own, and of other ways the Gaussians that their relevancy selects.
+
+    ``everyday``: [P, D] canonical phrases and the mean of everyday words.
+    """
+    question = question_of(scene, texts, everyday)
+    if isinstance(fitted, FittedField):
+        field = fitted.field
+        field.attach(scene.gaussians, known=True)
+        found = {}
+        for answer in answer_scene(field, question):
+            counting, count = counting_gaussians(field, answer), len(answer.instances) or None
+            found[answer.text] = DrawnAnswer(answer.mask, counting, answer.score, count)
+        return found
+    coded, found = fitted.coded(), {}
+    for text, query in zip(texts, question.queries, strict=True):
+        selected = select_by_relevancy(fitted.gaussian_relevancy(query[None], everyday)[:, 0], coded)
+        found[text] = DrawnAnswer(selected.mask, coded[selected.level])
+    return found
+
+
+def drawn_masks(answers: Sequence[DrawnAnswer], view: raster.Projection) -> list[Tensor]:
+    """Return the pixels [H, W] boolean of each answer (``scoup.query.answering.answer_masks``)."""
+    values = torch.stack([part for answer in answers for part in (answer.mask, answer.counting)], 1)
+    image = raster.render_values(view, values.float())
+    return [mask > INSIDE * whole for mask, whole in image.unflatten(2, (-1, 2)).permute(2, 3, 0, 1)]

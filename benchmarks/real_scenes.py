@@ -1,0 +1,99 @@
+"""Scenes whose masks and embeddings real models made: "desk" (real photographs, splat, labels), and four whose
+photographs are renders, with exact truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+import scoup
+from benchmarks.true_counts import true_counts
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.regions import Regions
+from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
+
+FOLDERS = {
+    "desk": "desk",
+    **{f"{name}-real": f"real/{name}-20" for name in ("table", "shelves", "hall", "yard")},
+}
+REAL_SCENES = {
+    name + suffix: (folder, f"language_features{'_all' if suffix else ''}")
+    for name, folder in FOLDERS.items()
+    for suffix in ("", "-all")
+}
+"""Name of the scene -> its folder and that of its regions: the same masks, with embeddings pooled in two ways."""
+
+
+@dataclass(frozen=True, eq=False)
+class RealScene:
+    """The scene without its Gaussians."""
+
+    folder: Path
+    cameras: Cameras
+    regions: Regions
+    frames: list[tuple[LabelledFrame, Camera]]  # labelled photographs with their cameras
+    words: tuple[str, ...]  # all names that have a text vector but the canonical phrases
+    everyday: Tensor  # [words, D] their unit text vectors
+    canonical: Tensor  # [P, D]
+    absent: tuple[str, ...]  # those words that nothing in the scene is called
+    counts: dict[str, int]  # label -> how many instances are visible; empty for desk, where it is not known
+
+    @classmethod
+    def open(cls, name: str, data: Path) -> RealScene:
+        """Open a scene of ``REAL_SCENES`` from the folder of the data."""
+        place, features = REAL_SCENES[name]
+        folder = data / place
+        cameras = scoup.load_cameras(folder)
+        held_out = folder / "held_out.json"
+        labelled = scoup.load_cameras(held_out) if held_out.exists() else cameras
+        frames = [
+            (frame.resized(camera.width, camera.height), camera)
+            for frame, camera in match_frames(read_labels(folder / "label"), labelled)
+        ]
+        meanings = json.loads((folder / "words.json").read_text())
+        counts: dict[str, int] = {}
+        if held_out.exists():
+            frames = [(renamed(frame, meanings), camera) for frame, camera in frames]
+            counts = true_counts(name.partition("-")[0], cameras, meanings)
+        encoder = scoup.TextEncoder.open(data / "desk" / "desk_words.npz")
+        words = tuple(word for word in encoder.names or () if word not in CANONICAL_PHRASES)
+        desk = json.loads((data / "desk" / "words.json").read_text())["absent"]
+        return cls(
+            folder,
+            cameras,
+            scoup.load_regions(folder / features, cameras),
+            frames,
+            words,
+            torch.nn.functional.normalize(encoder.encode(words), dim=1),
+            encoder.canonical(),
+            tuple(desk)
+            if name.startswith("desk")
+            else tuple(word for word in ABSENT.split(",") if word in words),
+            counts,
+        )
+
+
+def renamed(frame: LabelledFrame, meanings: dict[str, list[str]]) -> LabelledFrame:
+    """Return a frame by the words of a table: {word: the labels it means}, whose masks are united."""
+    masks, boxes = {}, {}
+    for word, labels in meanings.items():
+        there = [label for label in labels if label in frame.masks]
+        if there:
+            masks[word] = torch.stack([frame.masks[label] for label in there]).any(0)
+            boxes[word] = torch.cat([frame.boxes[label] for label in there])
+    return replace(frame, masks=masks, boxes=boxes)
+
+
+ABSENT = (
+    "violin,elephant,surfboard,zebra,piano,snowboard,airplane,horse,toothbrush,refrigerator,"
+    "bicycle,giraffe,umbrella,trumpet,sushi,cow,motorcycle,tractor,canoe,skateboard,bathtub,"
+    "toilet,traffic light,shark,pizza,wedding cake,crown,helmet,lawn mower,pistol,parachute,"
+    "chandelier,wheelchair,hair dryer,grizzly,sailboat,rhinoceros,cannon,fire extinguisher,"
+    "fire engine"
+)
+"""Words for things that none of the rendered scenes contains, separated by commas."""
