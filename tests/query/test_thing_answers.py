@@ -28,10 +28,9 @@ from scoup.query.known_things import (
 )
 from scoup.query.question import Question
 from scoup.query.things import (
-    AGREEMENT,
+    CHOICE_RULE,
     MOST_GAP,
     MOST_TOGETHER,
-    RIVAL,
     SAME,
     TEXTS_AT_A_TIME,
     choose_things,
@@ -96,7 +95,9 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     rivals[thing] = fits[thing]
             rival = max(rivals, key=lambda thing: rivals[thing], default=None)
             lead = 0.0 if rival is None else max(0.0, rivals[rival] - mean)
-            alone[-1].append((min(last - behind, MOST_GAP) - (top - mean) - RIVAL * lead, chosen, rival))
+            alone[-1].append(
+                (min(last - behind, MOST_GAP) - (top - mean) - CHOICE_RULE.rival * lead, chosen, rival)
+            )
     found = []
     for each, sets in enumerate(alone):
         for score, chosen, rival in sets if level in (None, each) else ():
@@ -108,7 +109,7 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     if len(whole & them) > SAME * len(whole | them):
                         best = max(best, their_score + MOST_GAP)
                 added += best
-            found.append((score + AGREEMENT * added, chosen, rival))
+            found.append((score + CHOICE_RULE.agreement * added, chosen, rival))
     return found
 
 
