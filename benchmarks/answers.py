@@ -99,10 +99,10 @@ class Answers(StudyOfScenes):
         }
         by_seeds = {rule: [round(mean(of[rule]), 4) for of in by_seed] for rule in RULES if by_seed[0][rule]}
         seconds = round(time.perf_counter() - started, 1)
-        presence = by_seed[0]["presence"]
+        first = {key: by_seed[0][key] for key in ("presence", "counts")}
         return {
             **means,
-            "presence": presence,
+            **first,
             "seeds": by_seeds,
             "bytes_per_gaussian": size,
             "seconds": seconds,
