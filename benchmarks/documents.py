@@ -70,13 +70,13 @@ def readme() -> str:
         }
         for name, title in REAL_COLUMNS.items()
     } | {
-        title: {way: simulated[way][f"{group}, clean"]["always"] for way in names}
+        title: {way: simulated[way][f"{group}, clean"]["always"] for way in names if way in simulated}
         for group, title in README_COLUMNS.items()
     }
     rows = []
     for way, title in names.items():
         cells = [
-            f"**{of[way]:.3f}**" if of[way] == max(of.values()) else f"{of[way]:.3f}"
+            f"**{of[way]:.3f}**" if of.get(way) == max(of.values()) else f"{of[way]:.3f}" if way in of else ""
             for of in columns.values()
         ]
         rows.append([title, *cells])
@@ -196,7 +196,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme, extraction": extraction,
     "whole way": whole_way,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
-    "answers under faults": lambda: answers(record, "answers_faults", ("always", "peak")),
     "damaged files": lambda: damaged(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),

@@ -51,7 +51,7 @@ def _points(values: list[float]) -> str:
 def _accuracy(record: Records) -> list[list[str]]:
     beside = {
         key: of
-        for name in ("answers", "real")
+        for name in ("answers_protocol", "real")
         for key, of in record(name)["differences"]["paper - dense"].items()
     }
     found = [beside[key]["peak"] for key in (CLEAN, NOISE, LAYOUTS)]

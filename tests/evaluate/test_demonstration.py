@@ -18,7 +18,7 @@ from view.view_samples import PAGE
 
 TINY = ("--n-gaussians", 3000, "--width", 96, "--height", 72, "--views", 4)
 SMALL = ("--n-gaussians", 12000, "--width", 160, "--height", 120, "--views", 6)
-METHODS = {"things and votes", "sparse, top-K vote", "sparse, no top-K", "dense 512-d"}
+METHODS = {"things", "sparse, top-K vote", "sparse, no top-K", "dense 512-d"}
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_demo_finds_things(tmp_path: Path) -> None:
     assert "teapot" in printed
     assert "bytes of codes" in printed
     record = json.loads((tmp_path / "demo" / "scores.json").read_text())
-    method = record["methods"]["things and votes"]
+    method = record["methods"]["things"]
     # Chance level is a few per cent; a broken stage brings it there.
     assert method["miou"] > 0.35
     assert method["accuracy"] > 0.6

@@ -36,7 +36,7 @@ from scoup_lab.synthetic.folder import write_demo_scene
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
 from scoup_lab.synthetic.words import CANONICAL
 
-METHOD, VOTES = "things and votes", "sparse, top-K vote"
+METHOD, VOTES = "things", "sparse, top-K vote"
 ALL_ATOMS, DENSE = "sparse, no top-K", "dense 512-d"
 """The first as `scoup query --always` answers, the others by the paper's rule for LERF-OVS."""
 
