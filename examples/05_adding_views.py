@@ -2,7 +2,8 @@
 
     python examples/05_adding_views.py demo/scene demo/scene/text.npz teapot
 
-Only new views are rasterised. The codebook stays, unless ``new_atoms`` adds some for what no earlier view showed.
+Only new views are rasterised, and the codebook of the first field codes the regions of all. For a window of the newest
+frames of a robot's camera, pass those cameras only: the sums of other views are ignored.
 """
 
 import sys
@@ -17,8 +18,10 @@ regions = scoup.load_regions(scene, cameras)
 half = max(1, len(cameras) // 2)
 
 sums = scoup.region_sums(gaussians, cameras[:half], regions)
-field = scoup.build(gaussians, cameras[:half], regions, words=words, sums=sums)
-print(f"{half} views: {field.location(thing)}")
-for camera in cameras[half:]:
-    field = scoup.update(field, sums, add=[camera], regions=regions, new_atoms=4)
-    print(f"{len(sums)} views: {field.location(thing)}")
+first = scoup.build(gaussians, cameras[:half], regions, words=words, sums=sums)
+print(f"{half} views: {first.location(thing)}")
+for count in range(half + 1, len(cameras) + 1):
+    field = scoup.build(
+        gaussians, cameras[:count], regions, words=words, sums=sums, codebook=first, check_fit=False
+    )
+    print(f"{count} views: {field.location(thing)}")

@@ -83,31 +83,20 @@ def run(*arguments: object) -> tuple[int, str, str]:
     return code, out.getvalue(), err.getvalue()
 
 
-def together(
-    ranks: Sequence[dict[str, str]],
-    *arguments: object,
-    program: str = RUN,
-) -> list[subprocess.CompletedProcess[str]]:
-    """A verb in several processes at a time, and how each ended.
-
-    Args:
-        ranks: variables of each, from ``support.environments``.
-        arguments: of the command line.
-        program: in Python, which runs it.
-    """
-    command = [sys.executable, "-c", program, *map(str, arguments)]
+def together(*commands: Sequence[object]) -> list[subprocess.CompletedProcess[str]]:
+    """Verbs in processes that run at the same time, and how each ended."""
     started = [
         subprocess.Popen(
-            command,
-            env={**os.environ, "OMP_NUM_THREADS": "1", **rank},
+            [sys.executable, "-c", RUN, *map(str, command)],
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
-        for rank in ranks
+        for command in commands
     ]
     ended = [(process, process.communicate(timeout=HANGS)) for process in started]
-    return [subprocess.CompletedProcess(command, one.returncode, *streams) for one, streams in ended]
+    return [subprocess.CompletedProcess([], one.returncode, *streams) for one, streams in ended]
 
 
 def run_json(*arguments: object) -> dict[str, Any]:

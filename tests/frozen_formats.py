@@ -3,9 +3,7 @@
     python tests/frozen_formats.py FOLDER    # writes them
 
 ``tests/frozen/formats`` was written so. Write it again only with a new version of a format, and keep the files of a
-released version beside it. FOLDER must not say whose machine it is, since shards name their splat by its whole path.
-Nothing here is random, but processors may differ in the last bits. Since then, before any release, only headers were
-changed: ``words`` was added beside ``embedding_model``.
+released version beside it. Nothing here is random, but processors may differ in the last bits.
 """
 
 from __future__ import annotations
@@ -28,7 +26,6 @@ from scoup.scene.gaussians import Gaussians
 from support import random_gaussians, small_scene, unit
 
 FORMATS = Path(__file__).parent / "frozen" / "formats"
-REMOVED = "view_02.png"
 CODES = ("--n-atoms", 8, "--effort", "fast")
 
 
@@ -74,24 +71,15 @@ def verb(*arguments: object) -> None:
 
 
 def main(out: Path) -> None:
-    """Write a scene with its regions, a field with its Gaussians, one with weights of 8 bits, one with its region sums,
-    and two shards."""
+    """Write a scene with its regions, a field with its Gaussians, one with weights of 8 bits, and region sums."""
     scene = out / "scene"
     write_scene(scene)
-    model = ("--model", scene / "words.npz")
-    build = ("build", scene, *model, "--out")
-    verb(*build, out / "field.scoup", *CODES, "--embed-geometry")
-    verb(*build, out / "field_8_bits.scoup", *CODES, "--weight-bits", 8)
-    verb(*build, out / "kept.scoup", *CODES, "--keep-sums")
-    for number in (1, 2):
-        verb(*build, out / "field.scoup", "--shard", f"{number}/2")
-    fields = {name: out / f"{name}.scoup" for name in ("field", "field_8_bits", "kept")}
-    with tempfile.TemporaryDirectory() as folder:
-        fields |= {name: Path(folder) / f"{name}.scoup" for name in ("updated", "merged")}
-        verb("update", out / "kept.scoup", "--remove", REMOVED, "--out", fields["updated"])
-        verb("merge", *sorted(out.glob("field.scoup.*-of-2.sums")), "--out", fields["merged"], *CODES)
-        for name, path in fields.items():
-            np.savez_compressed(out / f"{name}.npz", **answers(LanguageField.load(path)))  # pyright: ignore[reportArgumentType]
+    build = ("build", scene, "--model", scene / "words.npz", *CODES, "--out")
+    verb(*build, out / "field.scoup", "--embed-geometry", "--keep-sums", out / "sums")
+    verb(*build, out / "field_8_bits.scoup", "--weight-bits", 8)
+    for name in ("field", "field_8_bits"):
+        found = answers(LanguageField.load(out / f"{name}.scoup"))
+        np.savez_compressed(out / f"{name}.npz", **found)  # pyright: ignore[reportArgumentType]
 
 
 if __name__ == "__main__":

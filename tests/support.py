@@ -34,11 +34,6 @@ def ready_processes() -> BaseContext:
     return context
 
 
-def environments(world: int) -> list[dict[str, str]]:
-    """Variables as torchrun gives them to each of several processes."""
-    return [{"RANK": str(rank), "WORLD_SIZE": str(world)} for rank in range(world)]
-
-
 KINDS = (
     "plain",
     "behind",

@@ -1,7 +1,7 @@
-"""The examples that build in shards under Slurm (one node on loopback) and Ray (two nodes of this machine) as they are.
+"""The examples that build in parts under Slurm (one node on loopback) and Ray (two nodes of this machine) as they are.
 
 `make test-all` runs these where the engines are installed (Debian: slurm-wlm and munge; pip: ray);
-tests/test_shard_examples.py runs what needs no engine.
+tests/test_part_examples.py runs what needs no engine.
 """
 
 from __future__ import annotations
@@ -26,11 +26,8 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PATIENCE = 900  # seconds: machines that test may be busy
 # As the kernel does when memory runs out: it kills scoup, not the script that has started it.
 SCOUP = """#!/bin/sh
-case "$*" in *"--shard 2/3"*) [ -e killed ] || { echo > killed; kill -9 $$; } ;; esac
+case "$*" in *"--part 2/3"*) [ -e killed ] || { echo > killed; kill -9 $$; } ;; esac
 exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
-"""
-TORCHRUN = """#!/bin/sh
-exec "$PYTHON" -m torch.distributed.run "$@"
 """
 SLURM = """
 ClusterName=test
@@ -63,9 +60,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     assert run("build", "scene", "--out", "alone.scoup", "--model", "scene/words.npz")[0] == 0
     programs = tmp_path / "programs"
     programs.mkdir()
-    for name, text in {"scoup": SCOUP, "torchrun": TORCHRUN}.items():
-        (programs / name).write_text(text)
-        (programs / name).chmod(0o755)
+    (programs / "scoup").write_text(SCOUP)
+    (programs / "scoup").chmod(0o755)
     monkeypatch.setenv("PYTHON", sys.executable)
     monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
     return tmp_path
@@ -158,21 +154,10 @@ def submitted(*command: object) -> None:
 
 @pytest.mark.usefixtures("slurm")
 def test_slurm_array_with_a_task_that_is_killed() -> None:
-    submit = ("bash", EXAMPLES / "slurm/submit.sh", "scene", "g.scoup", 3, "--model", "scene/words.npz")
-    submitted(*submit)
-    logs = "".join(path.read_text() for path in sorted(Path().glob("scoup-shard-*.log")))
+    submitted("bash", EXAMPLES / "slurm.sh", "scene", "g.scoup", 3, "--model", "scene/words.npz")
+    logs = "".join(path.read_text() for path in sorted(Path().glob("scoup-part-*.log")))
     assert Path("killed").exists()
-    assert "DUE TO JOB REQUEUE" in logs
-    assert "3 shards merged" in "".join(path.read_text() for path in Path().glob("scoup-merge-*.log"))
-    assert is_whole()
-
-
-@pytest.mark.usefixtures("slurm")
-def test_slurm_with_torchrun(monkeypatch: pytest.MonkeyPatch) -> None:
-    Path("killed").touch()
-    monkeypatch.setenv("PER_NODE", "2")
-    script = EXAMPLES / "slurm/torchrun.sbatch"
-    submitted("sbatch", "--nodes=1", script, "scene", "g.scoup", "--model", "scene/words.npz")
+    assert logs.count("with all parts there") == 3
     assert is_whole(), "".join(path.read_text() for path in Path().glob("scoup-build-*.log"))
 
 
@@ -186,12 +171,11 @@ def test_ray_with_a_task_that_is_killed(here: Path, monkeypatch: pytest.MonkeyPa
     try:
         cluster.add_node(num_cpus=1)
         monkeypatch.setenv("RAY_ADDRESS", str(cluster.address))
-        example = (EXAMPLES / "11_shards_with_ray.py", "scene", "scene/words.npz", 3, "g.scoup")
+        example = (EXAMPLES / "10_parts_with_ray.py", "scene", "scene/words.npz", 3, "g.scoup")
         command = [sys.executable, *(str(part) for part in example)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     finally:
         cluster.shutdown()
     assert not done.returncode, done.stdout + done.stderr
     assert (here / "killed").exists()
-    assert "3 shards merged" in done.stdout
     assert is_whole()

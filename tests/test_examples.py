@@ -111,15 +111,6 @@ def test_many_scenes(scene, field, tmp_path):
     assert {line.split(":")[0] for line in printed.splitlines()} == {str(rest), str(field)}
 
 
-def test_robot_stream(scene):
-    printed = example("10_robot_stream.py", scene, scene / "words.npz", "kettle", 3, 8).splitlines()
-    assert printed[0].startswith("frame_000003: where is the kettle? ")
-    assert [line.split(":")[0] for line in printed[1:3]] == ["update", "answer"]
-    assert "worst" in printed[1]
-    assert "resident memory: " in printed[3]
-    assert printed[4].startswith("3 views in ")
-
-
 def test_every_example_is_run():
     here = Path(__file__)
     tests = here.read_text() + here.with_name("test_engines.py").read_text()

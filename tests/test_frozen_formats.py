@@ -14,7 +14,7 @@ from safetensors import safe_open
 
 import frozen_formats
 from cli_support import run
-from frozen_formats import CODES, FORMATS, REMOVED, answers, gaussians_of_formats
+from frozen_formats import CODES, FORMATS, answers, gaussians_of_formats
 from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.container import METADATA_KEY
 from scoup.field.language_field import LanguageField
@@ -34,23 +34,10 @@ def made_now(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def copied(tmp_path: Path) -> Path:
-    """A copy of the kept files, which may be changed."""
-    return Path(shutil.copytree(FORMATS, tmp_path / "formats"))
-
-
 def contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     with safe_open(path, framework="numpy") as stream:
         tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
         return json.loads(stream.metadata()[METADATA_KEY]), tensors
-
-
-def check_same(field: Path, name: str) -> None:
-    """A field answers as that of a name did."""
-    now, kept = answers(LanguageField.load(field)), np.load(FORMATS / f"{name}.npz")
-    for part in ("relevancy", "gaussian_relevancy"):
-        assert np.abs(now[part] - kept[part]).max() < ALLOWED, part
 
 
 @pytest.mark.parametrize("path", FIELDS, ids=lambda path: path.stem)
@@ -76,21 +63,13 @@ def test_a_field_of_another_form_needs_a_version_of_its_own(path: Path, made_now
     }
 
 
-def test_an_update_of_kept_sums_gives_what_it_gave(copied: Path) -> None:
-    out = copied / "updated.scoup"
-    code, _, error = run("update", copied / "kept.scoup", "--remove", REMOVED, "--out", out)
+def test_sums_give_the_field_that_they_gave(tmp_path: Path) -> None:
+    scene, out = FORMATS / "scene", tmp_path / "built.scoup"
+    code, _, error = run("build", scene, "--sums", FORMATS / "sums", "--out", out, *CODES)
     assert code == 0, error
-    check_same(out, "updated")
-    before, after = np.load(FORMATS / "kept.npz"), np.load(FORMATS / "updated.npz")
-    assert np.abs(before["relevancy"] - after["relevancy"]).max() > 10 * ALLOWED  # the view has counted
-
-
-def test_shards_give_what_they_gave(copied: Path) -> None:
-    shards = sorted(copied.glob("*-of-2.sums"))
-    splat, out = copied / "scene" / "point_cloud.ply", copied / "merged.scoup"
-    code, _, error = run("merge", *shards, "--gaussians", splat, "--out", out, *CODES)
-    assert code == 0, error
-    check_same(out, "merged")
+    now, kept = answers(LanguageField.load(out)), np.load(FORMATS / "field.npz")
+    for part in ("relevancy", "gaussian_relevancy"):
+        assert np.abs(now[part] - kept[part]).max() < ALLOWED, part
 
 
 def test_a_scene_is_written_as_it_was(made_now: Path) -> None:
@@ -125,10 +104,10 @@ def test_a_scene_is_written_as_it_was(made_now: Path) -> None:
 
 @pytest.mark.parametrize("version", [VERSION + 1, 0, "2", None, True])
 def test_versions_of_sums_that_are_not_known_are_refused(tmp_path: Path, version: object) -> None:
-    path = Path(shutil.copytree(FORMATS / "kept.scoup.sums", tmp_path / "a.sums"))
+    path = Path(shutil.copytree(FORMATS / "sums", tmp_path / "a.sums"))
     scene = path / "scene.safetensors"
     stored = read_arrays(scene)
-    write_arrays(scene, {**stored.header, "version": version}, stored.arrays)
+    write_arrays(scene, {**stored.header, "version": version}, stored.arrays, overwrite=True)
     with pytest.raises(FileFormatError) as caught:
         RegionSums.open(path)
     if version == VERSION + 1:

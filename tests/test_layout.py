@@ -19,7 +19,7 @@ DOCUMENTS = (ROOT / "docs" / "layout.md").read_text()
 EXPORTING = {"scoup", "scoup.base.errors", "scoup.coding", "scoup.io", "scoup.pictures", "scoup.raster"}
 """Modules that hand on what their rooms, or all of them, export."""
 INNER = {
-    "base": "atomic backends counts digests json_node locks native progress records staging version",
+    "base": "atomic backends counts digests json_node native progress records staging version",
     "cli": "console options parsing",
     "coding": "kmeans",
     "field": "part_sizes",
@@ -29,7 +29,7 @@ INNER = {
     "query": "relevancy select text_vectors view_masks",
     "raster": "view_sums",
     "scene": "codes directions field_info gaussians neighbours regions things",
-    "uplift": "build_settings checkpoint provenance rasterise region_codes region_sums things vote",
+    "uplift": "build_settings provenance rasterise region_sums vote",
     "view": "export page viewed_field",
 }
 """Room -> its modules of which the laboratory needs more than the public names of ``scoup``."""

@@ -19,7 +19,7 @@ from scoup.cli.parsing import Family
 HEAD = """# Verbs and their options
 
 Made from the program itself. `scoup VERB --help` shows the same in the terminal. Exit codes: 0 done, 1 a fault of the
-program, or another of several processes was lost, 2 bad input, 130 interrupted, 143 terminated.
+program, 2 bad input, 130 interrupted, 143 terminated.
 """
 PLAIN = {int: "INT", float: "NUMBER", str: "TEXT", Path: "PATH"}
 

@@ -36,9 +36,7 @@ from scoup.io.splats.gltf import read_gltf, read_gltf_features
 from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
-from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.shards import Shard, merge
 from scoup.uplift.storage.paths import view_file
 from scoup.uplift.vote import vote
 from scoup_lab.data.labelled_points import read_labelled_npy, read_labelled_ply
@@ -67,7 +65,6 @@ SPZ = Memory(1500, 64)  # a hundred times the file, and 4 MB besides, are unpack
 TABLES = Memory(128, 128)  # of .npz twenty times the file, and 16 MB besides, are unpacked
 LABELS = Memory(6000, 64)  # label maps without a region are packed a thousandfold
 MOST_REGIONS = 16  # of a view that votes
-OF_SHARDS = BuildSettings(n_atoms=4, k=1, rounds=1, effort="fast")
 
 
 @dataclass(frozen=True)
@@ -147,15 +144,6 @@ def _sums(folder: Path) -> None:
             for level in range(len(sums.levels)):
                 sums.triplets(name, level)
         _vote(sums)
-
-
-def _shard(folder: Path) -> None:
-    """Open a shard, and merge it alone to a field."""
-    with _opened_sums(folder / "a.1-of-2.sums") as sums:
-        if max((sum(sums.n_regions(name)) for name in sums.views), default=0) <= MOST_REGIONS:
-            merge([sums], OF_SHARDS)
-        else:
-            Shard.load(sums)
 
 
 @contextmanager
@@ -243,7 +231,6 @@ READERS: Mapping[str, Reader] = {
     "region sums": Reader(f"a.sums/{view_file('view_00.png')}", _sums, (), (of.SUMS,)),
     "scene of region sums": Reader("a.sums/scene.safetensors", _sums, (), (of.SUMS,)),
     "codes of region sums": Reader("a.sums/codes.safetensors", _sums, (), (of.SUMS,)),
-    "shards": Reader("a.1-of-2.sums/inputs.safetensors", _shard, (), (of.SUMS,)),
     "words.npz": _words("words.npz", "single.npz", "alike.npz", containers=(of.ZIP,), memory=TABLES),
     "words.json": _words("words.json"),
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),

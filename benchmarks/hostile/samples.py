@@ -29,7 +29,6 @@ from tests.io_samples import (
 )
 from tests.support import small_scene
 
-from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.io import (
     as_stored,
@@ -51,8 +50,6 @@ from scoup.io.splats.scenesplat import write_scenesplat
 from scoup.models.word_table import save_table
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.shards import add_shard
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 
 SIZE = (8, 6)  # of label maps and photographs
@@ -171,10 +168,7 @@ def _write_fields(folder: Path) -> None:
     field.save(folder / "bytes.scoup", embed_geometry=True, weight_bits=8)
     _write_linked_field(field, folder)
     gaussians, cameras, regions = small_scene(count=40, views=2, width=16, height=12)
-    sums = region_sums(gaussians, cameras, regions, path=folder / "a.sums")
-    sums.keep_codes({"step": 1}, {"codebook": torch.ones(3, 4)})
-    sums = RegionSums.empty(gaussians, regions.levels, path=folder / "a.1-of-2.sums")
-    add_shard(sums, gaussians, cameras, regions, Share(0, 2), check_fit=False)
+    region_sums(gaussians, cameras, regions, path=folder / "a.sums")
 
 
 def _write_linked_field(field: LanguageField, folder: Path) -> None:

@@ -30,11 +30,11 @@ _HOMES = {
     "project": "scoup.raster",
     "RegionSums": "scoup.uplift.region_sums",
     "region_sums": "scoup.uplift.rasterise",
+    "find_things": "scoup.uplift.things",
     "vote": "scoup.uplift.vote",
     "LanguageField": "scoup.field.language_field",
     "build": "scoup.uplift.build",
     "BuildSettings": "scoup.uplift.build_settings",
-    "update": "scoup.uplift.update",
     "transfer": "scoup.uplift.transfer",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
@@ -80,8 +80,8 @@ if TYPE_CHECKING:
     from scoup.uplift.build_settings import BuildSettings as BuildSettings
     from scoup.uplift.rasterise import region_sums as region_sums
     from scoup.uplift.region_sums import RegionSums as RegionSums
+    from scoup.uplift.things import find_things as find_things
     from scoup.uplift.transfer import transfer as transfer
-    from scoup.uplift.update import update as update
     from scoup.uplift.vote import vote as vote
 
 

@@ -16,7 +16,6 @@ from scoup.base.errors import (
     MissingFileError,
     OutputExistsError,
     OutputInUseError,
-    ProcessLostError,
     ScoupError,
     UnknownNameError,
     WriteError,
@@ -31,8 +30,7 @@ ONE_OF_EACH = [
     GeometryMismatchError("said"),
     OutputExistsError("a.scoup"),
     WriteError("a.scoup", "No space left on device", "free some space"),
-    OutputInUseError("a.scoup", "process 5"),
-    ProcessLostError("Connection closed by peer"),
+    OutputInUseError("a.scoup"),
     UnknownNameError("camera", "b", [f"a{number}" for number in range(9)], "scene"),
 ]
 

@@ -10,7 +10,6 @@ import pytest
 
 from scoup.base.atomic import atomic_file, atomic_path
 from scoup.base.errors import WriteError
-from scoup.base.locks import locked_output
 from scoup.base.staging import staged
 
 
@@ -69,20 +68,6 @@ def test_files_that_appear_together(events: list[tuple[str, str]], tmp_path: Pat
     assert events == [
         ("flush", "first"), ("flush", "second"), ("flush", "folder"),  # of the folder that "new" is in
         ("rename", "a"), ("rename", "b"), ("flush", "folder"),
-    ]  # fmt: skip
-
-
-def test_a_field_and_its_sums(events: list[tuple[str, str]]) -> None:
-    Path("a.scoup.partial").mkdir()
-    Path("a.scoup.partial/view").write_text("sums")
-    with locked_output(Path("a.scoup")) as output:
-        events.clear()
-        with output.appearing(Path("a.scoup.partial"), Path("a.scoup.sums")) as temporary:
-            temporary.write_text("field")
-    folder = ("flush", "folder")
-    assert events == [
-        ("flush", "field"), ("flush", "sums"), folder, ("rename", ".a.scoup.sums.ready"), folder,
-        ("rename", "a.scoup"), folder, ("rename", "a.scoup.sums"), folder,
     ]  # fmt: skip
 
 

@@ -68,22 +68,6 @@ def test_the_splat_of_another_scene_is_refused_before_the_work():
     assert run_json(*BUILD, "--no-check-fit")["views"] == 4
 
 
-@RANDOM
-def test_new_views_are_checked():
-    Path("later").mkdir()
-    for file in Path("scene/language_features").glob("view_03*"):
-        shutil.move(file, Path("later") / file.name)
-    run_json(*BUILD, "--keep-sums")
-    for file in Path("later").iterdir():
-        shutil.copy(file, "scene/language_features")
-    photograph(Path("elsewhere"), Path("elsewhere/point_cloud.ply"))
-    shutil.copy("elsewhere/images/view_03.png", "scene/images")
-    add = ("update", "a.scoup", "--scene", "scene", "--add", "view_03", "--out")
-    misfit = "may not fit the cameras: the only render tried looks unlike its photograph (view_03.png;"
-    assert any(misfit in said for said in run_json(*add, "b.scoup")["warnings"])
-    assert not any(misfit in said for said in run_json(*add, "c.scoup", "--no-check-fit").get("warnings", []))
-
-
 def test_cameras_follow_a_splat_into_the_frame_of_its_training():
     shift, scale = (3.0, -1.0, 2.0), 0.7
     gaussians = load_gaussians("scene/point_cloud.ply")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -13,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import BUILD, QUICK, RUN, refused, run, run_json, snapshot
-from scoup.base.locks import locked_folder, locked_output
-from scoup.base.shares import Share
-from scoup.io import save_png
+from cli_support import BUILD, QUICK, RUN, refused, run, run_json
+from scoup.base.atomic import reserved_output
+from scoup.base.locks import locked
+from scoup.io import load_gaussians, save_gaussians, save_png
 from scoup.io.regions.store import RegionStore
 from support import HANGS
 
@@ -24,12 +23,11 @@ pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
-# A build in a process of its own that rasterises no third view: it waits, once two are in the file.
+# A build in a process of its own that rasterises no third view: it waits, once two are in their files.
 STUCK = """
-import os, time
+import time
 from scoup import raster
 from scoup.cli.app import entry
-from scoup.uplift.checkpoint import checkpoint
 from scoup.uplift.region_sums import RegionSums
 region_sums, append, rasterised, appended = raster.region_sums, RegionSums.append, [], []
 def counted(self, *view):
@@ -40,13 +38,14 @@ def slow(*view):
     while len(rasterised) == 3 and len(appended) < 2:
         time.sleep(0.01)
     if len(rasterised) == 3:
-        print("two views", os.getpid(), flush=True)
+        print("two views", flush=True)
     while len(rasterised) == 3:
         time.sleep(0.1)
     return region_sums(*view)
 raster.region_sums, RegionSums.append = slow, counted
 entry()
 """
+KEEP = (*BUILD, "--keep-sums", "sums")
 
 
 def names() -> set[str]:
@@ -54,8 +53,8 @@ def names() -> set[str]:
 
 
 @contextmanager
-def stuck(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The build, stuck after two views, and the number of its process."""
+def stuck(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """The build, stuck after two views."""
     command = [sys.executable, "-c", STUCK, *map(str, arguments)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
@@ -63,7 +62,7 @@ def stuck(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
         line = process.stdout.readline()
         while line and not line.startswith("two views"):
             line = process.stdout.readline()
-        yield process, line.split()[-1]
+        yield process
 
 
 @pytest.mark.parametrize(
@@ -72,47 +71,59 @@ def stuck(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word: str, code: int) -> None:
     run_json("build", "scene", *QUICK, "--out", "whole.scoup")
     before = names()
-    with stuck(*BUILD) as (build, number_of_it):
-        message = refused(*BUILD)
-        assert message.startswith(f"a.scoup: is being written by process {number_of_it} on ")
+    with stuck(*KEEP) as build:
+        assert refused(*KEEP).startswith("a.scoup: is being written by another process; wait for it")
         build.send_signal(number)
         _, err = build.communicate(timeout=HANGS)
     assert build.returncode == code
     assert err == f"error: {word}; 2 of 4 views are kept, run the same command again to continue\n"
-    assert names() - before == {"a.scoup.partial"}  # neither lock nor temporary files
-    code, out, err = run(*BUILD)
+    assert names() - before == {"sums"}  # neither lock nor temporary files
+    code, out, err = run(*KEEP)
     assert (code, err) == (0, "")
-    assert "resumes an interrupted build: 2 of 4 views are done" in out
-    assert names() - before == {"a.scoup"}
+    assert "sums: contains 2 views already" in out
+    assert names() - before == {"a.scoup", "sums"}
     assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
 
 
 def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
     before = names()
-    with stuck(*BUILD) as (build, _):
+    with stuck(*KEEP) as build:
         build.kill()
         build.communicate(timeout=HANGS)
-    Path(".a.0123456789ab.scoup").write_text("half a field")
-    assert names() - before == {"a.scoup.partial", "a.scoup.lock", ".a.0123456789ab.scoup"}
-    code, out, err = run(*BUILD)
+    assert names() - before == {"sums", ".a.scoup.work.lock"}
+    code, out, err = run(*KEEP)
     assert (code, err) == (0, "")
-    assert "resumes an interrupted build: 2 of 4 views are done" in out
-    assert names() - before == {"a.scoup"}
+    assert "sums: contains 2 views already" in out
+    assert names() - before == {"a.scoup", "sums"}
+
+
+def test_without_kept_sums_nothing_is_kept() -> None:
+    before = names()
+    with stuck(*BUILD) as build:
+        build.send_signal(signal.SIGINT)
+        _, err = build.communicate(timeout=HANGS)
+    assert err == "error: interrupted; nothing was written\n"
+    assert names() == before
 
 
 def test_verbs_that_find_their_output_in_use() -> None:
-    run_json("build", "scene", *QUICK, "--out", "kept.scoup", "--keep-sums")
-    update = ("update", "kept.scoup", "--remove", "view_00.png", "--overwrite")
+    run_json(*BUILD[:-1], "kept.scoup", "--keep-sums", "sums")
+    Path("regions").mkdir()
+    part = ("build", "scene", "--keep-sums", "sums", "--part", "1/2")
     with (
-        locked_output(Path("a.scoup")),
-        locked_output(Path("kept.scoup"), overwrite=True),
-        locked_folder(Path("regions")),
+        reserved_output(Path("a.scoup")),
+        locked(Path("sums/part-1-of-2")),
+        locked(Path("regions/part-1-of-1")),
     ):
-        for verb, output in ((BUILD, "a.scoup"), (update, "kept.scoup"), (EXTRACT, "regions")):
-            message = refused(*verb)
-            assert message.startswith(f"{output}: is being written by process {os.getpid()} on ")
-            assert message.endswith("; wait for it, or choose another output")
-        again = (*BUILD[:-1], "b.scoup", "--sums", "kept.scoup.sums")
+        for verb, output in (
+            (BUILD, "a.scoup"),
+            (part, "sums/part-1-of-2"),
+            (EXTRACT, "regions/part-1-of-1"),
+        ):
+            assert refused(*verb).startswith(
+                f"{output}: is being written by another process; wait for it, or"
+            )
+        again = (*BUILD[:-1], "b.scoup", "--sums", "sums")
         assert run(*again)[0] == 0  # sums are only read, and the output is another
 
 
@@ -154,7 +165,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
         (("render", "f.scoup", "--out", "new/a.gif"), "scoup.pictures.animation.save_animation"),
         (("convert", "scene", "new/compact"), "scoup.io.regions.compact.write_view"),
         (("demo", "--out", "new/demo"), "scoup_lab.evaluate.demonstration.make_demo_scene"),
-        (("update", "kept.scoup", "--remove", "view_00.png", "--out", "new/b.scoup"), "scoup.uplift.update.update"),
+        (("transfer", "f.scoup", "edited.ply", "--out", "new/b.scoup"), "scoup.uplift.transfer.transfer"),
         ((*BUILD[:-1], "new/a.scoup"), "scoup.uplift.region_codes.fit_codes"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
@@ -163,29 +174,14 @@ def test_where_nothing_is_kept_nothing_is_left(verb, inside: str, monkeypatch: p
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    run_json("build", "scene", *QUICK, "--out", "kept.scoup", "--keep-sums")
+    splat = load_gaussians("scene")
+    save_gaussians(splat.select(slice(5, None)), "edited.ply")
     before = {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()}
     monkeypatch.setattr(inside, interrupt)
     code, _, err = run(*verb)
     assert (code, err) == (130, "error: interrupted; nothing was written\n")
     assert not Path("new").exists()
     assert {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()} == before
-
-
-def test_of_several_processes_none_extracts_into_a_folder_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    with locked_folder(Path("regions")):
-        for rank in "01":
-            monkeypatch.setenv("RANK", rank)
-            assert f"by process {os.getpid()} on " in refused(*EXTRACT)
-    monkeypatch.setenv("RANK", "1")
-    assert run(*EXTRACT)[0] == 0
-    monkeypatch.delenv("RANK")
-    monkeypatch.delenv("WORLD_SIZE")
-    before = snapshot(Path("regions"))
-    with locked_folder(Path("regions"), Share(1, 2)):  # the first has ended already
-        assert f"by process {os.getpid()} on " in refused(*EXTRACT)
-    assert snapshot(Path("regions")) == before
 
 
 def test_a_server_of_agents_ends_quietly_when_it_is_terminated() -> None:

@@ -42,19 +42,15 @@ resource = pytest.importorskip("resource")
 
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 SMALL = ("--n-gaussians", "2000", "--width", "48", "--height", "36", "--views", "2")
-SHARDS = ("s.scoup.1-of-2.sums", "s.scoup.2-of-2.sums")
-ADD = ("--scene", "scene", "--add", "all")
 VERBS = {
     "build": ("build", "scene", *QUICK, "--out", "new/a.scoup"),
-    "build with sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums"),
-    "build from sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--sums", "kept.scoup.sums"),
+    "build with sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "a.sums"),
+    "build from sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--sums", "kept.sums"),
     "build with geometry": ("build", "scene", *QUICK, "--out", "a.scoup", "--embed-geometry"),
-    "build, shard": ("build", "scene", "--out", "a.scoup", "--shard", "1/2"),
-    "merge": ("merge", *SHARDS, *QUICK, "--out", "a.scoup"),
-    "merge with sums": ("merge", *SHARDS, *QUICK, "--out", "a.scoup", "--keep-sums"),
-    "update": ("update", "kept.scoup", "--remove", "view_00.png", "--out", "a.scoup"),
-    "update, added": ("update", "few.scoup", *ADD, "--out", "a.scoup"),
-    "update, edited": ("update", "kept.scoup", "--edited", "edited.ply", "--out", "a.scoup"),
+    "build, part": ("build", "scene", "--keep-sums", "a.sums", "--part", "1/2"),
+    "build, more views": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "few.sums", "--codebook",
+                          "f.scoup"),
+    "transfer": ("transfer", "f.scoup", "edited.ply", "--out", "a.scoup"),
     "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "40", "--height", "30", "--out", "own"),
     "extract": ("extract", "scene", *FREE, "--out", "regions"),
     "extract, LangSplat": ("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat"),
@@ -72,7 +68,6 @@ VERBS = {
 }  # fmt: skip
 # Of these, what is complete stays for the same command to continue.
 RESUMED = (".safetensors", ".regions", "_s.npy", "_f.npy", "_made.json", "regions.json")
-VIEWS_AT_WORK = "own.partial/"  # cameras that were chosen and renders that are finished
 
 
 @pytest.fixture(scope="session")
@@ -81,14 +76,11 @@ def original(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     original = Path(shutil.copytree(original, tmp_path_factory.mktemp("no_space") / "cli"))
     scene, kept = original / "scene", original / "kept.scoup"
     build = ("build", scene, "--model", scene / "words.npz", "--out")
-    remove = [word for number in (1, 2, 3) for word in ("--remove", f"view_0{number}.png")]
-    for command in (
-        (*build, kept, *QUICK, "--keep-sums"),
-        *((*build, original / "s.scoup", "--shard", f"{number}/2") for number in (1, 2)),
-        ("update", kept, *remove, "--out", original / "few.scoup"),
-    ):
-        code, _, err = run(*command)
-        assert code == 0, err
+    code, _, err = run(*build, kept, *QUICK, "--keep-sums", original / "kept.sums")
+    assert code == 0, err
+    shutil.copytree(original / "kept.sums", original / "few.sums")
+    for number in (1, 2, 3):
+        next((original / "few.sums").glob(f"view.view_0{number}*")).unlink()
     save_gaussians(load_gaussians(scene / "point_cloud.ply").select(slice(5, None)), original / "edited.ply")
     return original
 
@@ -122,9 +114,8 @@ def check_refused(arguments: tuple[str, ...], size: int, outputs: set[str]) -> N
     places = outputs | {str(parent) for name in outputs for parent in Path(name).parents} - {"."}
     assert path in places or ".partial" in path, lines[0]
     new = {name for name in entries(here) - before if Path(name).is_file() or not Path(name).exists()}
-    assert all(name.endswith(RESUMED) or name.startswith(VIEWS_AT_WORK) for name in new), new
+    assert all(name.endswith(RESUMED) for name in new), new
     assert not any(".lock" in name or "/." in f"/{name}" for name in entries(here) - before)
-    contents = {name: content for name, content in contents.items() if ".partial" not in name}  # it goes on
     assert {name: content for name, content in snapshot(here).items() if name in contents} == contents
 
 
@@ -151,8 +142,7 @@ def remove(names: set[str]) -> None:
 
 
 SLOW = ("demo", "synthetic")
-LIKE_OTHERS = ("build with geometry", "build with sums", "merge with sums", "update, edited",
-               "extract, LangSplat", "animation, WebP")  # fmt: skip
+LIKE_OTHERS = ("build with geometry", "build with sums", "extract, LangSplat", "animation, WebP")  # fmt: skip
 TIMED = ("bench", "demo", "synthetic")  # what these write holds times, or takes long
 ALL = [pytest.param(verb, marks=pytest.mark.slow if verb in SLOW + LIKE_OTHERS else ()) for verb in VERBS]
 
@@ -174,34 +164,6 @@ def test_every_verb_that_writes(scene: Path, verb: str) -> None:
     if verb not in TIMED:  # what was kept is good, whatever the disk had room for
         assert run(*VERBS[verb])[0] == 0
         assert {name: Path(name).read_bytes() for name in made} == contents
-
-
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [("few.scoup", ADD), ("kept.scoup", ("--remove", "view_00.png"))],
-)
-def test_updates_in_place(here: Path, name: str, options: tuple[str, ...]) -> None:
-    """Field and region sums stay as they were, or are new, both."""
-    command = ("update", name, *options, "--overwrite")
-    files = {
-        file: content
-        for file, content in snapshot(here).items()
-        if Path(file).parts[0] in (name, f"{name}.sums")
-    }
-    code, _, err = run(*command)
-    assert code == 0, err
-    new = snapshot(here)
-    assert new[name] != files[name]
-    assert new[f"{name}.sums/codes.safetensors"] != files[f"{name}.sums/codes.safetensors"]
-    shutil.rmtree(f"{name}.sums")
-    Path(f"{name}.sums").mkdir()
-    for file, content in files.items():
-        Path(file).write_bytes(content)
-    for size in (0, len(new[name]) - 1, len(new[f"{name}.sums/codes.safetensors"]) - 1):
-        check_refused(command, size, {*files, f"{name}.sums"})
-    assert run(*command)[0] == 0
-    assert snapshot(here) == new
-    assert not list(here.glob("*.partial"))
 
 
 @pytest.mark.usefixtures("here")

@@ -26,7 +26,6 @@ PLY, CAMERAS, IMAGES = "scene/point_cloud.ply", "scene/sparse/0/cameras.bin", "s
 LABELS, ROWS = "scene/language_features/view_02_s.npy", "scene/language_features/view_02_f.npy"
 LAST_LABELS = "scene/language_features/view_03_s.npy"
 PHOTO = "scene/images/view_02.png"
-FIRST, SECOND = "s.scoup.1-of-2.sums", "s.scoup.2-of-2.sums"
 SUMS = view_file("view_01.png")
 GONE = "disappeared while being read; restore it and retry"
 OUT = ("--out", "a.scoup", "--overwrite")
@@ -43,20 +42,15 @@ class Verb:
 
 
 VERBS = {
-    "build": Verb(("build", "scene", *QUICK, *OUT, "--keep-sums"), (PLY, CAMERAS, IMAGES, LABELS, ROWS, PHOTO),
-                  ("a.scoup", "a.scoup.sums")),
-    "build --shard": Verb(("build", "scene", *OUT, "--shard", "1/2"), (PLY, IMAGES, LABELS, ROWS, PHOTO),
-                          ("a.scoup.1-of-2.sums",)),
-    "build --sums": Verb(("build", "scene", *QUICK, *OUT, "--sums", "kept.scoup.sums"),
-                         (PLY, f"kept.scoup.sums/{SUMS}", LABELS, ROWS), ("a.scoup",)),
-    "merge": Verb(("merge", FIRST, SECOND, *QUICK, *OUT, "--keep-sums"),
-                  (f"{FIRST}/inputs.safetensors", f"{SECOND}/{SUMS}"),
-                  ("a.scoup", "a.scoup.sums")),
-    "update --add": Verb(("update", "few.scoup", "--scene", "scene", "--add", "all", *OUT),
-                         ("few.scoup", f"few.scoup.sums/{SUMS}", PLY, CAMERAS, LAST_LABELS, ROWS, PHOTO),
-                         ("a.scoup", "a.scoup.sums")),
-    "update --edited": Verb(("update", "kept.scoup", "--edited", "edited.ply", *OUT),
-                            ("kept.scoup", "edited.ply", PLY), ("a.scoup",)),
+    "build": Verb(("build", "scene", *QUICK, *OUT, "--keep-sums", "a.sums"),
+                  (PLY, CAMERAS, IMAGES, LABELS, ROWS, PHOTO), ("a.scoup",)),
+    "build --part": Verb(("build", "scene", "--keep-sums", "a.sums", "--part", "1/2"),
+                         (PLY, IMAGES, LABELS, ROWS, PHOTO), ()),
+    "build --sums": Verb(("build", "scene", *QUICK, *OUT, "--sums", "kept.sums"),
+                         (PLY, f"kept.sums/{SUMS}", LABELS, ROWS), ("a.scoup",)),
+    "build --codebook": Verb(("build", "scene", *QUICK, *OUT, "--keep-sums", "few.sums", "--codebook", "kept.scoup"),
+                             ("kept.scoup", f"few.sums/{SUMS}", LAST_LABELS), ("a.scoup",)),
+    "transfer": Verb(("transfer", "kept.scoup", "edited.ply", *OUT), ("kept.scoup", "edited.ply", PLY), ("a.scoup",)),
     "extract": Verb(("extract", "photographs", *FREE, "--out", "regions"), ("photographs/view_02.png",), ()),
 }  # fmt: skip
 CASES = [(name, file) for name, verb in VERBS.items() for file in verb.inputs]
@@ -131,17 +125,12 @@ def begun(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             pixels[:15, : 10 + 5 * number] = 200
             save_png(pixels, f"photographs/view_0{number}.png")
         save_gaussians(load_gaussians(PLY).select(slice(5, None)), "edited.ply")
-        keep = ("build", "scene", *QUICK, "--keep-sums", "--out")
-        commands = [(*keep, "kept.scoup")]
-        commands += [("build", "scene", "--out", "s.scoup", "--shard", f"{number}/2") for number in (1, 2)]
-        remove = ("--remove", "view_02.png", "--remove", "view_03.png")
-        commands += [("update", "kept.scoup", *remove, "--out", "few.scoup")]
-        for command in commands:
-            code, _, err = run(*command)
-            assert code == 0, err
-        for name in ("a.scoup", "a.scoup.sums/before", "a.scoup.1-of-2.sums/before"):
-            Path(name).parent.mkdir(exist_ok=True)
-            Path(name).write_text(f"{name} of before")
+        code, _, err = run("build", "scene", *QUICK, "--keep-sums", "kept.sums", "--out", "kept.scoup")
+        assert code == 0, err
+        shutil.copytree("kept.sums", "few.sums")
+        for number in (2, 3):
+            (Path("few.sums") / view_file(f"view_0{number}.png")).unlink()
+        Path("a.scoup").write_text("a.scoup of before")
     finally:
         os.chdir(before)
     return folder
@@ -210,21 +199,7 @@ def check_refused(
     assert Path(file).suffix == ".png" or said.endswith(GONE)
     assert of_outputs(left, verb) == of_outputs(before, verb)
     kept = sorted(set(left) - set(before))
-    assert all(Path(path).parts[0].endswith(".partial") for path in kept), kept
+    assert all(Path(path).parts[0].endswith(".sums") for path in kept), kept
     assert {path: content for path, content in left.items() if path not in kept} == before
-    return "resumes an interrupted" if kept else ""
-
-
-@pytest.mark.parametrize("name", ["build", "build --shard", "update --add"])
-def test_views_made_before_an_input_vanished_are_kept(
-    start: Callable[[], dict[str, bytes]], name: str
-) -> None:
-    start()
-    verb = VERBS[name]
-    labels = next(file for file in verb.inputs if file.endswith("_s.npy"))
-    with vanishing(labels, time=0) as opened:
-        assert run(*verb.arguments)[0] == 0
-    start()
-    with vanishing(labels, len(opened)):
-        assert run(*verb.arguments)[0] == 2
-    assert list(Path().glob("a.*.partial"))
+    views = [path for path in left if kept and path.startswith(f"{Path(kept[0]).parts[0]}/view.")]
+    return f"contains {len(views)} view" if views else ""

@@ -11,12 +11,11 @@ import pytest
 import torch
 
 import scoup
-from cli_support import QUICK, refused, run, run_json, snapshot
+from cli_support import QUICK, refused, run, run_json, snapshot, together
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, save_png, write_colmap
 from scoup.models.word_table import load_table, save_table
 from scoup.scene.cameras import Cameras
-from scoup.uplift.storage.paths import folder_bytes
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -79,43 +78,84 @@ def test_embedded_geometry_stands_alone():
 
 
 def test_region_sums_are_kept_on_request_and_built_from_again(monkeypatch):
-    record = run_json("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums")
-    assert record["sums"] == "a.scoup.sums"
-    assert record["sums_bytes"] == folder_bytes(Path("a.scoup.sums"))
-    assert run_json("info", "a.scoup")["region_sums"] == record["sums_bytes"]
-    before, field = snapshot(Path("a.scoup.sums")), Path("a.scoup").read_bytes()
+    record = run_json("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "a.sums")
+    assert record["sums"] == "a.sums"
+    assert record["sums_bytes"] == sum(path.stat().st_size for path in Path("a.sums").iterdir())
+    info = run_json("info", "a.sums")
+    assert (info["kind"], info["views"], info["bytes"]) == ("region sums", 4, record["sums_bytes"])
+    before, field = snapshot(Path("a.sums")), Path("a.scoup").read_bytes()
     run_json("build", "scene", *QUICK, "--out", "whole.scoup", "--seed", "5", "--rounds", "3")
 
     def no_look(*_, **__):
         raise AssertionError("nothing is rasterised")
 
     monkeypatch.setattr("scoup.raster.project", no_look)
-    again = ("build", "scene", *QUICK, "--sums", "a.scoup.sums")
+    again = ("build", "scene", *QUICK, "--sums", "a.sums")
     run_json(*again, "--out", "b.scoup", "--seed", "5", "--rounds", "3")
     assert Path("b.scoup").read_bytes() == Path("whole.scoup").read_bytes()
     run_json(*again, "--out", "c.scoup")
     assert Path("c.scoup").read_bytes() == field
-    assert snapshot(Path("a.scoup.sums")) == before
+    assert snapshot(Path("a.sums")) == before
 
 
-def test_region_sums_are_not_replaced_unasked():
-    Path("a.scoup.sums").mkdir()
-    Path("a.scoup.sums/precious").write_bytes(b"precious")
-    assert "--overwrite" in refused("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums")
-    Path("b.scoup.sums").write_bytes(b"precious")
-    message = refused("build", "scene", *QUICK, "--out", "b.scoup", "--keep-sums", "--overwrite")
-    assert message.startswith("b.scoup.sums: is a file")
+def test_folders_that_are_no_region_sums():
+    Path("precious").mkdir()
+    Path("precious/file").write_bytes(b"precious")
+    build = ("build", "scene", *QUICK, "--out", "a.scoup")
+    assert run_json(*build, "--keep-sums", "precious")["sums"] == "precious"  # beside what is there
+    assert Path("precious/file").read_bytes() == b"precious"
+    Path("file").write_bytes(b"precious")
+    assert refused(*build, "--keep-sums", "file", "--overwrite").startswith("file: cannot be written")
+    assert "scene/images: is not a folder of region sums" in refused(
+        *build, "--sums", "scene/images", "--overwrite"
+    )
+    assert "not both" in refused(*build, "--sums", "precious", "--keep-sums", "precious", "--overwrite")
 
 
-def test_smaller_region_sums():
-    sizes = [
-        run_json("build", "scene", *QUICK, "--out", f"{name}.scoup", "--keep-sums", *more)["sums_bytes"]
-        for name, more in (("a", ()), ("b", ("--sums-weights", "float16")), ("c", ("--least-weight", "0.5")))
-    ]
-    assert LanguageField.load("b.scoup").info.provenance["region_sums"]["weights"] == "float16"
-    assert "region_sums" not in LanguageField.load("a.scoup").info.provenance
-    assert sizes[0] > sizes[1]
-    assert sizes[0] > sizes[2]
+def test_parts_in_processes_of_their_own():
+    """At the same time, one of them twice; then one build of all of them."""
+    pytest.importorskip("filelock")
+    run_json("build", "scene", *QUICK, "--out", "whole.scoup", "--keep-sums", "whole.sums")
+    parts = [("build", "scene", "--keep-sums", "parts", "--part", f"{number}/3") for number in (1, 2, 3)]
+    ended = together(*parts)
+    assert [done.returncode for done in ended] == [0, 0, 0], ended
+    assert "part 1 of 3, 2 views of 4" in ended[0].stdout
+    assert "with all parts there: scoup build --sums parts" in ended[0].stdout
+    assert run_json(*parts[1]) | {"seconds": 0} == {"sums": "parts", "views": 1, "of_views": 4, "seconds": 0}
+    assert snapshot(Path("parts")) == snapshot(Path("whole.sums"))
+    run_json("build", "scene", *QUICK, "--out", "a.scoup", "--sums", "parts")
+    assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
+    next(Path("parts").glob("view.view_01*")).unlink()
+    message = refused("build", "scene", *QUICK, "--out", "b.scoup", "--sums", "parts")
+    assert "parts: lacks the view 'view_01.png'" in message
+
+
+def test_options_that_a_part_has_no_use_for():
+    part = ("build", "scene", "--part", "1/2")
+    assert "pass --keep-sums" in refused(*part)
+    for more in (("--rounds", "3"), ("--codebook", "f.scoup"), ("--out", "a.scoup")):
+        message = refused(*part, "--keep-sums", "parts", *more)
+        assert f"pass {more[0]} to scoup build --sums" in message
+    assert "expected I/N" in refused("build", "scene", "--part", "3/2", "--keep-sums", "parts")
+    assert not Path("parts").exists()
+
+
+def test_photographs_that_came_later():
+    later = Path("later")
+    later.mkdir()
+    for path in Path("scene/language_features").glob("view_03*"):
+        path.rename(later / path.name)
+    build = ("build", "scene", *QUICK, "--keep-sums", "sums", "--out")
+    assert run_json(*build, "a.scoup")["views"] == 3
+    before = snapshot(Path("sums"))
+    for path in later.iterdir():
+        path.rename(Path("scene/language_features") / path.name)
+    record = run_json(*build, "b.scoup", "--codebook", "a.scoup")
+    assert record["views"] == 4
+    assert {name: content for name, content in snapshot(Path("sums")).items() if name in before} == before
+    first, grown = LanguageField.load("a.scoup"), LanguageField.load("b.scoup")
+    assert torch.equal(first.codebook, grown.codebook)
+    assert len(snapshot(Path("sums"))) == len(before) + 1
 
 
 def test_scaled_photographs_scale_the_cameras():
@@ -180,32 +220,11 @@ def test_nothing_is_replaced_unasked():
     assert Path("a.scoup").read_bytes() != before["a.scoup"]
 
 
-def test_codes_are_kept_where_no_view_is_yet(monkeypatch):
-    from scoup.uplift import region_codes
-    from scoup.uplift.region_sums import RegionSums
-
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
-
-    build = ("build", "scene", *QUICK, "--out")
-    run_json(*build, "whole.scoup")
-    with monkeypatch.context() as patch:
-        patch.setattr(RegionSums, "append", interrupt)
-        code, _, err = run(*build, "a.scoup")
-    assert code == 130
-    assert err == "error: interrupted; the codes are kept, run the same command again to continue\n"
-    monkeypatch.setattr(region_codes, "fit_codes", interrupt)
-    code, out, err = run(*build, "a.scoup")
-    assert code == 0, err
-    assert "resumes an interrupted build: 0 of 4 views are done, the codes" in " ".join(out.split())
-    assert Path("a.scoup").read_bytes() == Path("whole.scoup").read_bytes()
-
-
 def test_one_is_said_in_the_singular():
     for name in ("view_01", "view_02", "view_03"):
         for end in ("s", "f"):
             Path(f"scene/language_features/{name}_{end}.npy").unlink()
-    code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums")
+    code, out, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "sums")
     assert code == 0
     assert "skipped 3 of 4 cameras that have no features" in err
     assert "1 view with regions of 4 cameras" in out

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import QUICK, refused, run, run_json, snapshot
+from cli_support import QUICK, refused, run, run_json, snapshot, together
 from scoup.cli.options import CLIP_MODEL
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions
@@ -132,30 +132,23 @@ def test_convert_into_a_folder_that_extract_has_made(here) -> None:
     run_json("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat")
     run_json("extract", "scene", *FREE, "--out", "compact")
     assert Path("regions/view_00_made.json").exists()
-    Path("regions/scoup.lock").touch()  # of an extraction that was killed
-    Path("regions/scoup.lock.2-of-3").touch()
     run_json("convert", "compact", "regions", "--overwrite")
     assert not list(Path("regions").glob("*_made.json"))  # they are not what extract has made any more
-    Path("regions/scoup.lock.txt").touch()
-    assert "contains other files than region features (scoup.lock.txt)" in refused(
+    Path("regions/notes.txt").touch()
+    assert "contains other files than region features (notes.txt)" in refused(
         "convert", "compact", "regions", "--overwrite"
     )
 
 
-def test_processes_of_torchrun_take_their_share(here, monkeypatch) -> None:
+def test_parts_in_processes_of_their_own(here) -> None:
     photographs()
-    assert "(shard 1 of 3)" in run("extract", "scene", *FREE, "--shard", "1/3", "--out", "other")[1]
-    monkeypatch.setenv("WORLD_SIZE", "3")
-    made = []
-    for rank in range(3):
-        monkeypatch.setenv("RANK", str(rank))
-        record = run_json("extract", "scene", *FREE)
-        assert (record["shard"], record["of_shards"]) == (rank + 1, 3)
-        made.append(record["made"])
-    assert made == [2, 1, 1]
+    parts = [("extract", "scene", *FREE, "--part", f"{number}/3", "--json") for number in (1, 2, 3)]
+    records = [json.loads(done.stdout) for done in together(*parts)]
+    assert [(record["part"], record["of_parts"]) for record in records] == [(1, 3), (2, 3), (3, 3)]
+    assert [record["made"] for record in records] == [2, 1, 1]
     assert len(load_regions("scene", load_cameras("scene"))) == 4
-    monkeypatch.setenv("RANK", "x")
-    assert "RANK=x" in refused("extract", "scene", *FREE)
+    assert "(part 1 of 3)" in run("extract", "scene", *FREE, "--part", "1/3", "--out", "other")[1]
+    assert "expected I/N" in refused("extract", "scene", *FREE, "--part", "x")
 
 
 def test_manifest_says_how_the_regions_were_made(here) -> None:

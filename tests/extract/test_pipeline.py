@@ -15,7 +15,7 @@ import scoup
 from cli_support import snapshot
 from mask_samples import smooth_image
 from scoup.base.errors import InputError, ScoupError, ScoupWarning
-from scoup.base.shares import Share
+from scoup.base.parts import Part
 from scoup.extract import (
     Masks,
     MaskSettings,
@@ -271,13 +271,13 @@ def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypa
     assert [revision for _, revision in opened[1::2]] == [None] * 5
 
 
-def test_shards_make_together_what_one_makes_alone(tmp_path: Path) -> None:
+def test_parts_make_together_what_one_makes_alone(tmp_path: Path) -> None:
     folder, _ = scene(tmp_path, 5)
     photographs = find_photographs(folder)
     extract(photographs, tmp_path / "one", Blocks(), PlainColors())
-    for rank in (2, 0, 1):
-        report = extract(photographs, tmp_path / "three", Blocks(), PlainColors(), share=Share(rank, 3))
-        assert report.made == [item.name for item in photographs[rank::3]]
+    for number in (3, 1, 2):
+        report = extract(photographs, tmp_path / "three", Blocks(), PlainColors(), part=Part(number, 3))
+        assert report.made == [item.name for item in photographs[number - 1 :: 3]]
     assert snapshot(tmp_path / "one") == snapshot(tmp_path / "three")
 
 

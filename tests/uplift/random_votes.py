@@ -27,7 +27,6 @@ class Sizes:
     """Attributes:
     n_gaussians, views, levels, n_atoms, k: as they say.
     entries: of a view.
-    halves: weights of entries are float16.
     without: a level that has no regions, or None.
     """
 
@@ -37,7 +36,6 @@ class Sizes:
     n_atoms: int = 24
     k: int = 4
     entries: int = 400
-    halves: bool = False
     without: int | None = None
 
 
@@ -79,8 +77,7 @@ def random_vote(sizes: Sizes, seed: int) -> dict[str, Any]:
         gaussian = (numbers.random(some) ** 2 * sizes.n_gaussians).astype(np.int64)
         pairs = np.unique(gaussian * max(1, count) + numbers.integers(0, max(1, count), some))
         weights = (numbers.random(len(pairs)) * 20).astype(np.float32) + np.float32(1e-3)
-        kind = np.dtype(np.float16 if sizes.halves else np.float32)
-        (entries,) = pack(pairs // max(1, count), pairs % max(1, count), weights, table, kind)
+        (entries,) = pack(pairs // max(1, count), pairs % max(1, count), weights, table)
         views.append(CodedEntries(entries, regions))
     codes = []
     for total in totals:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
+import warnings
 from pathlib import Path
 
 import pytest
 import torch
 
 import scoup
+from cli_support import snapshot
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
-from scoup.raster import morton_order
+from scoup.base.parts import Part
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
-from scoup.uplift.rasterise import region_sums, resume_sums
-from scoup.uplift.region_codes import RegionCodes
+from scoup.uplift.rasterise import add_views, open_sums, region_sums
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage.paths import view_file
 from support import make_camera, random_gaussians, small_scene, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=2)
@@ -76,30 +78,26 @@ class Stages:
 def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, tmp_path, at, monkeypatch):
     gaussians, _, regions = scene
     whole = saved(build(*scene, settings=QUICK), tmp_path / "whole.scoup")
-    path = tmp_path / "f.partial"
-    sums = resume_sums(path, gaussians, regions)
+    path = tmp_path / "sums"
+    sums = open_sums(path, gaussians, regions)
     with pytest.raises(KeyboardInterrupt):
         build(*scene, settings=QUICK, sums=sums, progress=Stages(at))
     taken = {"region sums": 2, "vote": 4, "coding m": 0}[at[0]]
-    sums = resume_sums(path, gaussians, regions)
+    sums = open_sums(path, gaussians, regions)
     assert len(sums) == taken
     projected = []
     project = scoup.raster.project
     monkeypatch.setattr(
         scoup.raster, "project", lambda *a, **k: projected.append(a[1].name) or project(*a, **k)
     )
-    stages = Stages()
-    again = build(*scene, settings=QUICK, sums=sums, check_fit=False, progress=stages)
+    again = build(*scene, settings=QUICK, sums=sums, check_fit=False)
     assert len(projected) == 4 - taken  # no view is done again
-    assert ("coding s" in stages.names()) == (
-        at[0] == "coding m"
-    )  # codes are kept as soon as they are learned
     assert saved(again, tmp_path / "resumed.scoup") == whole
 
 
 def test_what_changed_during_an_interruption_is_rasterised_again(scene, tmp_path):
     gaussians, cameras, regions = scene
-    sums = resume_sums(tmp_path / "f.partial", gaussians, regions)
+    sums = open_sums(tmp_path / "sums", gaussians, regions)
     build(*scene, settings=QUICK, sums=sums)
     changed = flipped(regions, cameras.names[1:2])
     moved = Cameras([cameras[0].resized(30, 20), *list(cameras)[1:]])
@@ -111,21 +109,112 @@ def test_what_changed_during_an_interruption_is_rasterised_again(scene, tmp_path
     assert fresh.info.provenance["label_maps"] != build(*scene, settings=QUICK).info.provenance["label_maps"]
 
 
-def test_a_folder_that_cannot_be_gone_on_from_is_replaced(scene, tmp_path):
-    gaussians, _, regions = scene
-    path = tmp_path / "f.partial"
-    path.mkdir()
-    (path / "scene.safetensors").write_bytes(b"damaged" * 100)
-    with pytest.warns(ScoupWarning, match=r"f\.partial.*starting over"):
-        sums = resume_sums(path, gaussians, regions)
-    build(*scene, settings=QUICK, sums=sums)
-    other = random_gaussians(len(gaussians), 77)
-    with pytest.warns(ScoupWarning, match="other Gaussians"):
-        sums = resume_sums(path, other, regions)
-    sums.keep_codes({}, {})
-    with pytest.warns(ScoupWarning, match="weights"):
-        sums = resume_sums(path, other, regions, weights="float16")
-    assert len(sums) == 0
+def test_a_damaged_view_is_made_again(scene, tmp_path):
+    """After a power cut, a file may have its name and not its contents."""
+    gaussians, cameras, regions = scene
+    path = tmp_path / "sums"
+    whole = saved(
+        build(*scene, settings=QUICK, sums=open_sums(path, gaussians, regions)), tmp_path / "a.scoup"
+    )
+    before = snapshot(path)
+    (path / view_file(cameras.names[1])).write_bytes(b"")
+    with pytest.warns(ScoupWarning, match=r"view_01.*is not a file of region sums.*it is made again"):
+        sums = open_sums(path, gaussians, regions)
+    assert saved(build(*scene, settings=QUICK, sums=sums), tmp_path / "b.scoup") == whole
+    assert snapshot(path) == before
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 7])
+def test_parts_in_any_order_make_the_field_of_one_process(scene, tmp_path, parts):
+    """Also where there are more parts than views, and where a part is made twice."""
+    gaussians, cameras, regions = scene
+    for number in [*reversed(range(1, parts + 1)), 1]:
+        sums = region_sums(gaussians, cameras, regions, path=tmp_path / "sums", part=Part(number, parts))
+        assert set(sums.views) >= set(Part(number, parts).of(cameras.names))
+    whole = saved(build(*scene, settings=QUICK), tmp_path / "whole.scoup")
+    of_parts = build(*scene, settings=QUICK, sums=RegionSums.open(tmp_path / "sums"))
+    assert saved(of_parts, tmp_path / "parts.scoup") == whole
+    region_sums(gaussians, cameras, regions, path=tmp_path / "alone")
+    assert snapshot(tmp_path / "sums") == snapshot(tmp_path / "alone")
+
+
+def test_processes_that_begin_one_folder_at_the_same_time(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    path = tmp_path / "sums"
+    first, second = (RegionSums.empty(gaussians, regions.levels, path=path) for _ in range(2))
+    add_views(first, gaussians, list(cameras)[:2], regions)
+    add_views(second, gaussians, list(cameras)[2:], regions)
+    region_sums(gaussians, cameras, regions, path=tmp_path / "alone")
+    assert snapshot(path) == snapshot(tmp_path / "alone")
+    other = RegionSums.empty(random_gaussians(len(gaussians), 9), regions.levels)
+    other.path = path
+    with pytest.raises(InputError, match="another process adds views of another scene"):
+        add_views(other, gaussians, cameras, regions)
+
+
+# ---- the codebook of an earlier field
+
+
+def test_the_codebook_of_a_field_keeps_its_codes(scene):
+    field = build(*scene, settings=QUICK)
+    again = build(*scene, settings=QUICK, codebook=field)
+    assert torch.equal(again.codebook, field.codebook)
+    assert torch.equal(again.code_indices, field.code_indices)
+    assert torch.equal(again.code_weights, field.code_weights)
+    reports = again.info.provenance["coding"]
+    assert {report["solver"] for report in reports.values()} == {"codebook of a field"}
+    for level, report in field.info.provenance["coding"].items():
+        assert reports[level]["explained_from"] == report["explained_from"]
+        assert reports[level]["mean_cosine"] == pytest.approx(report["mean_cosine"], abs=1e-6)
+    assert again.info.provenance["inputs"] != field.info.provenance["inputs"]
+
+
+def test_photographs_that_came_later(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    sums = region_sums(gaussians, cameras[:2], regions, path=tmp_path / "sums")
+    first = build(gaussians, cameras[:2], regions, settings=QUICK, sums=sums)
+    before = dict(sums.views)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScoupWarning)  # random embeddings
+        grown = build(*scene, settings=dataclasses.replace(QUICK, n_atoms=5), sums=sums, codebook=first)
+    assert all(sums.views[name] is view for name, view in before.items())
+    assert torch.equal(grown.codebook, first.codebook)
+    assert grown.info.provenance["settings"]["n_atoms"] == 8
+    assert grown.info.provenance["views"] == list(cameras.names)
+    fewer = build(gaussians, cameras[:2], regions, settings=QUICK, sums=sums, codebook=first)
+    assert torch.equal(fewer.code_weights, first.code_weights)
+
+
+def test_views_that_a_codebook_explains_badly_are_named(scene):
+    gaussians, cameras, regions = scene
+    rows = unit(torch.randn(len(regions.levels), 1, 16, generator=torch.Generator().manual_seed(3)))
+    alike = dict(zip(regions.levels, rows, strict=True))  # all regions of the early views are of one thing
+
+    def load(name: str, level: str) -> RegionMap:
+        known = regions.load(name, level)
+        return (
+            known
+            if name == "view_03.png"
+            else RegionMap(known.labels, alike[level].expand(len(known.embeddings), -1))
+        )
+
+    changed = Regions(regions.levels, regions.view_names, load)
+    first = build(gaussians, cameras[:3], changed, settings=QUICK)
+    with pytest.warns(ScoupWarning, match=r"more than 30% of the regions of view_03\.png badly"):
+        build(gaussians, cameras, changed, settings=QUICK, codebook=first)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ScoupWarning)
+        build(gaussians, cameras[:3], changed, settings=QUICK, codebook=first)
+
+
+def test_a_codebook_of_other_regions_is_refused(scene):
+    gaussians, cameras, regions = scene
+    field = build(*scene, settings=QUICK)
+    with pytest.raises(InputError, match="embeddings of 24 dimensions, the field of the codebook 16"):
+        build(gaussians, cameras, other_embeddings(regions), settings=QUICK, codebook=field)
+    one = Regions.from_maps({name: {"m": regions.load(name, "m")} for name in regions.view_names})
+    with pytest.raises(InputError, match=r"levels \['m'\], the field of the codebook \['s', 'm', 'l'\]"):
+        build(gaussians, cameras, one, settings=QUICK, codebook=field)
 
 
 @pytest.mark.parametrize(
@@ -180,20 +269,6 @@ def test_sums_of_another_scene_are_refused(scene):
     gsplat = dataclasses.replace(QUICK, raster_preset="gsplat")
     with pytest.raises(InputError, match="other rasteriser preset"):
         build(gaussians, cameras, regions, settings=gsplat, sums=sums)
-
-
-def test_codes_are_kept_beside_the_sums(scene):
-    gaussians, _, regions = scene
-    sums = RegionSums(gaussians.fingerprint(), morton_order(gaussians.means), regions.levels)
-    field = build(*scene, settings=QUICK, sums=sums)
-    coded = RegionCodes.load(sums)
-    assert coded is not None
-    assert torch.equal(coded.codebook, field.codebook)
-    assert RegionCodes.load(sums, "another key") is None
-    voters = sums.select(coded.rows[0], coded.rows)
-    found = scoup.vote(voters, coded.codes, coded.codebook, 2, 3)
-    assert torch.equal(found.indices, field.code_indices)
-    assert torch.equal(found.weights.half(), field.code_weights)
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])

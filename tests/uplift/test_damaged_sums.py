@@ -41,7 +41,7 @@ def changed(path: Path, change: Callable[[Arrays], None]) -> Path:
     stored = read_arrays(file)
     arrays = {name: array.copy() for name, array in stored.arrays.items()}
     change(arrays)
-    write_arrays(file, stored.header, arrays)
+    write_arrays(file, stored.header, arrays, overwrite=True)
     return copy
 
 

@@ -18,20 +18,16 @@ from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base.counts import spread
-from scoup.base.shares import Share
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.scene.things import NO_THING, ThingTable
-from scoup.uplift.build import build, thing_table
+from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS
 from scoup.uplift.merging import LEAST_IOU, LEAST_OVERLAP, ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.shards import add_shard, merge
 from scoup.uplift.things import LEAST_REGIONS, find_things, mean_embeddings
-from scoup.uplift.update import update
 from support import examples, small_scene
 
 DECIDED = ("owners", "levels", "parents", "n_regions")
@@ -374,60 +370,12 @@ def test_kept_in_memory_or_in_files_they_are_the_same(wall: Wall, tmp_path: Path
         assert saved(built(wall, sums=sums), tmp_path / f"{number}.scoup") == expected
     sums = RegionSums.open(tmp_path / "b.sums")
     assert saved(built(wall, sums=sums), tmp_path / "again.scoup") == expected
-    coded = RegionCodes.load(sums)
-    assert coded is not None
-    assert [part.dtype for part in coded.embeddings] == [torch.float16] * 2
-    again = thing_table(sums, coded)
-    assert again is not None
-    assert_same(again.table, of_field(built(wall)))
 
 
-@pytest.mark.parametrize("share_out", [("1/1",), ("2/3", "3/3", "1/3")])
-def test_shards_merge_to_the_things_of_a_build(wall: Wall, tmp_path: Path, share_out: Sequence[str]) -> None:
-    shards = []
-    for number, share in enumerate(share_out):
-        shards.append(RegionSums.empty(wall.gaussians, LEVELS, path=tmp_path / f"{number}.sums"))
-        add_shard(shards[-1], wall.gaussians, wall.cameras, wall.regions, Share.parse(share), check_fit=False)
-    found = merge(shards, SETTINGS)
-    assert saved(found, tmp_path / "a.scoup") == saved(built(wall), tmp_path / "b.scoup")
-    assert len(of_field(found)) == 3 * COUNT
-
-
-@pytest.mark.parametrize("place", [0, 2, 4])
-def test_a_view_that_is_added_gives_the_things_of_all(wall: Wall, things: ThingTable, place: int) -> None:
-    late = wall.cameras[place]
-    before = [name for name in wall.cameras.names if name != late.name]
-    sums = RegionSums.empty(wall.gaussians, LEVELS)
-    field = built(wall, before, sums=sums)
-    grown = update(field, sums, [late], wall.regions, check_fit=False)
-    found = of_field(grown)
-    assert_same(found, things, (*DECIDED, "mass"))
-    torch.testing.assert_close(found.embeddings, things.embeddings, atol=1e-3, rtol=0)
-    torch.testing.assert_close(found.agreement, things.agreement)
-    # Removed again, it leaves no trace.
-    assert_same(update(grown, sums, remove=[late.name]).thing_table, field.thing_table)
-
-
-def test_a_view_that_is_removed_leaves_the_things_of_the_others(wall: Wall) -> None:
-    for place in (0, 4):
-        gone = wall.cameras.names[place]
-        sums = RegionSums.empty(wall.gaussians, LEVELS)
-        fewer = update(built(wall, sums=sums), sums, remove=[gone])
-        whole = of_field(built(wall, [name for name in wall.cameras.names if name != gone]))
-        assert_same(fewer.thing_table, whole, (*DECIDED, "mass"))
-
-
-def test_a_field_without_things_stays_without(wall: Wall) -> None:
-    sums = RegionSums.empty(wall.gaussians, LEVELS)
-    cameras = wall.cameras[:4]
-    field = build(
-        wall.gaussians, cameras, wall.regions, replace(SETTINGS, things=False), sums=sums, check_fit=False
-    )
+def test_a_field_without_things(wall: Wall) -> None:
+    settings = replace(SETTINGS, things=False)
+    field = build(wall.gaussians, wall.cameras[:4], wall.regions, settings, check_fit=False)
     assert field.thing_table is None
-    coded = RegionCodes.load(sums)
-    assert coded is not None
-    assert not coded.embeddings
-    assert update(field, sums, [wall.cameras[4]], wall.regions, check_fit=False).thing_table is None
 
 
 def test_things_of_random_regions_are_of_their_levels() -> None:

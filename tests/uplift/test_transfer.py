@@ -45,7 +45,7 @@ def test_an_edited_splat_keeps_its_codes_and_things(field: LanguageField) -> Non
     assert found.thing_table.owners[:150].equal(field.thing_table.owners[order])
     assert (found.thing_table.owners[150:] == NO_THING).all()
     assert found.gaussians.fingerprint() == found.fingerprint == edited.fingerprint()
-    record = found.info.provenance["updates"][-1]["transferred"]
+    record = found.info.provenance["transferred"]
     assert record == {"from": field.fingerprint, "coded": 150, "not_coded": 2}
 
 

@@ -42,7 +42,6 @@ def restore_threads() -> Iterator[None]:
         n_atoms=st.sampled_from([1, 7, 33, 256, 257, 600]),
         k=st.integers(1, 9),
         entries=st.just(500),
-        halves=st.booleans(),
         without=st.sampled_from([None, 0]),
     ),
     keep=st.sampled_from([1, 4, 33, 64]),
@@ -89,7 +88,7 @@ def test_the_reference_adds_codes_up_as_written():
 
 @needs_native
 def test_same_bytes_on_any_number_of_threads_and_share_of_the_buckets(restore_threads):
-    arguments = random_vote(Sizes(5000, 6, 3, 48, 4, 20_000, True), 5)
+    arguments = random_vote(Sizes(5000, 6, 3, 48, 4, 20_000), 5)
     earlier, buckets = earlier_of(arguments, 4, 3), buckets_of(arguments)
     found = []
     for threads in (1, 2, 3, 5):
@@ -111,7 +110,7 @@ def test_every_instruction_set_agrees_with_the_reference(asked):
     if not core.use_isa(asked):
         pytest.skip(f"this CPU does not run {asked}")
     try:
-        check_rounds(NativeVote, Sizes(halves=True), 4, 7)
+        check_rounds(NativeVote, Sizes(), 4, 7)
     finally:
         core.use_isa(before)
 

@@ -16,7 +16,7 @@ if not torch.cuda.is_available():
 def test_votes_on_a_gpu(seed: int) -> None:
     for sizes, keep in (
         (Sizes(60_000, 9, 3, 128, 4, 500_000), 4),
-        (Sizes(3000, 5, 3, 64, 4, 90_000, halves=True), 4),
+        (Sizes(3000, 5, 3, 64, 4, 90_000), 4),
         (Sizes(700, 4, 2, 300, 16, 9000, without=1), 300),
         (Sizes(300, 3, 1, 4096, 4, 2000), 4),
         (Sizes(40, 3, 5, 7, 9, 5000), 7),

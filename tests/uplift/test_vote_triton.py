@@ -25,8 +25,8 @@ def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
     ("sizes", "keep"),
     [
         (Sizes(12, 3, 3, 24, 4, 90), 4),
-        (Sizes(20, 1, 1, 7, 2, 90, halves=True), 9),
-        (Sizes(5, 4, 2, 300, 5, 40, halves=True, without=0), 12),
+        (Sizes(20, 1, 1, 7, 2, 90), 9),
+        (Sizes(5, 4, 2, 300, 5, 40, without=0), 12),
         (Sizes(3, 1, 1, 1, 1, 5), 1),
         (Sizes(4, 3, 2, 20, 3, 150), 20),
     ],

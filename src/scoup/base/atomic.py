@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,27 +11,26 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from scoup.base.errors import NO_SPACE, InputError, OutputExistsError, ScoupError, WriteError
-from scoup.base.holding import LONGEST_STEM, held_temporary
+from scoup.base.file_names import hidden_name
+from scoup.base.locks import locked
+from scoup.base.parts import Part
 
 
-def check_output(path: str | Path, overwrite: bool = False, is_folder: bool = False) -> Path:
+def check_output(path: str | Path, overwrite: bool = False) -> Path:
     """Check that ``path`` may be written, before long work starts. Creates nothing.
 
     Args:
         path: the output.
-        overwrite: replace what is there.
-        is_folder: the output is a folder that is replaced as a whole, not a file.
+        overwrite: replace an existing file.
 
     Returns:
         The path.
     """
     path = Path(path)
-    if os.path.isdir(path) and not is_folder:
+    if os.path.isdir(path):
         raise InputError(f"{path}: is a folder; use the name of a file to write")
-    if os.path.isfile(path) and is_folder:
-        raise InputError(f"{path}: is a file; move it, as a folder of this name is written")
     if os.path.lexists(path):
-        if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        if os.path.exists(path) and not os.path.isfile(path):
             raise InputError(f"{path}: is not a regular file; use another name")
         if not overwrite:
             raise OutputExistsError(path)
@@ -71,41 +69,103 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
 def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """Yield a path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
-    The parent folder is made if it is missing. On any error, interruption included, the hidden folder is removed with
-    all that is in it, and ``path`` keeps what it held.
+    For libraries that write a file by its name. On any error, interruption included, the hidden folder is removed with
+    all that is in it, and ``path`` is unchanged. Only a killed process leaves one, which the next block for ``path``
+    removes.
 
     Args:
-        path: the output.
-        overwrite: replace what is there.
+        path: the output; its folder is made if it is missing.
+        overwrite: replace an existing file.
+
+    Raises:
+        OutputExistsError: ``path`` exists, and ``overwrite`` is false.
+        OutputInUseError: another process writes it.
+        WriteError: the system refuses.
     """
-    # A folder, as libraries may write files of other names first, which no process holds.
-    with _appearing(path, overwrite, in_folder=True) as temporary:
-        yield temporary
+    path = check_output(path, overwrite)
+    hidden = temporary_path(path)
+    with (
+        temporary_output(path, overwrite),
+        refusals_named(path, hidden),
+        refusals_named(path, hidden / path.name),
+    ):
+        hidden.mkdir()
+        yield hidden / path.name
+        _appear(hidden / path.name, path, overwrite)
 
 
 @contextmanager
-def atomic_file(path: str | Path, overwrite: bool = False, flush: bool = True) -> Iterator[BinaryIO]:
-    """Yield a binary file that becomes ``path`` when the block ends without an error. See ``atomic_path``.
+def atomic_file(
+    path: str | Path, overwrite: bool = False, flush: bool = True, wait: float = 0.0
+) -> Iterator[BinaryIO]:
+    """Yield a binary file that becomes ``path`` when the block ends without an error; see ``atomic_path``.
 
     It has no ``fileno``.
 
     Args:
         path: the output.
-        overwrite: replace what is there.
-        flush: have it on the disk before it gets its name; else whoever writes many files calls ``flush_to_disk``.
+        overwrite: replace an existing file.
+        flush: write it to the disk before the rename; otherwise, whoever writes many files calls ``flush_to_disk``.
+        wait: seconds to wait for another process that writes it.
     """
-    with _appearing(path, overwrite, in_folder=False, flush=flush) as temporary, _Output(temporary) as stream:
-        yield cast(BinaryIO, stream)
+    path = check_output(path, overwrite)
+    temporary = temporary_path(path)
+    with temporary_output(path, overwrite, wait), refusals_named(path, temporary):
+        with _Output(temporary) as stream:
+            yield cast(BinaryIO, stream)
+        _appear(temporary, path, overwrite, flush)
+
+
+@contextmanager
+def reserved_output(path: str | Path, overwrite: bool = False) -> Iterator[None]:
+    """Keep other processes from beginning long work on an output, which the block writes at its end.
+
+    Arguments and errors are those of ``atomic_path``; the output may exist only with ``overwrite``.
+    """
+    path = check_output(path, overwrite)
+    with folder_made(path.parent, path), locked(path, kind="work.lock"):
+        check_output(path, overwrite)  # another process may have written it meanwhile
+        yield
+
+
+@contextmanager
+def reserved_part(folder: Path, part: Part) -> Iterator[None]:
+    """Keep other processes from making the same part of a folder; the folder is made if it is missing."""
+    if folder.is_file():
+        raise InputError(f"{folder}: is a file, not a folder; choose another output")
+    with folder_made(folder, folder), locked(folder / f"part-{part}"):
+        yield
+
+
+@contextmanager
+def temporary_output(path: Path, overwrite: bool = False, wait: float = 0.0) -> Iterator[None]:
+    """Keep other processes from writing an output; remove its temporary file or folder before and after the block."""
+    with folder_made(path.parent, path), locked(path, wait):
+        check_output(path, overwrite)  # another process may have written it meanwhile
+        remove(temporary_path(path))
+        try:
+            yield
+        finally:
+            remove(temporary_path(path))
+
+
+def temporary_path(path: Path) -> Path:
+    """Return the path of the temporary file or folder of an output, beside it."""
+    return path.with_name(hidden_name(path.name, "partial"))
+
+
+def _appear(temporary: Path, path: Path, overwrite: bool, flush: bool = True) -> None:
+    """Rename a complete file to its output."""
+    check_output(path, overwrite)  # a program that knows no locks may have written it meanwhile
+    if flush:
+        flush_to_disk(temporary)
+    os.replace(temporary, path)
+    if flush:
+        flush_names(path.parent)
 
 
 def flush_to_disk(path: Path) -> None:
-    """Write a file, or a folder with its files, to the disk: otherwise a rename may get there first."""
-    if path.is_dir():
-        for file in path.iterdir():
-            flush_to_disk(file)
-        with suppress(OSError):
-            _flush(path)
-        return
+    """Write a file to the disk: otherwise a rename may get there first."""
     try:
         _flush(path)
     except OSError as error:
@@ -126,21 +186,6 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def replace(source: Path, target: Path) -> None:
-    """Rename a file or a folder, in place of what is there. A folder is moved aside first, and then removed."""
-    if not target.is_dir():
-        os.replace(source, target)
-        return
-    aside = hidden_path(target)
-    os.replace(target, aside)
-    try:
-        os.replace(source, target)
-    except OSError:
-        os.replace(aside, target)
-        raise
-    remove(aside)
-
-
 def remove(path: Path) -> None:
     """Remove a file or a folder; what is not there, or cannot be removed, is left."""
     if path.is_dir() and not path.is_symlink():
@@ -150,36 +195,10 @@ def remove(path: Path) -> None:
             path.unlink()
 
 
-def hidden_path(path: Path) -> Path:
-    """Return a new name for a temporary file or folder beside an output."""
-    return path.with_name(f".{path.stem[:LONGEST_STEM]}.{secrets.token_hex(6)}{path.suffix}")
-
-
-def write_text(path: str | Path, text: str, overwrite: bool = False) -> None:
-    """Write UTF-8 text atomically."""
-    with atomic_file(path, overwrite) as stream:
+def write_text(path: str | Path, text: str, overwrite: bool = False, wait: float = 0.0) -> None:
+    """Write UTF-8 text; arguments and errors as of ``atomic_file``."""
+    with atomic_file(path, overwrite, wait=wait) as stream:
         stream.write(text.encode("utf-8"))
-
-
-@contextmanager
-def _appearing(path: str | Path, overwrite: bool, in_folder: bool, flush: bool = True) -> Iterator[Path]:
-    """Yield the path of a temporary file that is held (``base.holding``), or is in a folder that is."""
-    path = check_output(path, overwrite)
-    hidden = hidden_path(path)
-    temporary = hidden / path.name if in_folder else hidden
-    with (
-        folder_made(path.parent, path),
-        refusals_named(path, hidden),
-        refusals_named(path, temporary),
-        held_temporary(hidden, in_folder),
-    ):
-        yield temporary
-        check_output(path, overwrite)  # somebody else may have written the file meanwhile
-        if flush:
-            flush_to_disk(temporary)
-        os.replace(temporary, path)
-        if flush:
-            flush_names(path.parent)
 
 
 class _Output(io.BufferedIOBase):

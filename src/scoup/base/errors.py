@@ -28,8 +28,6 @@ class ScoupError(Exception):
         nothing.ply: there is no such file or folder (a trained splat was expected); check the path
     """
 
-    exit_code = 2
-
 
 class InputError(ScoupError, ValueError):
     """A value or a file that cannot be used."""
@@ -172,49 +170,17 @@ class WriteError(InputError):
         return WriteError(path, self.reason, self.remedy)
 
 
-class ProcessLostError(ScoupError):
-    """Another of the processes at one task has ended, or cannot be reached.
+class OutputInUseError(InputError):
+    """An output that another process is writing."""
 
-    Args:
-        problem: what was seen of that.
-    """
-
-    exit_code = 1  # nothing has to be fixed: a second try may do
-
-    def __init__(self, problem: str) -> None:
-        self.problem = problem
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
         super().__init__(
-            f"another of the processes at work together has ended, or cannot be reached ({problem}); what is done is "
-            "kept: start them all again, and they continue"
+            f"{path}: is being written by another process; wait for it, or choose another output"
         )
 
     def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.problem,)
-
-
-SAID_ELSEWHERE = "said_elsewhere"
-"""Attribute of an error that ends several processes at one task: whether another of them tells the user."""
-
-
-def is_said_elsewhere(error: BaseException | None) -> bool:
-    """Return whether another of the processes reports this end of all of them."""
-    return getattr(error, SAID_ELSEWHERE, False)
-
-
-class OutputInUseError(InputError):
-    """An output that another process is writing.
-
-    Args:
-        holder: which process, as far as it is known.
-    """
-
-    def __init__(self, path: str | Path, holder: str) -> None:
-        self.path = Path(path)
-        self.holder = holder
-        super().__init__(f"{path}: is being written by {holder}; wait for it, or choose another output")
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self.path, self.holder)
+        return type(self), (self.path,)
 
 
 class UnknownNameError(InputError, KeyError):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable
 
-_MOST_BYTES = 80  # of a name: leaves space for suffixes and for the marks of temporary files
+_MOST_BYTES = 80  # of a name: leaves space for suffixes and for the names of temporary files
+_LONGEST = 200  # bytes of a name that a hidden one repeats; file systems allow 255
 
 
 def slug(text: str) -> str:
@@ -26,3 +28,10 @@ def unique_slugs(texts: Iterable[str]) -> list[str]:
             candidate = f"{name}-{number}"
         names.append(candidate)
     return names
+
+
+def hidden_name(name: str, kind: str) -> str:
+    """Return the name of a hidden file beside a file of this name: ``.NAME.KIND``."""
+    if len(name.encode("utf-8", "replace")) > _LONGEST:
+        name = hashlib.sha256(name.encode("utf-8", "replace")).hexdigest()
+    return f".{name}.{kind}"

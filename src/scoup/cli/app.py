@@ -22,7 +22,6 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup views point_cloud.ply --out SCENE      (without photographs)
   scoup extract SCENE
   scoup build SCENE --gaussians point_cloud.ply --out scene.scoup
-  scoup update scene.scoup --scene SCENE --add all
   scoup query scene.scoup "kettle" "wooden table" --camera all
   scoup select scene.scoup "kettle" --out kettle.ply
   scoup label scene.scoup "kettle" "wooden table"
@@ -33,8 +32,8 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
-`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 internal error or another of several
-processes was lost, 2 bad input, 130 interrupted, 143 terminated."""
+`scoup VERB --help` explains a verb. Exit codes: 0 done, 1 internal error, 2 bad input, 130
+interrupted, 143 terminated."""
 
 SCOUP = Family(
     DESCRIPTION,
@@ -45,8 +44,7 @@ SCOUP = Family(
         "regions": "scoup.cli.regions:ShowRegions",
         "convert": "scoup.cli.convert:Convert",
         "build": "scoup.cli.build:Build",
-        "merge": "scoup.cli.merge:Merge",
-        "update": "scoup.cli.update:Update",
+        "transfer": "scoup.cli.transfer:Transfer",
         "query": "scoup.cli.query:Query",
         "select": "scoup.cli.select:Select",
         "label": "scoup.cli.label:Label",
@@ -117,7 +115,7 @@ def _fill_closed_streams() -> None:
 
 
 def _terminate(*_: object) -> None:
-    """End as after an interruption: temporary files are removed, locks are given up."""
+    """End as after an interruption: temporary files and locks are removed."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough; cleaning up is not to be cut short
     raise Terminated
 

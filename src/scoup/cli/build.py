@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -11,19 +10,17 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.build_options import BuildOptions, check_field_name, check_field_output, report_field
+from scoup.cli.build_options import BuildOptions, check_field_name, report_field
 from scoup.cli.console import Console, kept
-from scoup.cli.options import CLIP_MODEL, Flag, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
-    from scoup.base.locks import Output
-    from scoup.base.shares import Share
+    from scoup.field.language_field import LanguageField
     from scoup.scene.cameras import Cameras
     from scoup.scene.gaussians import Gaussians
     from scoup.scene.regions import Regions
     from scoup.uplift.region_sums import RegionSums
-    from scoup.uplift.shards import Shard
 
 CLIP_DIM = 512
 
@@ -46,13 +43,14 @@ class Build(BuildOptions, ViewOptions):
     """Build a language field from a trained splat, its cameras, and region features.
 
     SCENE is an output folder of COLMAP, nerfstudio or Inria's code. For a splat alone, name it instead: views of it are
-    rendered and cut into regions first, in <out>_views. To resume an interrupted build, run the same command again.
+    rendered and cut into regions first, in <out>_views.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "gaussians raster_preset",
         "splat without a scene": "segmenter embedder",
-        "region sum": "keep_sums sums sums_weights least_weight shard",
+        "coding": "codebook",
+        "region sum": "keep_sums sums part",
         "output": "out",
     }
 
@@ -72,55 +70,56 @@ class Build(BuildOptions, ViewOptions):
     """Segmenter for views of a splat alone, as for scoup extract."""
     embedder: OptionalText = None
     """Embedder for views of a splat alone, as for scoup extract."""
-    keep_sums: Flag = False
-    """Also write the region sums to <out>.sums: scoup update needs them, and --sums builds from them (other embeddings,
-    codes or rounds) without rasterising."""
+    codebook: OptionalPath = None
+    """An earlier field of the scene, whose codebook codes the regions; only --k of the options of coding counts then.
+    For photographs that came later. Default: a new codebook is learned."""
+    keep_sums: OptionalPath = None
+    """Folder for the region sums, one file per view. Views that it contains unchanged are not rasterised again, so the
+    same command resumes a build that was ended, and takes in new photographs. Default: a temporary folder."""
     sums: OptionalPath = None
     """Build from the region sums in this folder, written by --keep-sums, without rasterising."""
-    sums_weights: Literal["float32", "float16"] = "float32"
-    """Type of stored region sums: float16 takes 5 bytes per entry instead of 7."""
-    least_weight: float = 0.0
-    """Omit entries of the region sums below this, for less space. 0.01 omits a quarter to a half; Gaussians that
-    contribute hardly anything lose their codes."""
-
-    shard: OptionalText = None
-    """I/N, such as 1/4: rasterise only this share of the views and write <out>.I-of-N.sums, in any order, on any
-    machine. scoup merge makes the field of all shards, with the options of coding, vote and output."""
+    part: OptionalText = None
+    """I/N, such as 1/4: only rasterise every N-th view from the I-th on, into the folder of --keep-sums. Parts may be
+    made in any order, on any machine; afterwards, build with --sums."""
 
     def run(self, console: Console) -> None:
         """Build, save and report."""
-        from scoup.base.locks import locked_output
-        from scoup.base.shares import Share, device_of_process
-        from scoup.uplift.build import build
-        from scoup.uplift.checkpoint import save_field
+        from scoup.base.atomic import check_output, reserved_output
 
         if (scene := self._of_splat(console)) is not None:
             return scene.run(console)
-        share, device = Share.of_environment(), device_of_process(self.device)
-        out = self._output(share)
-        loaded = self._load(console, device)
-        if self.shard is not None:
-            return self._write_shard(console, out, loaded)
-        if not share.is_everything:
-            return self._build_together(console, out, loaded, share, device)
+        out = self._output()
+        if self.part is not None:
+            return self._write_part(console)
+        check_output(out, self.overwrite)
+        loaded = self._load(console)
         started = time.perf_counter()
-        with locked_output(out, self.overwrite) as output, self._region_sums(out, loaded) as sums:
-            self._announce(console, sums, len(loaded.regions))
-            with console.progress() as progress:
-                field = build(
-                    loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
-                    embedding_model=loaded.model, words=loaded.words, geometry_path=loaded.source, sums=sums,
-                    check_fit=not self.no_check_fit, progress=progress,
-                )  # fmt: skip
-            save_field(output, field, sums, self.keep_sums, self.embed_geometry, self.weight_bits)
-            bytes_of_sums = sums.bytes if self.keep_sums else None
-        report_field(console, field, out, bytes_of_sums, device, time.perf_counter() - started)
+        with reserved_output(out, self.overwrite):
+            sums = self._region_sums(loaded)
+            field = self._build(console, loaded, sums)
+            field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
+        kept_sums = None if self.keep_sums is None else sums
+        report_field(console, field, out, kept_sums, self.device, time.perf_counter() - started)
         return None
+
+    def _build(self, console: Console, loaded: _Loaded, sums: RegionSums | None) -> LanguageField:
+        """Build with progress; what an interruption leaves is reported."""
+        from scoup.field.language_field import LanguageField
+        from scoup.uplift.build import build
+
+        self._report_resumed(console, sums, len(loaded.regions))
+        codebook = None if self.codebook is None else LanguageField.load(self.codebook)
+        with console.progress() as progress:
+            return build(
+                loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
+                embedding_model=loaded.model, words=loaded.words, geometry_path=loaded.source, sums=sums,
+                codebook=codebook, check_fit=not self.no_check_fit, progress=progress,
+            )  # fmt: skip
 
     def _of_splat(self, console: Console) -> Build | None:
         """Make a scene of a splat alone; returns the build of that scene. None where there is a scene."""
+        from scoup.base.atomic import check_output
         from scoup.base.errors import InputError
-        from scoup.base.shares import Share
         from scoup.cli.extract import Extract
         from scoup.cli.views import is_splat, make_scene
 
@@ -128,87 +127,62 @@ class Build(BuildOptions, ViewOptions):
             if self.segmenter is not None or self.embedder is not None:
                 raise InputError("--segmenter and --embedder are for a splat alone; run scoup extract first")
             return None
-        if self.shard is not None or not Share.of_environment().is_everything:
+        if self.part is not None:
             raise InputError(f"{self.scene}: make its scene first, with scoup views and scoup extract")
         if self.gaussians is not None:
             raise InputError(f"{self.scene}: is a splat; pass the scene, and the splat with --gaussians")
         out = self.out or Path(f"{self.scene.stem}.scoup")
         check_field_name(out)
-        check_field_output(out, self.overwrite, self.keep_sums)
+        check_output(out, self.overwrite)
         folder = out.with_name(f"{out.stem}_views")
         models = Extract(device=self.device, segmenter=self.segmenter, embedder=self.embedder or CLIP_MODEL)
         make_scene(console, self.scene, folder, models, self.overwrite)
         return replace(self, scene=folder, gaussians=self.scene, out=out, segmenter=None, embedder=None)
 
-    def _write_shard(self, console: Console, out: Path, loaded: _Loaded) -> None:
-        """Rasterise a share of the views, keep it and report."""
-        from scoup.base.locks import locked_output
-        from scoup.base.shares import Share
-        from scoup.uplift.storage.paths import shard_path
+    def _write_part(self, console: Console) -> None:
+        """Rasterise a part of the views, keep their region sums and report."""
+        from scoup.base.atomic import reserved_part
+        from scoup.base.errors import InputError
+        from scoup.base.parts import Part
+        from scoup.uplift.build import check_scene
+        from scoup.uplift.rasterise import add_views, cameras_with_regions
 
-        share = Share.parse(self.shard or "")
-        path = shard_path(out, share)
+        part = Part.parse(self.part or "")
+        if self.keep_sums is None:
+            raise InputError("--part needs the folder for the region sums: pass --keep-sums")
+        later = [*self.given(), *(["--codebook"] if self.codebook else []), *(["--out"] if self.out else [])]
+        if later:
+            raise InputError(f"--part writes region sums only; pass {', '.join(later)} to scoup build --sums")
+        loaded = self._load(console)
         started = time.perf_counter()
-        with locked_output(path, self.overwrite, is_folder=True) as output:
-            made, size = self._make_shard(console, output, loaded, share, not self.no_check_fit)
+        views = cameras_with_regions(loaded.cameras, loaded.regions)
+        chosen = part.of(views)
+        with reserved_part(self.keep_sums, part):
+            sums = self._region_sums(loaded)
+            assert sums is not None
+            check_fit = not self.no_check_fit and bool(chosen) and not len(sums)
+            check_scene(
+                loaded.gaussians, chosen, loaded.raster_preset, None, loaded.source, check_fit=check_fit
+            )
+            self._report_resumed(console, sums, len(views))
+            with console.progress() as progress:
+                add_views(sums, loaded.gaussians, chosen, loaded.regions, progress=progress)
+            sums.flush()
         seconds = time.perf_counter() - started
-        views = len(made.sources.views)
         console.say(
-            f"{path}: {counted(views, 'view')} of {made.n_views:,}, {size / 1e6:.1f} MB, in {seconds:.0f} s; when all "
-            "shards are there: scoup merge"
+            f"{self.keep_sums}: part {part.number} of {part.count}, {counted(len(chosen), 'view')} of {len(views):,}, "
+            f"in {seconds:.0f} s; with all parts there: scoup build --sums {self.keep_sums}"
         )
-        record = {"shard": path, "bytes": size, "views": views, "of_views": made.n_views}
-        console.result({**record, "seconds": round(seconds, 2)})
+        console.result(
+            {
+                "sums": self.keep_sums,
+                "views": len(chosen),
+                "of_views": len(views),
+                "seconds": round(seconds, 2),
+            }
+        )
 
-    def _make_shard(
-        self, console: Console, output: Output, loaded: _Loaded, share: Share, check_fit: bool
-    ) -> tuple[Shard, int]:
-        """Make the shard of an output; returns it, and its bytes."""
-        from scoup.uplift.shards import add_shard
-
-        with self._region_sums(output.path, loaded) as sums, console.progress() as progress:
-            self._announce(console, sums, len(share.of(range(len(loaded.regions)))))
-            made = add_shard(
-                sums, loaded.gaussians, loaded.cameras, loaded.regions, share, embedding_model=loaded.model,
-                words=loaded.words, geometry_path=loaded.source, check_fit=check_fit, progress=progress,
-            )  # fmt: skip
-            size = sums.bytes
-            assert sums.path is not None
-            output.take(sums.path)
-        return made, size
-
-    def _build_together(
-        self, console: Console, out: Path, loaded: _Loaded, share: Share, device: str
-    ) -> None:
-        """Make the shard of one of several processes; the first of them merges all."""
-        from scoup.base.atomic import remove
-        from scoup.base.heartbeats import heartbeats, reported_once, wait_for_parts, wait_until_taken
-        from scoup.base.locks import lock_path, locked_output
-        from scoup.base.shares import Share
-        from scoup.cli.merge import save_merged
-        from scoup.uplift.checkpoint import resume_shard
-        from scoup.uplift.storage.paths import shard_path
-
-        shards = [shard_path(out, Share(number, share.count)) for number in range(share.count)]
-        path, started = shards[share.number], time.perf_counter()
-        if not share.is_first:
-            part_lock = locked_output(path, overwrite=True, is_folder=True)
-            with reported_once(share), part_lock as part, heartbeats(part):
-                resume_shard(path)  # of an earlier run, which may have been of another scene
-                self._make_shard(console, part, loaded, share, check_fit=False)
-                wait_until_taken(part, path, lock_path(out))
-            return
-        with reported_once(share), locked_output(out, self.overwrite) as whole, heartbeats(whole):
-            with locked_output(path, overwrite=True, is_folder=True) as part:
-                resume_shard(path)
-                self._make_shard(console, part, loaded, share, not self.no_check_fit)
-            wait_for_parts(whole, [lock_path(path) for path in shards[1:]])
-            found = save_merged(console, self, whole, shards, device, self.keep_sums, loaded.source)
-            for path in shards:
-                remove(path)
-        report_field(console, found.field, out, found.bytes_of_sums, device, time.perf_counter() - started)
-
-    def _load(self, console: Console, device: str) -> _Loaded:
+    def _load(self, console: Console) -> _Loaded:
         """Read the scene."""
         from scoup.io import default_preset, load_gaussians
         from scoup.io.scene_parts import find_splat
@@ -217,7 +191,7 @@ class Build(BuildOptions, ViewOptions):
         source = find_splat(self.scene, self.gaussians)
         raster_preset = default_preset(source) if self.raster_preset == "auto" else self.raster_preset
         self.settings(raster_preset)  # a mistake shows before the long work
-        gaussians = load_gaussians(source).to(device)
+        gaussians = load_gaussians(source).to(self.device)
         cameras, regions, features = self.load_views(self.scene)
         model, words = embedding_source(features, regions, self.model)
         if words is None:
@@ -228,64 +202,38 @@ class Build(BuildOptions, ViewOptions):
         )
         return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words)
 
-    def _output(self, share: Share) -> Path:
-        """The field to write, after checking that what is written now may be written."""
+    def _output(self) -> Path:
+        """The field to write; a mistake in the options shows before long work."""
         from scoup.base.errors import InputError
-        from scoup.base.locks import complete
-        from scoup.base.shares import Share
-        from scoup.io import check_output
         from scoup.io.camera_sources import scene_folder
-        from scoup.uplift.storage.paths import shard_path
 
         out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
         check_field_name(out)
-        if self.shard is not None:
-            if not share.is_everything:
-                raise InputError(
-                    "pass --shard, or run under torchrun, not both: torchrun divides the views itself"
-                )
-            self._check_alone_with_shard()
-            path = shard_path(out, Share.parse(self.shard))
-            complete(path)
-            check_output(path, self.overwrite, is_folder=True)
-            return out
-        if self.sums is not None and not share.is_everything:
-            raise InputError("--sums needs one process: nothing is rasterised; run without torchrun")
-        if self.sums is not None and self.keep_sums:
-            raise InputError("--sums and --keep-sums do not go together: the sums are kept already")
-        check_field_output(out, self.overwrite, self.keep_sums)
+        if self.sums is not None and self.keep_sums is not None:
+            raise InputError(
+                "pass --sums to build from region sums, or --keep-sums to add what they lack, not both"
+            )
         return out
 
-    def _check_alone_with_shard(self) -> None:
-        """Refuse options that a shard has no use for."""
-        from scoup.base.counts import listed
-        from scoup.base.errors import InputError
-
-        if self.sums is not None:
-            raise InputError("--sums and --shard do not go together: there is nothing to rasterise")
-        later = self.given() + (["--keep-sums"] if self.keep_sums else [])
-        if later:
-            raise InputError(f"--shard makes region sums only; pass {listed(later, 9)} to scoup merge")
-
-    def _region_sums(self, out: Path, loaded: _Loaded) -> AbstractContextManager[RegionSums]:
-        """The sums named, or those in the folder beside the output in which a build keeps what it has done."""
-        from scoup.uplift.checkpoint import checkpoint
+    def _region_sums(self, loaded: _Loaded) -> RegionSums | None:
+        """The sums named; None for those of a temporary folder."""
+        from scoup.uplift.rasterise import open_sums
         from scoup.uplift.region_sums import RegionSums
 
         if self.sums is not None:
-            return nullcontext(RegionSums.open(self.sums))
-        how = {"weights": self.sums_weights, "least_weight": self.least_weight}
-        return checkpoint(out, loaded.gaussians, loaded.regions, loaded.raster_preset, **how)
+            return RegionSums.open(self.sums)
+        if self.keep_sums is None:
+            return None
+        return open_sums(self.keep_sums, loaded.gaussians, loaded.regions, loaded.raster_preset)
 
-    def _announce(self, console: Console, sums: RegionSums, views: int) -> None:
+    def _report_resumed(self, console: Console, sums: RegionSums | None, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
-        from scoup.uplift.checkpoint import resume_message
-
-        if self.sums is None:
-            before = console.kept()
-            console.kept = lambda: kept(len(sums), views, "views", "codes" if sums.codes else "", before)
-        if message := resume_message(sums, views):
-            console.say(message)
+        if sums is None or not sums.writable or sums.path is None:
+            return
+        before = console.kept()
+        console.kept = lambda: kept(len(sums), views, "views", otherwise=before)
+        if len(sums):
+            console.say(f"{sums.path}: contains {counted(len(sums), 'view')} already")
 
 
 def _usual_model(regions: Regions) -> str:

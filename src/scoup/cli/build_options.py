@@ -14,6 +14,7 @@ from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_sett
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
+    from scoup.uplift.region_sums import RegionSums
 
 
 _SETTINGS = "n_atoms k keep rounds solver effort epochs tolerance seed"
@@ -53,19 +54,6 @@ class BuildOptions(WritesCommon):
         ]
 
 
-def check_field_output(out: Path, overwrite: bool, with_sums: bool) -> None:
-    """Complete what a killed process began at a field, then refuse it, or its region sums, if they may not be
-    written."""
-    from scoup.base.locks import complete
-    from scoup.io import check_output
-    from scoup.uplift.storage.paths import sums_path
-
-    complete(out)
-    check_output(out, overwrite)
-    if with_sums:
-        check_output(sums_path(out), overwrite, is_folder=True)
-
-
 def check_field_name(out: Path) -> None:
     """Refuse a name that no field may have."""
     from scoup.base.errors import InputError
@@ -78,13 +66,12 @@ def report_field(
     console: Console,
     field: LanguageField,
     out: Path,
-    bytes_of_sums: int | None,
+    sums: RegionSums | None,
     device: str,
     seconds: float,
 ) -> None:
-    """Report what was built; ``bytes_of_sums`` if they are kept."""
+    """Report what was built; ``sums`` if they are kept."""
     from scoup.field.part_sizes import part_sizes
-    from scoup.uplift.storage.paths import sums_path
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():
@@ -100,11 +87,9 @@ def report_field(
         f"{coded:,} of {counted(len(field), 'Gaussian')} coded, built in {seconds:.0f} s"
     )
     record: dict[str, Any] = {"field": out}
-    if bytes_of_sums is not None:
-        console.say(
-            f"{sums_path(out)}: {bytes_of_sums / 1e6:.1f} MB of region sums, {counted(views, 'view')}"
-        )
-        record |= {"sums": sums_path(out), "sums_bytes": bytes_of_sums}
+    if sums is not None and sums.path is not None:
+        console.say(f"{sums.path}: {sums.bytes / 1e6:.1f} MB of region sums, {counted(len(sums), 'view')}")
+        record |= {"sums": sums.path, "sums_bytes": sums.bytes}
     peak = _peak_gpu_memory(device)
     if peak is not None:
         console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")

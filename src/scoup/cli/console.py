@@ -8,20 +8,19 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TextIO
 
-from scoup.base.errors import ScoupError, ScoupWarning, WriteError, is_said_elsewhere, remedy_of
+from scoup.base.errors import ScoupError, ScoupWarning, WriteError, remedy_of
 from scoup.base.printable import printable
 from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
 
 _ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
 """How messages of the library name an argument, alone or with a value."""
-_OPTIONS = {"count": "--views", "distorted": "--undistort", "sums": "--keep-sums"}
+_OPTIONS = {"count": "--views", "distorted": "--undistort"}
 """Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 _SIGNS_OF_MEMORY = ("allocate", "out of memory", "failed to map segment")
@@ -70,23 +69,12 @@ class Console:
             with _printing(sys.stderr):
                 print(f"warning: {printable(message)}", file=sys.stderr, flush=True)
 
-    def fail(
-        self,
-        message: str,
-        code: int,
-        error: BaseException | None = None,
-        record: Mapping[str, Any] = MappingProxyType({}),
-    ) -> int:
-        """Print an error as one line, and in the JSON result beside what there is; returns the exit code.
-
-        Of processes at work together, one says that one of them was lost, or that all were interrupted.
-        """
-        if is_said_elsewhere(error):
-            return code
+    def fail(self, message: str, code: int) -> int:
+        """Print an error as one line, and in the JSON result; returns the exit code."""
         message = printable(" ".join(_with_options(message).splitlines()))
         with _printing(sys.stderr):
             print(f"error: {message}", file=sys.stderr, flush=True)
-        self.result({**record, "error": message})
+        self.result({"error": message})
         return code
 
     @contextmanager
@@ -121,7 +109,7 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
     """Run a verb; print errors that the user can correct as one line.
 
     Returns:
-        Exit code: the verb's, or 0 done, 1 another process was lost, 2 bad input, 130 interrupted, 143 terminated.
+        Exit code: the verb's, or 0 done, 2 bad input, 130 interrupted, 143 terminated.
         Faults of the program itself raise (exit code 1).
     """
     console = Console(common)
@@ -142,10 +130,10 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
                 sys.stdout.flush()
             return code
         except ScoupError as error:
-            return console.fail(str(error), error.exit_code, error)
+            return console.fail(str(error), 2)
         except KeyboardInterrupt as stop:
             word, code = ("terminated", 143) if isinstance(stop, Terminated) else ("interrupted", 130)
-            return console.fail(f"{word}; {console.kept()}", code, stop)
+            return console.fail(f"{word}; {console.kept()}", code)
         except MemoryError:
             return console.fail(_OUT_OF_MEMORY, 2)
         except OSError as error:  # such as a full disk: no fault of the program

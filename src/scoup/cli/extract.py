@@ -24,8 +24,8 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from scoup.base.parts import Part
     from scoup.base.progress import Progress
-    from scoup.base.shares import Share
     from scoup.extract import ExtractReport, MaskSettings
 
 
@@ -33,16 +33,15 @@ if TYPE_CHECKING:
 class Extract(WritesCommon):
     """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
 
-    To resume after an interruption, run the same command again; changed photographs are processed again. Under torchrun
-    every process takes its share of the photographs and, on a GPU machine, its own GPU. Models are fetched on first use
-    into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
+    To resume after an interruption, run the same command again; changed photographs are processed again. Models are
+    fetched on first use into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "photograph": "images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
         "mask": "preset points_per_side with_default",
-        "output": "out layout bits shard",
+        "output": "out layout bits part",
     }
 
     scene: Annotated[
@@ -82,9 +81,9 @@ class Extract(WritesCommon):
     """Also make LangSplat's level "default", which contains all masks in one list; SCOUP does not use it."""
     max_height: int = 1080
     """Reduce taller photographs to this height first; 0: never."""
-    shard: OptionalText = None
-    """I/N, such as 1/4: extract only this share of the photographs. Run each of 1/N to N/N, at any time, anywhere,
-    with the same OUT."""
+    part: OptionalText = None
+    """I/N, such as 1/4: extract only every N-th photograph from the I-th on. Parts may be made in any order, on any
+    machine that sees the folder."""
 
     def run(self, console: Console) -> None:
         """Extract and report, or list the models."""
@@ -96,7 +95,7 @@ class Extract(WritesCommon):
     def make(self, console: Console) -> dict[str, Any]:
         """Extract and report; returns what the result says."""
         from scoup.base.errors import InputError
-        from scoup.base.shares import device_of_process
+        from scoup.base.parts import Part
         from scoup.extract import Output, extract, find_photographs
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
@@ -105,10 +104,9 @@ class Extract(WritesCommon):
             raise InputError("pass the folder of the scene, or --list")
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
-        device = device_of_process(self.device)
-        segmenter_name, settings = self._masks(console, str(device))
+        segmenter_name, settings = self._masks(console, self.device)
         photographs = find_photographs(self.scene, self.images)
-        share = self._share()
+        part = Part() if self.part is None else Part.parse(self.part)
         out = self.out or usual_features(self.scene)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
@@ -116,32 +114,18 @@ class Extract(WritesCommon):
             self.embedder,
             settings,
             (self.segmenter_revision, self.embedder_revision),
-            device,
+            self.device,
             None if self.overwrite else out,
             self.with_default,
         )
         output = Output(self.layout, self.bits, self.max_height or None)
-        with _at_work(console, out, share) as progress:
-            report = extract(photographs, out, segmenter, embedder, output, self.overwrite, share, progress)
+        with _extracting(console, out, part) as progress:
+            report = extract(photographs, out, segmenter, embedder, output, self.overwrite, part, progress)
         seconds = time.perf_counter() - started
-        _say(console, report, out, seconds, share)
-        shares = {} if share.is_everything else {"shard": share.number + 1, "of_shards": share.count}
-        record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **shares}
+        _say(console, report, out, seconds, part)
+        parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
+        record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **parts}
         return {"out": out, "photographs": len(photographs), **record}
-
-    def _share(self) -> Share:
-        """The photographs to do: by torchrun's rank, or as named."""
-        from scoup.base.errors import InputError
-        from scoup.base.shares import Share
-
-        share = Share.of_environment()
-        if self.shard is None:
-            return share
-        if not share.is_everything:
-            raise InputError(
-                "pass --shard, or run under torchrun, not both: torchrun divides the photographs itself"
-            )
-        return Share.parse(self.shard)
 
     def _masks(self, console: Console, device: str) -> tuple[str, MaskSettings]:
         """Segmenter and settings, which are printed: LangSplat's on a GPU, the fastest that are good without one."""
@@ -175,9 +159,9 @@ def _list_models(console: Console) -> None:
 
 
 @contextmanager
-def _at_work(console: Console, out: Path, share: Share) -> Iterator[Progress]:
+def _extracting(console: Console, out: Path, part: Part) -> Iterator[Progress]:
     """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked."""
-    from scoup.base.locks import locked_folder
+    from scoup.base.atomic import reserved_part
 
     started, before = False, console.kept()
 
@@ -189,7 +173,7 @@ def _at_work(console: Console, out: Path, share: Share) -> Iterator[Progress]:
         console.kept = lambda: kept(done, total, "views", otherwise=before)
         progress(stage, done, total)
 
-    with locked_folder(out, share), console.progress() as progress:
+    with reserved_part(out, part), console.progress() as progress:
         yield report
 
 
@@ -204,10 +188,10 @@ def _record(report: ExtractReport) -> dict[str, Any]:
     }
 
 
-def _say(console: Console, report: ExtractReport, out: Path, seconds: float, share: Share) -> None:
+def _say(console: Console, report: ExtractReport, out: Path, seconds: float, part: Part) -> None:
     made = len(report.made)
     there = f", {report.kept:,} already there" if report.kept else ""
-    of = "" if share.is_everything else f" (shard {share.number + 1} of {share.count})"
+    of = "" if part.count == 1 else f" (part {part.number} of {part.count})"
     console.say(f"{out}: {counted(made, 'view')} made{there}{of}, in {seconds:.0f} s")
     if made:
         stages = ", ".join(f"{stage} {value / made:.2f}" for stage, value in report.seconds.items())

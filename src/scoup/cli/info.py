@@ -19,7 +19,7 @@ class Info(Common):
     table."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
-    """A .scoup, .sums, .npz, .json or .safetensors file, a splat (.ply, .spz, .glb, .pt and more), or a folder."""
+    """A .scoup, .npz, .json or .safetensors file, a splat (.ply, .spz, .glb, .pt and more), or a folder."""
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
@@ -33,8 +33,7 @@ class Info(Common):
 
             problem, remedy = other_format(self.path) or ("is not a known kind of file", _READ)
             raise FileFormatError(self.path, problem, remedy)
-        is_scene = self.path.is_dir() and suffix != ".sums"
-        record = (_folder if is_scene else _KINDS[suffix])(self.path)
+        record = (_folder if self.path.is_dir() else _KINDS[suffix])(self.path)
         if "distorted" in record:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
@@ -43,9 +42,9 @@ class Info(Common):
 
 
 _READ = (
-    "read are fields (.scoup), region sums (.sums), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), "
+    "read are fields (.scoup), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), "
     "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), "
-    "and folders of scenes and region features"
+    "and folders of scenes, region features and region sums"
 )
 
 
@@ -53,7 +52,10 @@ def _folder(path: Path) -> dict[str, Any]:
     from scoup.io import default_preset
     from scoup.io.describe import describe_folder
     from scoup.uplift.fit import measure_fit
+    from scoup.uplift.storage.paths import ENDING, SCENE
 
+    if (path / f"{SCENE}{ENDING}").exists():
+        return _region_sums(path)
     found = describe_folder(path)
     if not (found.splat and found.gaussians and found.cameras):
         return found.record
@@ -97,27 +99,14 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _region_sums(path: Path) -> dict[str, Any]:
     from scoup.uplift.region_sums import RegionSums
-    from scoup.uplift.shards import Shard
 
     sums = RegionSums.open(path)
-    shard = None if sums.inputs is None else Shard.load(sums)
-    of_shard = {}
-    if shard is not None:
-        sources = shard.sources
-        of_shard = {
-            "of_views": shard.n_views,
-            "embedding_model": sources.embedding_model,
-            "words": sources.words,
-        }
     return {
-        "kind": "region sums" if shard is None else "shard",
+        "kind": "region sums",
         "gaussians": sums.n_gaussians,
         "levels": list(sums.levels),
         "raster_preset": sums.raster_preset,
-        "weights": sums.weights,
         "views": len(sums),
-        **of_shard,
-        "codes": "kept" if sums.codes else "none",
         "bytes": sums.bytes,
         "fingerprint": sums.fingerprint,
     }
@@ -126,7 +115,6 @@ def _region_sums(path: Path) -> dict[str, Any]:
 def _field(path: Path) -> dict[str, Any]:
     from scoup.field.facts import read_facts
     from scoup.field.part_sizes import part_sizes
-    from scoup.uplift.storage.paths import folder_bytes, sums_path
 
     facts, sizes = read_facts(path), part_sizes(path)
     return {
@@ -146,7 +134,6 @@ def _field(path: Path) -> dict[str, Any]:
         "cameras": facts.cameras,
         "geometry": facts.geometry,
         "fingerprint": facts.fingerprint,
-        "region_sums": folder_bytes(sums) if (sums := sums_path(path)).is_dir() else None,
         "provenance": facts.provenance,
     }
 
@@ -154,7 +141,6 @@ def _field(path: Path) -> dict[str, Any]:
 SPLATS = (".ply", ".splat", ".spz", ".glb", ".gltf", ".ksplat", ".sog", ".pt", ".pth", ".ckpt")
 _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
-    ".sums": _region_sums,
     **dict.fromkeys(SPLATS, _splat),
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
     **dict.fromkeys((".bin", ".txt"), _cameras),

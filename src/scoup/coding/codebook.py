@@ -1,23 +1,17 @@
-"""The result of stage 1: a codebook and the codes learned with it; and how both take in more rows later."""
+"""The result of stage 1: a codebook and the codes learned with it."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.coding.encode import encode
-from scoup.coding.kmeans import spherical_kmeans
-from scoup.coding.report import CodingReport, decoded_cosines, report_with_more
-from scoup.scene.codes import SparseCodes, index_dtype
+from scoup.coding.report import CodingReport, decoded_cosines
+from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
-
-STARTS = 4  # of k-means for appended atoms; a single start often misses one of the new things
-SAME_ATOM = 1e-6  # 1 - cosine
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +41,7 @@ class Codebook:
     """[L, D] float32: of unit norm with the "exact" solver (or zero, where embeddings take fewer values than there are
     atoms), not with "adam"."""
     codes: SparseCodes
-    """Of the rows passed to ``fit_codes``, in their order, and then of those passed to ``extended``."""
+    """Of the rows passed to ``fit_codes``, in their order."""
     report: CodingReport
     """Quality and cost."""
 
@@ -59,84 +53,10 @@ class Codebook:
         Raises:
             InputError: if the rows are not [R, D] with this codebook's D, or not finite.
         """
-        return encode_rows(self._checked(rows), self.atoms, self.codes.k, self.report.explained_from)
-
-    def extended(self, rows: Tensor, n_new: int = 8, seed: int = 0) -> Codebook:
-        """Return a codebook with more atoms, learned from those of ``rows`` [R, D] that this one explains badly.
-
-        The old atoms come first and the old codes stay as they are, number for number; only the type of the indices
-        widens beyond 256 atoms. After them come the codes of all ``rows`` under all atoms. Where no row is badly
-        explained the atoms are the same, and only codes are appended. Same input and seed, same result.
-
-        Args:
-            rows: [R, D] floating point, any norm.
-            n_new: append at most so many atoms of unit norm; as many as there are different rows to learn from, if
-                those are fewer.
-            seed: of the random starts.
-
-        Raises:
-            InputError: if the rows are not [R, D] with this codebook's D or not finite, ``n_new`` is negative, or the
-                atoms would be more than 65536.
-        """
-        started = time.perf_counter()
-        check_new_atoms(len(self.atoms), n_new)
-        rows = self._checked(rows)
-        encoded = encode_rows(rows, self.atoms, self.codes.k, self.report.explained_from)
-        new = learn_atoms(rows[encoded.badly_explained], self.atoms, self.codes.k, n_new, seed)
-        atoms = self.atoms
-        if len(new):
-            atoms = torch.cat([self.atoms, new])
-            encoded = encode_rows(rows, atoms, self.codes.k, self.report.explained_from)
-        # torch joins few things of type uint16.
-        indices = torch.cat([self.codes.indices.long(), encoded.codes.indices.long()])
-        weights = torch.cat([self.codes.weights, encoded.codes.weights])
-        codes = SparseCodes(indices.to(index_dtype(len(atoms))), weights, len(atoms))
-        cosines = encoded.cosines[rows.any(1)]
-        report = report_with_more(self.report, cosines, codes, time.perf_counter() - started)
-        return Codebook(atoms, codes, report)
-
-    def _checked(self, rows: Tensor) -> Tensor:
         rows = normalise_embeddings(rows)
         if rows.shape[1] != self.atoms.shape[1]:
             raise InputError(f"rows have {rows.shape[1]} dimensions, the codebook has {self.atoms.shape[1]}")
-        return rows.to(self.atoms.device)
-
-
-def encode_rows(rows: Tensor, atoms: Tensor, k: int, threshold: float) -> Encoded:
-    """``Codebook.encode`` of unit rows [R, D]: ``threshold`` is the cosine below which a row is badly explained."""
-    codes = encode(rows, atoms, k)
-    cosines = decoded_cosines(rows, atoms, codes)
-    return Encoded(codes, cosines, (cosines < threshold) & rows.any(1))
-
-
-def learn_atoms(rows: Tensor, atoms: Tensor, k: int, n_new: int, seed: int = 0) -> Tensor:
-    """Return new atoms [M, D], unit vectors, no two the same, M <= n_new, for rows that the old ones explain badly.
-
-    Spherical k-means, the best of ``STARTS`` starts by the loss of the rows under old and new atoms together. The new
-    atoms reduce the loss of unseen things by three quarters; closed-form updates of them, with the old ones fixed,
-    reduced the rest by 2 to 9 %: not worth a second solver.
-    """
-    count = min(n_new, len(rows))
-    best, least = atoms.new_zeros(0, atoms.shape[1]), float("inf")
-    if not count:
-        return best
-    for start in range(STARTS):
-        found = _different(spherical_kmeans(rows, count, STARTS * seed + start))
-        both = torch.cat([atoms, found])
-        loss = float(1.0 - decoded_cosines(rows, both, encode(rows, both, k)).double().mean())
-        if loss < least:
-            best, least = found, loss
-    return best
-
-
-def check_new_atoms(n_atoms: int, n_new: int) -> None:
-    """Refuse a negative number of new atoms, or one that makes a codebook too large."""
-    if n_new < 0:
-        raise InputError(f"the number of new atoms must not be negative, got {n_new}")
-    index_dtype(n_atoms + n_new)  # checks its range
-
-
-def _different(atoms: Tensor) -> Tensor:
-    """Drop atoms that equal an earlier one: k-means of few distinct rows gives copies."""
-    same = (atoms @ atoms.T) > 1 - SAME_ATOM
-    return atoms[~same.tril(-1).any(1)]
+        rows = rows.to(self.atoms.device)
+        codes = encode(rows, self.atoms, self.codes.k)
+        cosines = decoded_cosines(rows, self.atoms, codes)
+        return Encoded(codes, cosines, (cosines < self.report.explained_from) & rows.any(1))

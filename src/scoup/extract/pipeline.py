@@ -16,8 +16,8 @@ from torch import Tensor
 from scoup.base.counts import counted, none_of
 from scoup.base.digests import file_sha256
 from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base.parts import Part
 from scoup.base.progress import Progress, no_progress
-from scoup.base.shares import Share
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
@@ -72,7 +72,7 @@ def extract(
     embedder: Embedder,
     output: Output = Output(),
     overwrite: bool = False,
-    share: Share = Share(),  # noqa: B008 - frozen
+    part: Part = Part(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
 ) -> ExtractReport:
     """Make region maps and embeddings of photographs. After an interruption, the same call continues.
@@ -80,8 +80,7 @@ def extract(
     Args:
         folder: of the results; ``load_regions`` reads it.
         overwrite: make existing views again.
-        share: of the photographs that this process extracts. Several processes may work on one folder; one that dies
-            loses its current view.
+        part: of the photographs to extract; several processes may write the parts of one folder.
 
     Warns:
         ScoupWarning: photographs were skipped because they could not be read; says how many.
@@ -91,7 +90,7 @@ def extract(
     settings = {**segmenter.record(), **embedder.record(), "max_height": output.max_height}
     manifest = RegionManifest.of(output.layout, embedder.name, settings, output.bits)
     store = RegionStore.create(folder, manifest, overwrite)
-    mine = share.of(photographs)
+    mine = part.of(photographs)
     report = ExtractReport()
     waiting = mine if overwrite else [item for item in mine if not _is_made(store, item)]
     report.kept = done = len(mine) - len(waiting)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import astuple
@@ -19,7 +18,6 @@ from torch import Tensor
 
 from scoup.base.errors import FileFormatError, ScoupError
 from scoup.base.file_names import slug
-from scoup.base.holding import HEX, remove_abandoned
 from scoup.base.npz import write_npz
 from scoup.base.user_cache import cache_folder
 from scoup.models.hub import ModelIdentity
@@ -28,7 +26,6 @@ from scoup.models.word_table import MODEL_KEY, WordTable, load_table
 PROBE = "object"
 """A phrase whose vector shows whether a file came from this model."""
 _VERSION = 1  # of how vectors are made and kept
-_TEMPORARY = re.compile(rf"\..*\.{HEX}\.npz")
 _LEAST_COSINE = 1 - 1e-5  # of the probe with itself; other devices and versions round differently
 
 
@@ -58,7 +55,6 @@ def everyday_vectors(
     if path is not None:
         with suppress(ScoupError, OSError):
             write_npz(path, arrays, overwrite=True)
-            remove_abandoned(path.parent, _TEMPORARY)
     return torch.from_numpy(table.vectors[1:])
 
 

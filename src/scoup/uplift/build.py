@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from pathlib import Path
-
-import torch
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
@@ -24,9 +23,9 @@ from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
-from scoup.uplift.region_codes import RegionCodes, RegionEmbeddings, inputs_digest, learn_region_codes
+from scoup.uplift.region_codes import RegionEmbeddings, code_regions, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.things import FoundThings, find_things
+from scoup.uplift.things import find_things
 from scoup.uplift.vote import vote
 
 
@@ -41,13 +40,14 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     geometry_path: str | Path | None = None,
     backend: str | None = None,
     sums: RegionSums | None = None,
+    codebook: LanguageField | None = None,
     check_fit: bool = True,
     progress: Progress = no_progress,
 ) -> LanguageField:
     """Build a language field (method.md, stages 1 and 2): learn codes per level, rasterise each view once, vote.
 
-    The steps can be called one by one: ``fit_codes``, ``region_sums``, ``vote``, ``LanguageField``. Memory grows with
-    the embeddings and codes of all regions, not with the number of views.
+    The steps can be called one by one: ``fit_codes``, ``region_sums``, ``find_things``, ``vote``, ``LanguageField``.
+    Memory grows with the embeddings and codes of all regions, not with the number of views.
 
     Args:
         gaussians: the trained scene; never changed.
@@ -58,8 +58,10 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         words: the word table that encodes texts in place of this model, recorded in the field.
         geometry_path: file of the Gaussians, recorded in the field.
         backend: name of the backend of rasteriser and vote.
-        sums: region sums of these Gaussians to continue from and to keep: only views that they lack are rasterised,
-            and the codes are kept beside them. By default they are in a temporary folder.
+        sums: region sums of these Gaussians to continue from and to keep: only views that they lack are rasterised.
+            By default they are in a temporary folder. Views that ``cameras`` lack do not vote.
+        codebook: an earlier field of the scene, whose codebook codes the regions; by default a new one is learned. Only
+            ``k`` of the settings of coding counts then.
         check_fit: compare small renders of some views with their photographs first (``uplift/fit.py``), unless the
             sums contain views already.
         progress: called as ``progress(stage, done, total)``.
@@ -68,7 +70,8 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit or are of wrong types.
 
     Warns:
-        ScoupWarning: Gaussians are implausible (``scoup.scene.oddities``), or splat and cameras may not fit.
+        ScoupWarning: Gaussians are implausible (``scoup.scene.oddities``), splat and cameras may not fit, or the
+            codebook explains many regions of a view badly.
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
@@ -77,88 +80,85 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         >>> field.save("built.scoup")
     """
     check_arguments(
-        "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
-    )
+        "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions),
+        codebook=(codebook, (LanguageField, type(None))),
+    )  # fmt: skip
     settings = build_settings(settings)
+    if codebook is not None:
+        settings = replace(settings, n_atoms=codebook.n_atoms)
+    device = gaussians.device
     with ExitStack() as stack:
         if sums is None:
             folder = stack.enter_context(temporary_folder())
             sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
-        check_sums(sums, gaussians, regions, settings.raster_preset)
-        for oddity in oddities(gaussians):
-            warnings.warn(oddity, ScoupWarning, stacklevel=2)
+            check_sums(sums, gaussians, regions, settings.raster_preset)
+        else:
+            check_sums(sums, gaussians, regions, settings.raster_preset)
+            stack.callback(sums.flush)
         views = cameras_with_regions(cameras, regions)
         regions = regions.select([camera.name for camera in views])
         embeddings = RegionEmbeddings.load(regions)
-        device = gaussians.device
-        if check_fit and not len(sums):
-            fit.check_fit(gaussians, views, settings.raster_preset, backend, geometry_path)
+        check_scene(
+            gaussians, views, settings.raster_preset, backend, geometry_path, check_fit and not len(sums)
+        )
 
-        codes = learn_region_codes(sums, embeddings, settings, device, progress)
-        digest = inputs_digest(sums.fingerprint, views, embeddings, asdict(settings))
+        if codebook is None:
+            codes = learn_region_codes(embeddings, settings, device, progress)
+        else:
+            codes = code_regions(embeddings, codebook, settings.k, device)
+        digest = inputs_digest(sums.fingerprint, views, embeddings, _decisive(settings, codebook))
+        halves = [rows.cpu().half() for rows in embeddings.of_levels]
         del embeddings  # the rest needs codes and rounded embeddings only
         add_views(sums, gaussians, views, regions, backend, progress)
-        things = thing_table(sums, codes, progress)
-        sources = Sources.of(views, embedding_model, words, geometry_path, digest)
-        field = vote_field(sums, codes, things, sources, settings, device, backend, progress)
+        sums = sums.select([view.name for view in views], codes.rows)
+        things = find_things(sums, halves, progress) if settings.things else None
+        gaussian_codes = vote(
+            sums, codes.codes, codes.codebook.to(device), settings.rounds, settings.keep or None,
+            backend=backend, progress=progress,
+        )  # fmt: skip
+        fit.check_coded(gaussian_codes.weights)
+        record = build_record(settings, digest, sums, codes.reports, gaussian_codes.sharpness)
+        record |= {} if things is None else things.record(sums.levels)
+        table, geometry = (None if path is None else Path(path) for path in (words, geometry_path))
+        field = LanguageField(
+            gaussian_codes.indices,
+            gaussian_codes.weights,
+            codes.codebook,
+            FieldInfo(
+                sums.levels,
+                embedding_model,
+                sums.fingerprint,
+                len(gaussians),
+                settings.raster_preset,
+                record,
+                table,
+            ),
+            geometry_path=geometry,
+            cameras=Cameras(views),
+            thing_table=None if things is None else things.table,
+        ).to(device)
         field.attach(gaussians, known=True)
         return field
 
 
-@dataclass(frozen=True, eq=False)
-class Sources:
-    """Origin of a field, as its provenance records it."""
-
-    views: tuple[Camera, ...]
-    embedding_model: str = ""
-    words: Path | None = None  # the word table that encodes texts, if one does
-    geometry_path: Path | None = None  # file of the Gaussians, if known
-    digest: str = ""  # of everything the codes depend on, if known (``inputs_digest``)
-
-    @classmethod
-    def of(
-        cls,
-        views: Sequence[Camera],
-        embedding_model: str,
-        words: str | Path | None,
-        geometry_path: str | Path | None,
-        digest: str = "",
-    ) -> Sources:
-        """Return the origin of a field from the arguments of ``build``."""
-        table, geometry = (None if path is None else Path(path) for path in (words, geometry_path))
-        return cls(tuple(views), embedding_model, table, geometry, digest)
-
-
-def thing_table(sums: RegionSums, codes: RegionCodes, progress: Progress = no_progress) -> FoundThings | None:
-    """Find the things of the views of ``codes``; None if no embeddings are kept with the codes."""
-    if not codes.embeddings:
-        return None
-    return find_things(sums.select(codes.rows[0], codes.rows), codes.embeddings, progress)
-
-
-def vote_field(
-    sums: RegionSums,
-    codes: RegionCodes,
-    things: FoundThings | None,
-    sources: Sources,
-    settings: BuildSettings,
-    device: torch.device,
+def check_scene(
+    gaussians: Gaussians,
+    views: Sequence[Camera],
+    raster_preset: str,
     backend: str | None = None,
-    progress: Progress = no_progress,
-) -> LanguageField:
-    """Let all views of ``sources`` vote, the last step of a build; the field has no Gaussians attached."""
-    sums = sums.select([view.name for view in sources.views], codes.rows)
-    found = vote(
-        sums, codes.codes, codes.codebook.to(device), settings.rounds, settings.keep or None, backend=backend,
-        progress=progress,
-    )  # fmt: skip
-    fit.check_coded(found.weights)
-    record = build_record(settings, sources.digest, sums, codes, found.sharpness)
-    table = None if things is None else things.table
-    record |= {} if things is None else things.record(sums.levels)
-    model, preset = sources.embedding_model, settings.raster_preset
-    info = FieldInfo(sums.levels, model, sums.fingerprint, sums.n_gaussians, preset, record, sources.words)
-    origin = {"geometry_path": sources.geometry_path, "cameras": Cameras(sources.views)}
-    return LanguageField(found.indices, found.weights, codes.codebook, info, thing_table=table, **origin).to(
-        device
-    )
+    geometry_path: str | Path | None = None,
+    check_fit: bool = True,
+) -> None:
+    """Warn of implausible Gaussians, and check that splat and cameras fit (``uplift/fit.py``)."""
+    for oddity in oddities(gaussians):
+        warnings.warn(oddity, ScoupWarning, stacklevel=3)
+    if check_fit:
+        fit.check_fit(gaussians, views, raster_preset, backend, geometry_path)
+
+
+def _decisive(settings: BuildSettings, codebook: LanguageField | None) -> dict[str, object]:
+    """Return everything that decides the result but the inputs, as JSON values."""
+    if codebook is None:
+        return asdict(settings)
+    digest = hashlib.sha256(codebook.codebook.cpu().contiguous().numpy().data)
+    return {**asdict(settings), "codebook": digest.hexdigest()}

@@ -51,11 +51,6 @@ class BuildSettings:
         """The settings that decide the codebook (``fit_codes``)."""
         return {name: getattr(self, name) for name in _OF_FIT}
 
-    @property
-    def of_codes(self) -> dict[str, Any]:
-        """The settings that decide the codes of the regions."""
-        return {**self.of_fit, "things": self.things}
-
     def __post_init__(self) -> None:
         if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:
             raise InputError(

@@ -17,7 +17,6 @@ from scoup.io.regions.manifest import read_manifest
 from scoup.models.word_table import is_table, load_table
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.region_codes import RegionCodes
 from scoup.uplift.region_sums import RegionSums
 
 
@@ -56,12 +55,13 @@ def build_record(
     settings: BuildSettings,
     inputs: str,
     sums: RegionSums,
-    codes: RegionCodes,
+    reports: Sequence[dict[str, Any]],
     sharpness: Tensor | None,
 ) -> dict[str, Any]:
     """Return the record of a build.
 
-    ``inputs`` is the ``region_codes.inputs_digest``, ``sharpness`` [S] that of the rounds after the first.
+    ``inputs`` is the ``region_codes.inputs_digest``, ``reports`` are those of the codes per level, ``sharpness`` [S] is
+    that of the rounds after the first.
     """
     names = list(sums.views)
     record: dict[str, Any] = {
@@ -70,10 +70,8 @@ def build_record(
         "inputs": inputs,
         "label_maps": labels_digest(sums, names),
         "views": names,
-        "coding": dict(zip(sums.levels, codes.reports, strict=True)),
+        "coding": dict(zip(sums.levels, reports, strict=True)),
     }
     if sharpness is not None:
         record["sharpness"] = sharpness.tolist()
-    if (sums.weights, sums.least_weight) != ("float32", 0):
-        record["region_sums"] = {"weights": sums.weights, "least_weight": sums.least_weight}
     return record

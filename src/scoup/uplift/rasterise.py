@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import deque
 from collections.abc import Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import check_arguments
-from scoup.base.atomic import remove
 from scoup.base.counts import listed, none_of
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.base.errors import InputError
 from scoup.base.native import native_core
+from scoup.base.parts import Part
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.storage.paths import ENDING, SCENE
 
 STAGE = "region sums"
 READERS = 4  # threads that read views ahead for a GPU; for a CPU there is one
@@ -36,9 +35,9 @@ def region_sums(
     regions: Regions,
     raster_preset: str = "inria",
     path: str | Path | None = None,
+    part: Part = Part(),  # noqa: B008 - frozen
     backend: str | None = None,
     progress: Progress = no_progress,
-    **more: Any,
 ) -> RegionSums:
     """Rasterise every view that has regions once and keep the sums.
 
@@ -49,8 +48,8 @@ def region_sums(
         raster_preset, backend: see ``raster.project``.
         path: keep the sums in this folder. Views that it contains, with the same label maps and cameras, are not
             rasterised again.
+        part: of the views to rasterise; several processes may write the parts of one folder.
         progress: called for the stage "region sums".
-        more: further arguments of ``RegionSums``.
 
     Raises:
         InputError: no camera has regions, the folder is of another scene, or an argument is of a wrong type.
@@ -66,38 +65,29 @@ def region_sums(
         gaussians=(gaussians, Gaussians),
         cameras=(cameras, Cameras),
         regions=(regions, Regions),
+        part=(part, Part),
     )
     chosen = cameras_with_regions(cameras, regions)
-    if path is not None and Path(path).exists():
-        sums = RegionSums.open(path, writable=True)
-        check_sums(sums, gaussians, regions, raster_preset)
-    else:
-        new = None if path is None else Path(path)
-        sums = RegionSums.empty(gaussians, regions.levels, raster_preset, path=new, **more)
-    add_views(sums, gaussians, chosen, regions, backend, progress)
+    place = None if path is None else Path(path)
+    sums = open_sums(place, gaussians, regions, raster_preset)
+    add_views(sums, gaussians, part.of(chosen), regions, backend, progress)
+    sums.flush()
     sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
     return sums
 
 
-def resume_sums(
-    path: Path, gaussians: Gaussians, regions: Regions, raster_preset: str = "inria", **more: Any
+def open_sums(
+    path: Path | None, gaussians: Gaussians, regions: Regions, raster_preset: str = "inria"
 ) -> RegionSums:
-    """Open the region sums that an interrupted build has left in a folder, or make new ones there.
+    """Return the region sums in a folder, to which views can be added; new ones where there are none, or in memory.
 
-    A folder that cannot be continued is replaced, with a warning.
+    Raises an InputError for a folder of another scene.
     """
-    if path.exists():
-        try:
-            sums = RegionSums.open(path, writable=True)
-            check_sums(sums, gaussians, regions, raster_preset)
-            wanted = {"weights": "float32", "least_weight": 0.0, **more}
-            if wanted != {name: getattr(sums, name) for name in wanted}:
-                raise InputError("its weights have another type")
-            return sums
-        except (InputError, FileFormatError) as error:
-            warnings.warn(f"{path}: cannot be continued ({error}); starting over", ScoupWarning, stacklevel=2)
-            remove(path)
-    return RegionSums.empty(gaussians, regions.levels, raster_preset, path=path, **more)
+    if path is None or not (path / f"{SCENE}{ENDING}").exists():
+        return RegionSums.empty(gaussians, regions.levels, raster_preset, path)
+    sums = RegionSums.open(path, writable=True)
+    check_sums(sums, gaussians, regions, raster_preset)
+    return sums
 
 
 def add_views(
@@ -127,7 +117,7 @@ def add_views(
             if not sums.writable:
                 raise InputError(
                     f"{sums.path}: lacks the view {camera.name!r}, or it has changed since (camera or label maps); "
-                    "add it by an update of the field, or build without these region sums"
+                    "add it with `keep_sums`, or run the part that lacks it again"
                 )
             prepared = prepared or raster.prepare_gaussians(gaussians, backend)
             projection = raster.project(prepared, camera, sums.raster_preset)
@@ -146,14 +136,6 @@ def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) ->
     """Return whether the sums contain this view with the same camera and label maps."""
     view = sums.views.get(camera.name)
     return view is not None and view.digests == (camera.fingerprint(), combined.digest())
-
-
-def changed_views(
-    sums: RegionSums, cameras: Sequence[Camera], regions: Regions, device: torch.device
-) -> list[Camera]:
-    """Return the cameras whose views the sums lack, or contain with another camera or other label maps."""
-    read = read_labels(regions, cameras, device)
-    return [camera for camera, labels in read if not contains_view(sums, camera, labels)]
 
 
 def read_labels(

@@ -1,32 +1,42 @@
 """The region sums of all views: what each Gaussian contributes to each region, made once (method.md, stage 2).
 
 Everything after rasterising reads only these: codes, rounds of the vote, other embeddings, more or fewer views. They
-grow view by view, in memory or in a folder with one file per view: a checkpoint of a build, kept sums, a shard.
+grow view by view, in memory or in a folder with one file per view, to which several processes may add views.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.atomic import remove
-from scoup.base.errors import InputError, MissingFileError, check_format_version
+from scoup.base.atomic import flush_names, flush_to_disk
+from scoup.base.errors import (
+    FileFormatError,
+    InputError,
+    MissingFileError,
+    OutputExistsError,
+    ScoupWarning,
+    WriteError,
+    check_format_version,
+)
+from scoup.base.locks import WAIT
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.storage.array_file import StoredArrays, read_arrays
-from scoup.uplift.storage.array_folder import ArrayFolder, Arrays, report_damage
+from scoup.uplift.storage.array_file import StoredArrays, read_arrays, write_arrays
 from scoup.uplift.storage.entries import BUCKET, ViewRecord
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
 from scoup.uplift.storage.packing import Packer
-from scoup.uplift.storage.paths import CODES, ENDING, INPUTS, SCENE, view_stem
+from scoup.uplift.storage.paths import ENDING, SCENE, view_file
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -37,7 +47,7 @@ Rows = Sequence[Mapping[str, slice]]
 """Per level, the rows of each view in the stacked embeddings (``Regions.embeddings``)."""
 
 
-class RegionSums(ArrayFolder):
+class RegionSums:
     """The region sums of views of one scene, added one by one.
 
     Gaussians are kept in Morton order, whatever backend made the sums.
@@ -47,9 +57,8 @@ class RegionSums(ArrayFolder):
         order: [N] int64, row in the scene of each Gaussian here.
         levels: level names.
         raster_preset: rasteriser constants.
-        path: keep them in this new folder, which is made with the first view; None keeps them in memory.
-        weights: "float32", or "float16" for less space.
-        least_weight: omit entries below; 0 keeps all.
+        path: keep them in this folder, which is made with the first view, or by another process that adds views of the
+            same scene; None keeps them in memory.
         means: [N, 3] float32 of the Gaussians here, by which things lose strays; None if unknown.
 
     Attributes:
@@ -57,8 +66,7 @@ class RegionSums(ArrayFolder):
         writable: whether views can be added.
         views: view name -> entries.
         rows: see ``Rows``; None unless ``region_sums`` or ``select`` set them.
-        codes: header and tensors given to ``keep_codes``, or None.
-        inputs: header and tensors given to ``keep_inputs``, or None.
+        bytes: size in memory or on disk.
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
@@ -74,44 +82,33 @@ class RegionSums(ArrayFolder):
         levels: Sequence[str],
         raster_preset: str = "inria",
         path: Path | None = None,
-        weights: str = "float32",
-        least_weight: float = 0.0,
         means: Tensor | None = None,
     ) -> None:
-        if weights not in ("float32", "float16"):
-            raise InputError(f"weights of region sums must be float32 or float16, got {weights!r}")
-        if not 0 <= least_weight < 1:
-            raise InputError(f"the least weight of an entry must be 0 to 1, got {least_weight}")
-        if path is not None and path.exists():
-            raise InputError(f"{path}: already exists; open it, or use another folder")
-        super().__init__(path)
+        self.path = path
+        self.writable = True
+        self.bytes = 0
         self.fingerprint = fingerprint
         self.order = order.cpu()
         self.levels = tuple(levels)
         self.raster_preset = raster_preset
-        self.weights = weights
-        self.least_weight = least_weight
         self.means = means
         self.views: dict[str, ViewRecord] = {}
         self.rows: Rows | None = None
-        self.codes: dict[str, Any] | None = None
-        self.inputs: dict[str, Any] | None = None
-        self._packer = Packer(self.order, weights, least_weight)
+        self._packer = Packer(self.order)
+        self._unflushed: list[Path] = []
 
     @classmethod
     def empty(
-        cls, gaussians: Gaussians, levels: Sequence[str], raster_preset: str = "inria", **more: Any
+        cls,
+        gaussians: Gaussians,
+        levels: Sequence[str],
+        raster_preset: str = "inria",
+        path: Path | None = None,
     ) -> RegionSums:
-        """Return sums of a scene without views; ``more`` are further arguments of the class."""
+        """Return sums of a scene without views; arguments as of the class."""
         order = morton_order(gaussians.means).cpu()
         means = gaussians.means.cpu()[order]
-        return cls(gaussians.fingerprint(), order, levels, raster_preset, means=means, **more)
-
-    @classmethod
-    def empty_like(cls, other: RegionSums, path: Path | None = None) -> RegionSums:
-        """Return sums without views that are compatible with others (``is_compatible``)."""
-        kept_as = {"weights": other.weights, "least_weight": other.least_weight, "means": other.means}
-        return cls(other.fingerprint, other.order, other.levels, other.raster_preset, path, **kept_as)
+        return cls(gaussians.fingerprint(), order, levels, raster_preset, path, means)
 
     @classmethod
     def open(cls, path: str | Path, writable: bool = False) -> RegionSums:
@@ -119,10 +116,13 @@ class RegionSums(ArrayFolder):
 
         Args:
             path: the folder.
-            writable: views can be added, by one process at a time. Removes what a killed process was writing.
+            writable: views can be added. Damaged views are omitted, with a warning, to be made again.
 
         Raises:
             MissingFileError, FileFormatError: missing, not region sums, damaged, or of a newer version.
+
+        Warns:
+            ScoupWarning: damaged views are omitted.
         """
         path = Path(path)
         scene = path / f"{SCENE}{ENDING}"
@@ -143,17 +143,17 @@ class RegionSums(ArrayFolder):
                 order,
                 [str(level) for level in head.header["levels"]],
                 str(head.header["raster_preset"]),
-                weights=str(head.header["weights"]),
-                least_weight=float(head.header["least_weight"]),
                 means=None if means is None else torch.from_numpy(np.array(means)),
             )
-        sums.path, sums.writable, sums._bytes[SCENE] = path, writable, head.bytes
-        for file in sorted(path.glob(f"*{ENDING}")):
-            if file.name.startswith("."):
-                if writable:
-                    remove(file)
-            elif file != scene:
-                sums._load(file)
+        sums.path, sums.writable, sums.bytes = path, writable, head.bytes
+        for file in sorted(path.glob(f"[!.]*{ENDING}")):
+            if file != scene:
+                try:
+                    sums._load(file)
+                except FileFormatError as error:
+                    if not writable:
+                        raise
+                    warnings.warn(f"{error}; it is made again", ScoupWarning, stacklevel=2)
         sums.views = dict(sorted(sums.views.items()))
         return sums
 
@@ -164,11 +164,6 @@ class RegionSums(ArrayFolder):
     @property
     def n_buckets(self) -> int:
         return -(-self.n_gaussians // BUCKET)
-
-    @property
-    def is_empty(self) -> bool:
-        """Return whether no Gaussian contributes to a region of any view."""
-        return not any(len(part.places) for view in self.views.values() for part in view.parts)
 
     def __contains__(self, view_name: str) -> bool:
         return view_name in self.views
@@ -201,48 +196,28 @@ class RegionSums(ArrayFolder):
                 f"{view_name!r}: sums of {sums.table.shape[1]} levels, not of {list(self.levels)}"
             )
         digest = "" if camera is None else camera.fingerprint()
+        header = {"name": view_name, "camera": digest, "labels": sums.labels_digest}
         view = ViewRecord(digest, sums.labels_digest, tuple(self._packer.entries(sums, order)))
-        self.append_record(view_name, view)
+        if not self.writable:
+            raise InputError(f"{self.path}: opened for reading only")
+        if self.path is None:
+            arrays = {name: np.array(array) for name, array in view.arrays().items()}
+            self._add(StoredArrays(header, arrays, sum(array.nbytes for array in arrays.values())))
+            return
+        if not self.bytes:
+            self._make_folder(self.path)
+        file = self.path / view_file(view_name)
+        write_arrays(file, header, view.arrays(), overwrite=True, wait=WAIT)
+        self._unflushed.append(file)
+        self._load(file)
 
-    def append_record(self, view_name: str, view: ViewRecord) -> None:
-        """Add or replace a view by entries that are in the order of these sums already."""
-        header = {"name": view_name, "camera": view.camera_digest, "labels": view.labels_digest}
-        self._write(view_stem(view_name), header, view.arrays())
-
-    def remove(self, view_name: str) -> None:
-        """Remove a view; an InputError if it is missing, or its file cannot be removed."""
-        self._require(view_name)
-        self._unlink(view_stem(view_name))
-        del self.views[view_name]
-
-    def remove_codes(self) -> None:
-        """Remove the codes kept beside the sums."""
-        if self.codes is not None:
-            self._unlink(CODES)
-            self.codes = None
-
-    def keep_codes(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        """Keep the codes of the regions beside the sums."""
-        self._write(CODES, header, _arrays(tensors))
-
-    def keep_inputs(self, header: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        """Keep what a merge needs to know of the views beside the sums."""
-        self._write(INPUTS, header, _arrays(tensors))
-
-    def is_compatible(self, other: RegionSums) -> bool:
-        """Return whether others are of the same Gaussians and levels, made and kept in the same way."""
-        return self._scene()[0] == other._scene()[0] and torch.equal(self.order, other.order)
-
-    @classmethod
-    def concatenate(cls, views: Mapping[str, RegionSums]) -> RegionSums:
-        """Return read-only sums of views taken from several compatible ones, sharing memory and files."""
-        parts = list(dict.fromkeys(views.values()))
-        whole = copy.copy(parts[0])
-        whole.views = {name: part._require(name) for name, part in views.items()}
-        whole.rows = whole.codes = whole.inputs = None
-        whole.path, whole.writable = None, False
-        whole._bytes = {str(number): part.bytes for number, part in enumerate(parts)}
-        return whole
+    def flush(self) -> None:
+        """Write the files of new views to the disk, so that a power cut loses none."""
+        for file in self._unflushed:
+            flush_to_disk(file)
+        if self.path is not None and self._unflushed:
+            flush_names(self.path)
+        self._unflushed.clear()
 
     def select(self, view_names: Iterable[str], rows: Rows) -> RegionSums:
         """Return the sums of some views, sharing memory, with the rows of these views."""
@@ -272,33 +247,49 @@ class RegionSums(ArrayFolder):
         InputError if entries point outside."""
         return triplets_of(self.views[view_name], self.order.numpy(), level)
 
-    def _scene(self) -> tuple[dict[str, Any], Arrays]:
+    def _make_folder(self, path: Path) -> None:
+        """Make the folder with the file of the scene, unless another process has just done so."""
+        scene = path / f"{SCENE}{ENDING}"
         header = {
             "version": VERSION,
             "fingerprint": self.fingerprint,
             "levels": list(self.levels),
             "raster_preset": self.raster_preset,
-            "weights": self.weights,
-            "least_weight": self.least_weight,
         }
         arrays = {"order": self.order.int().numpy()}
         if self.means is not None:
             arrays["means"] = self.means.contiguous().numpy()
-        return header, arrays
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            self.bytes = write_arrays(scene, header, arrays, overwrite=False, wait=WAIT)
+            self._unflushed.append(scene)
+        except OutputExistsError:
+            stored = read_arrays(scene)
+            if {name: stored.header.get(name) for name in header} != header:
+                raise InputError(
+                    f"{path}: another process adds views of another scene; use another folder"
+                ) from None
+            self.bytes = stored.bytes
+        except OSError as error:
+            raise WriteError.of(path, error) from error
 
-    def _apply(self, stem: str, stored: StoredArrays) -> None:
-        if stem in (CODES, INPUTS):
-            tensors = {name: torch.from_numpy(np.array(part)) for name, part in stored.arrays.items()}
-            setattr(self, stem, {"header": stored.header, "tensors": tensors})
-        else:
-            view, name = ViewRecord.from_arrays(stored.header, stored.arrays), str(stored.header["name"])
-            for part in view.parts:
-                part.check(len(self.levels), np.dtype(self.weights))
-            if stem != view_stem(name):
-                raise ValueError(f"it is of the view {name!r}, which has another file")
-            self.views.pop(name, None)  # views are in the order in which they were added
-            self.views[name] = view
-        self._bytes[stem] = stored.bytes
+    def _load(self, file: Path) -> None:
+        stored = read_arrays(file)
+        with report_damage(file):
+            if file.name != view_file(str(stored.header["name"])):
+                raise ValueError(f"it is of the view {stored.header['name']!r}, which has another file")
+            self._add(stored)
+
+    def _add(self, stored: StoredArrays) -> None:
+        view, name = (
+            ViewRecord.from_arrays(stored.header, stored.arrays, stored.bytes),
+            str(stored.header["name"]),
+        )
+        for part in view.parts:
+            part.check(len(self.levels))
+        before = self.views.pop(name, None)  # views are in the order in which they were added
+        self.views[name] = view
+        self.bytes += view.bytes - (before.bytes if before else 0)
 
     def _require(self, view_name: str) -> ViewRecord:
         if view_name not in self.views:
@@ -306,5 +297,13 @@ class RegionSums(ArrayFolder):
         return self.views[view_name]
 
 
-def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[Any]]:
-    return {name: tensor.cpu().contiguous().numpy() for name, tensor in tensors.items()}
+@contextmanager
+def report_damage(file: Path) -> Iterator[None]:
+    """Turn failures to interpret a file into a FileFormatError that names it."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        if isinstance(error, (FileFormatError, WriteError)):
+            raise
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise FileFormatError(file, f"is invalid ({reason})", "make the region sums again") from error

@@ -15,7 +15,6 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING
-from scoup.uplift.update import append_update
 
 NEAREST = 4  # Gaussians of the field that are tried for each Gaussian of the splat
 
@@ -57,8 +56,7 @@ def transfer(
     if things is not None:
         things = replace(things, owners=_carry_over(things.owners, source, NO_THING))
     record = {"from": field.fingerprint, "coded": n_coded, "not_coded": len(gaussians) - n_coded}
-    provenance = dict(field.info.provenance)
-    provenance |= append_update(provenance, {"transferred": record})
+    provenance = {**field.info.provenance, "transferred": record}
     made = LanguageField(
         _carry_over(field.code_indices, source),
         _carry_over(field.code_weights, source),

@@ -46,19 +46,16 @@ class UpliftInputs:
 
     def codes(self, settings: BuildSettings) -> Codes:
         """Return codes of the embeddings, learned once for all settings that differ in the vote only."""
-        if _of_codes(settings) not in self.kept_codes:
-            self.keep(settings, learn_codes(self.embeddings, settings))
-        return self.kept_codes[_of_codes(settings)]
+        of_codes = _of_codes(settings)
+        if of_codes not in self.kept_codes:
+            self.kept_codes[of_codes] = learn_codes(self.embeddings, settings)
+        return self.kept_codes[of_codes]
 
     def things(self) -> ThingTable:
         """Return the instances of the scene, made once."""
         if not self.kept_things:
             self.kept_things.append(find_things(self.sums, self.embeddings).table)
         return self.kept_things[0]
-
-    def keep(self, settings: BuildSettings, codes: Codes) -> None:
-        """Keep codes that were learned elsewhere."""
-        self.kept_codes[_of_codes(settings)] = codes
 
 
 def _of_codes(settings: BuildSettings) -> BuildSettings:

@@ -18,7 +18,6 @@ from scoup.query.text_vectors import TextVectors
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.region_codes import RegionCodes
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import METHODS
@@ -134,9 +133,6 @@ def run_demo(
 
 def _fitted(scene: RasterisedScene, field: LanguageField, settings: BuildSettings) -> dict[str, FittedMethod]:
     """Return the field, the same without the top-K step, and dense uplift."""
-    coded = RegionCodes.load(scene.region_sums())
-    assert coded is not None  # the build has kept them there
-    scene.inputs().keep(settings, (list(coded.codes), coded.codebook))
     return {
         VOTES: FittedField(field),
         ALL_ATOMS: METHODS["sparse-all"].fit(scene, MethodSettings(settings.seed, settings)),

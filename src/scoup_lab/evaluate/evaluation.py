@@ -8,15 +8,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from scoup.base.atomic import reserved_output
 from scoup.base.errors import InputError
-from scoup.base.locks import complete, locked_output
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, default_preset, load_gaussians, load_regions
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.checkpoint import checkpoint, resume_message, save_field
 from scoup.uplift.provenance import embedding_source
 from scoup_lab.evaluate.report import SUFFIXES, Report
 from scoup_lab.evaluate.scenes import SceneFiles
@@ -71,29 +70,24 @@ class Evaluation(ABC, Generic[Scene, Result]):
         gaussians = load_gaussians(scene.splat).to(self.device)
         # Which constants the rasteriser uses follows from the splat.
         settings = replace(self.build, raster_preset=default_preset(scene.splat))
-        complete(path)
         if path.is_file() and not self.rebuild:
             return _stored(path, gaussians, settings)
         regions = load_regions(scene.features, scene.cameras)
         model, words = embedding_source(scene.features, regions, source)
-        with locked_output(path, overwrite=True) as output:
+        with reserved_output(path, overwrite=True):
             if path.is_file() and not self.rebuild:  # another process has built it meanwhile
                 return _stored(path, gaussians, settings)
-            with checkpoint(path, gaussians, regions, settings.raster_preset) as sums:
-                if message := resume_message(sums, len(regions)):
-                    say(message)
-                field = build(
-                    gaussians,
-                    scene.cameras,
-                    regions,
-                    settings=settings,
-                    embedding_model=model,
-                    words=words,
-                    geometry_path=scene.splat,
-                    sums=sums,
-                    progress=progress,
-                )
-                save_field(output, field, sums, keep=False)
+            field = build(
+                gaussians,
+                scene.cameras,
+                regions,
+                settings=settings,
+                embedding_model=model,
+                words=words,
+                geometry_path=scene.splat,
+                progress=progress,
+            )
+            field.save(path, overwrite=True)
         return _stored(path, gaussians, settings)  # what is scored is what is stored, half precision included
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from scoup.base.counts import listed
 from scoup.base.errors import InputError, MissingFileError
-from scoup.base.locks import is_folder_lock
 from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import staged
 from scoup.io.regions import compact, langsplat
@@ -112,8 +111,7 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
     foreign = sorted(
         path.name
         for path in target.iterdir()
-        if not path.name.startswith(".")
-        and not (path.is_file() and (path.name.endswith(endings) or is_folder_lock(path.name)))
+        if not path.name.startswith(".") and not (path.is_file() and path.name.endswith(endings))
     )
     if foreign:
         raise InputError(

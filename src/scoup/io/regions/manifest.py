@@ -10,6 +10,7 @@ from typing import Any, Literal, cast
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import InputError, OutputExistsError, check_format_version
+from scoup.base.locks import WAIT
 from scoup.io.reading import read_json
 
 MANIFEST = "regions.json"
@@ -93,7 +94,7 @@ def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = Fal
     }
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
     try:
-        write_text(folder / MANIFEST, text, overwrite)
+        write_text(folder / MANIFEST, text, overwrite, WAIT)
     except OutputExistsError:
         there = read_manifest(folder)
         if there is None or there != manifest:

@@ -38,8 +38,14 @@ class StoredArrays:
     bytes: int  # of the file
 
 
-def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Write or replace a file whole, without flushing it; return its size."""
+def write_arrays(
+    path: Path,
+    header: Mapping[str, Any],
+    arrays: Mapping[str, NDArray[Any]],
+    overwrite: bool,
+    wait: float = 0.0,
+) -> int:
+    """Write a file whole, without flushing it; return its size. Arguments and errors as of ``atomic_file``."""
     # In the order of safetensors: then each begins at a multiple of its item size.
     names = sorted(arrays, key=lambda name: (-arrays[name].dtype.itemsize, name))
     layout, end = {}, 0
@@ -53,8 +59,8 @@ def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDA
     checksum = zlib.crc32(head)
     for part in parts:
         checksum = zlib.crc32(part, checksum)
-    # Not flushed one by one: ``base.locks.Output`` flushes the folder before renaming it; checksums detect the rest.
-    with atomic_file(path, overwrite=True, flush=False) as stream:
+    # Not flushed one by one: the folder is (``RegionSums.flush``), and checksums detect the rest.
+    with atomic_file(path, overwrite, flush=False, wait=wait) as stream:
         stream.write(len(head).to_bytes(8, "little"))
         stream.write(with_checksum(head, f"{checksum:08x}"))
         for part in parts:

@@ -24,15 +24,15 @@ class Entries:
     starts: NDArray[np.uint32]  # [B + 1] first entry of each bucket
     places: NDArray[np.uint8]  # [E] of the Gaussian in its bucket, rising
     combinations: NDArray[np.uint16]  # [E] rows of ``table``
-    weights: NDArray[np.floating]  # [E] float32 or float16
+    weights: NDArray[np.float32]  # [E]
     table: NDArray[np.int32]  # [C, S] label tuples: regions of this view, -1 for none
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         return dict(vars(self))
 
-    def check(self, n_levels: int, weight_type: np.dtype) -> None:
+    def check(self, n_levels: int) -> None:
         """Raise a ValueError for wrong types or shapes; numbers are checked where they are used."""
-        types = (np.uint32, np.uint32, np.uint8, np.uint16, weight_type, np.int32)
+        types = (np.uint32, np.uint32, np.uint8, np.uint16, np.float32, np.int32)
         if [array.dtype for array in self.arrays().values()] != [np.dtype(kind) for kind in types]:
             raise ValueError("arrays of wrong types")
         if not (
@@ -94,13 +94,16 @@ class ViewRecord:
     camera_digest: str  # of everything about the camera that decides the sums
     labels_digest: str  # of its label maps
     parts: tuple[Entries, ...]  # one, unless the view has more than ``MOST_COMBINATIONS``
+    bytes: int = 0  # of its file, or in memory
 
     @property
     def digests(self) -> tuple[str, str]:
         return self.camera_digest, self.labels_digest
 
     @classmethod
-    def from_arrays(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> ViewRecord:
+    def from_arrays(
+        cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], size: int
+    ) -> ViewRecord:
         """Make a record of header and ``arrays``; a KeyError or ValueError if something is missing."""
         parts: list[Entries] = []
         while f"places.{len(parts)}" in arrays:
@@ -110,7 +113,7 @@ class ViewRecord:
             )
         if not parts:
             raise ValueError(f"the view {header['name']!r} has no entries")
-        return cls(str(header["camera"]), str(header["labels"]), tuple(parts))
+        return cls(str(header["camera"]), str(header["labels"]), tuple(parts), size)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays of all parts, as ``from_arrays`` takes them."""
@@ -124,7 +127,6 @@ def pack(
     combinations: NDArray[np.integer],  # [E]
     weights: NDArray[np.float32],  # [E]
     table: NDArray[np.int32],  # [C, S]
-    weight_type: np.dtype,
 ) -> list[Entries]:
     """Pack entries in parts of at most ``MOST_COMBINATIONS``; a view without label tuples has one empty part."""
     parts = []
@@ -143,7 +145,7 @@ def pack(
                 np.append(begins, len(own)).astype(np.uint32),
                 own.astype(np.uint8),  # wraps around: what is left is counted from the bucket
                 (combinations[mine] - first).astype(np.uint16),
-                weights[mine].astype(weight_type, copy=False),
+                weights[mine].astype(np.float32, copy=False),
                 table[first : first + MOST_COMBINATIONS],
             )
         )

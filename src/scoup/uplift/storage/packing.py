@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,28 +10,23 @@ from scoup.uplift.storage.entries import Entries, pack
 
 
 class Packer:
-    """Packs views whose Gaussians are in any order; arguments as for ``RegionSums``."""
+    """Packs views whose Gaussians are in any order; ``order`` as for ``RegionSums``."""
 
-    def __init__(self, order: Tensor, weights: str, least_weight: float) -> None:
+    def __init__(self, order: Tensor) -> None:
         self._order = order
-        self._weights = np.dtype(weights)
-        self._least_weight = least_weight
         self._place_of: dict[torch.device, Tensor] = {}
         self._same_order: Tensor | None = None
 
     def entries(self, sums: ViewSums, order: Tensor | None) -> list[Entries]:
         """Return the entries of a view; arguments as for ``RegionSums.append``."""
         gaussian, combination, weight = sums.gaussian, sums.combination, sums.weight
-        if self._least_weight > 0:
-            kept = weight >= self._least_weight
-            gaussian, combination, weight = gaussian[kept], combination[kept], weight[kept]
         if not self._is_same(order):
             place = self._places(gaussian.device)
             row = gaussian.long() if order is None else order.to(gaussian.device)[gaussian.long()]
             gaussian, by_place = torch.sort(place[row], stable=True)
             combination, weight = combination[by_place], weight[by_place]
         parts = [part.cpu().numpy() for part in (gaussian, combination, weight, sums.table)]
-        return pack(parts[0], parts[1], parts[2], parts[3], self._weights)
+        return pack(parts[0], parts[1], parts[2], parts[3])
 
     def _is_same(self, order: Tensor | None) -> bool:
         if order is not None and order is not self._same_order and torch.equal(order.cpu(), self._order):

@@ -31,8 +31,9 @@ class Vote:
         arrays = []
         for view in views:
             part = view.entries
-            weights = part.weights.view(np.uint16) if part.weights.dtype == np.float16 else part.weights
-            arrays.append((part.buckets, part.starts, part.places, part.combinations, weights, view.regions))
+            arrays.append(
+                (part.buckets, part.starts, part.places, part.combinations, part.weights, view.regions)
+            )
         tables = [tuple(_array(part) for part in (level.indices, level.weights)) for level in codes]
         try:
             self._vote = require_core().Vote(n_gaussians, _array(grams), arrays, tables)

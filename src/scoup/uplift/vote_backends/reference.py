@@ -102,7 +102,7 @@ class Vote:
         parts = (
             part.gaussians() - buckets.start * BUCKET,
             view.regions[part.combinations],
-            _float32(part.weights),
+            part.weights,
         )
         gaussian, regions, weight = (torch.from_numpy(array).to(self._device) for array in parts)
         return gaussian, regions, weight
@@ -136,9 +136,3 @@ def check_regions(regions: np.ndarray, codes: Sequence[SparseCodes]) -> None:
         highest = int(regions[:, level].max(initial=-1))
         if highest >= len(of_level):
             raise InputError(f"the region sums are damaged: region {highest} has no code")
-
-
-def _float32(weights: np.ndarray) -> np.ndarray:
-    """Return float32 weights, suppressing warnings about NaN in damaged ones."""
-    with np.errstate(all="ignore"):
-        return weights.astype(np.float32)

@@ -125,7 +125,7 @@ class Vote(reference.Vote):
         n_buckets, device = len(buckets), self._device
         count = max(0, min(buckets.stop * BUCKET, self._n_gaussians) - buckets.start * BUCKET)
         groups, lengths = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-        arrays: list[list[np.ndarray]] = [[np.zeros(0, kind)] for kind in (np.uint8, np.int16, np.float16)]
+        arrays: list[list[np.ndarray]] = [[np.zeros(0, kind)] for kind in (np.uint8, np.int16, np.float32)]
         for number, view in enumerate(self._views):
             part = view.entries
             low, high = part.find_buckets(buckets.start, buckets.stop)

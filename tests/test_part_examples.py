@@ -1,0 +1,103 @@
+"""The examples that build in parts, without the engines (tests/test_engines.py has Slurm and Ray)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli_support import run, write_scene
+
+pytestmark = pytest.mark.usefixtures("quick_python")
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+SCOUP = """#!/bin/sh
+exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
+"""
+SRUN = """#!/bin/sh
+[ -e killed ] || { touch killed; exit 137; }
+exec "$@"
+"""
+SBATCH = """#!/bin/bash
+echo "$*" >> calls
+while [ $# -gt 1 ]; do
+    case $1 in --parsable) parsable=1 ;; --array=1-*) count=${1#--array=1-} ;; --wrap) wrap=$2 ;; esac
+    shift
+done
+for ((number = 1; number <= ${count:-1}; number++)); do
+    SLURM_ARRAY_TASK_ID=$number bash -c "$wrap" >&2 || exit
+done
+[ -z "${parsable:-}" ] || echo "7;cluster"
+"""
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scene and the field that one process builds of it."""
+    folder = tmp_path_factory.mktemp("parts")
+    write_scene(folder / "scene", count=600)
+    table = folder / "scene" / "words.npz"
+    assert run("build", folder / "scene", "--out", folder / "alone.scoup", "--model", table)[0] == 0
+    return folder
+
+
+@pytest.fixture
+def here(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, a copy of ``original``; scoup is on the PATH."""
+    folder = Path(shutil.copytree(original, tmp_path / "here"))
+    monkeypatch.chdir(folder)
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    (programs / "scoup").write_text(SCOUP)
+    (programs / "scoup").chmod(0o755)
+    monkeypatch.setenv("PYTHON", sys.executable)
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    return folder
+
+
+def launched(*command: object, code: int = 0) -> str:
+    """What a program says, on both streams."""
+    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def is_whole(field: str = "g.scoup") -> bool:
+    return Path(field).read_bytes() == Path("alone.scoup").read_bytes()
+
+
+def test_slurm(here: Path) -> None:
+    """With a stand-in that runs jobs at once; the first task is killed once."""
+    for name, text in {"sbatch": SBATCH, "srun": SRUN}.items():
+        program = here.parent / "programs" / name
+        program.write_text(text)
+        program.chmod(0o755)
+    submit = ("bash", EXAMPLES / "slurm.sh", "scene", "g.scoup", 3, "--model", "scene/words.npz")
+    printed = launched(*submit)
+    assert Path("killed").exists()
+    assert printed.count("with all parts there") == 3
+    assert "--dependency=afterok:7" in Path("calls").read_text()
+    assert is_whole()
+    assert "contains 4 views already" in launched(*submit)
+    assert is_whole()
+    assert "pass SCENE FIELD.scoup COUNT" in launched(
+        "bash", EXAMPLES / "slurm.sh", "scene", "g.scoup", code=1
+    )
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no program make")
+def test_make(here: Path) -> None:
+    make = ("make", "-f", EXAMPLES / "parts.mk", "SCENE=scene", "FIELD=g.scoup", "COUNT=3")
+    options = ("BUILD=--model scene/words.npz --json",)
+    assert "pass SCENE=FOLDER" in launched(*make[:-2], code=2)
+    launched(*make, *options, "-j", "2")
+    assert is_whole()
+    made = Path("g.scoup").stat()
+    Path("g.scoup.sums/part-2-of-3.done").unlink()
+    assert launched(*make, *options).count("scoup build scene") == 2
+    assert is_whole()
+    assert Path("g.scoup").stat().st_mtime_ns > made.st_mtime_ns
