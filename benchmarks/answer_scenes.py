@@ -12,6 +12,7 @@ from torch import Tensor
 
 import scoup
 from benchmarks.embedding_kinds import KINDS
+from benchmarks.faults import LevelSums, as_region_sums, level_sums, perturbed
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.real_scenes import REAL_SCENES, RealScene
 from benchmarks.scenes import scene_of
@@ -24,7 +25,6 @@ from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.synthetic.faults import LevelSums, as_region_sums, level_sums, perturbed
 from scoup_lab.synthetic.scene import LABELLED_LEVELS
 from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
@@ -72,7 +72,7 @@ class AnswerScene:
         return [(frame.name, label) for frame, _ in self.frames for label in frame.labels]
 
     def inputs(self, case: str = "clean", draw: int = 0) -> UpliftInputs:
-        """Return what methods are fitted to, with the faults of a case (``scoup_lab.synthetic.faults``)
+        """Return what methods are fitted to, with the faults of a case (``benchmarks.faults``)
         drawn by a seed."""
         levels = perturbed(self.levels, case, draw)
         sums = as_region_sums(levels)

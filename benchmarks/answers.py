@@ -44,7 +44,7 @@ class Answers(StudyOfScenes):
 
     Scenes are draws of the kitchen (`benchmarks.kitchen_draws`; "kitchen-11x2" has noise twice as strong,
     "kitchen-11-desk" and "kitchen-11-clip" the statistics of `benchmarks.embedding_kinds`), procedural layouts, and the
-    real "desk" and "desk-all". Cases put faults into their regions (`scoup_lab.synthetic.faults`). Masks and embeddings
+    real "desk" and "desk-all". Cases put faults into their regions (`benchmarks.faults`). Masks and embeddings
     are simulated everywhere but on desk: figures compare ways with each other and cannot be set against published ones.
 
     All ways are scored by the same rules. peak: the protocol of LERF-OVS, threshold 0.6, the level with the largest
@@ -57,7 +57,7 @@ class Answers(StudyOfScenes):
     scenes: tuple[str, ...] = (*DRAWS, *(f"{name}x2" for name in DRAWS), *LAYOUTS)
     """Draws of the kitchen, layouts of benchmarks.scenes with a seed, scenes of benchmarks.real_scenes."""
     cases: tuple[str, ...] = ("clean",)
-    """Faults, see scoup_lab.synthetic.faults."""
+    """Faults, see benchmarks.faults."""
     ways: tuple[str, ...] = ("dense", "votes", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
     seeds: tuple[int, ...] = (2, 3, 4)

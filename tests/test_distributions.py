@@ -29,6 +29,7 @@ def files_of_a_wheel() -> dict[str, str]:
     described = "Name: scoup\n\n[a](https://a.example/docs/a.md) [b](#b)\n"
     about = {"scoup-0.1.0.dist-info/licenses/LICENSE": "x", "scoup-0.1.0.dist-info/METADATA": described}
     code = {"scoup/__init__.py": "", "scoup/models/everyday_words.txt": "tree\n", "scoup_lab/__init__.py": ""}
+    code["scoup_lab/synthetic/art/table.npz"] = "x"
     return {**code, CORE: "x", **about, **page}
 
 
@@ -50,6 +51,8 @@ def test_a_whole_wheel_has_no_faults(tmp_path: Path) -> None:
         ({"scoup/view/page/viewer.js": None}, "it has no viewer.js"),
         ({"scoup/view/page/viewer.js": ""}, "it has no viewer.js"),
         ({"scoup/models/everyday_words.txt": None}, "it has no everyday_words.txt"),
+        ({"scoup_lab/synthetic/art/table.npz": None}, "it has no table.npz"),
+        ({"scoup_lab/synthetic/art/chair.npz": "x"}, "chair.npz does not belong into it"),
         ({"scoup/view/page/licences.txt": "\nthree 1"}, "licences.txt does not name @sparkjsdev/spark"),
         ({"scoup-0.1.0.dist-info/licenses/LICENSE": None}, "it has no LICENSE"),
         ({"scoup-0.1.0.dist-info/METADATA": "[a](docs/a.md)"}, "dist-info/METADATA links to docs/a.md"),

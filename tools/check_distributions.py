@@ -2,10 +2,10 @@
 
     python tools/check_distributions.py [--complete] FOLDER
 
-Each must hold the page of `scoup view` with the licences of what it is made of, the everyday words, the licence of
-scoup, and nothing that belongs to a checkout only; a wheel has the compiled core just where its name says so; what the
-package says of itself links to what can be found from elsewhere, too. With --complete the folder must hold the
-sdist and a wheel for every version of Python and every system that pyproject.toml names.
+Each must hold the page of `scoup view` with the licences of what it is made of, the everyday words, the things of
+`scoup demo`, the licence of scoup, and nothing that belongs to a checkout only; a wheel has the compiled core just
+where its name says so; what the package says of itself links to what can be found from elsewhere, too. With --complete
+the folder must hold the sdist and a wheel for every version of Python and every system that pyproject.toml names.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ STRAY = re.compile(
     r"(^|/)(__pycache__|node_modules|\.git|\.venv|\.hypothesis|build|dist)/|^(tests|docs|benchmarks|examples|notebooks)/"
     r"|\.(pyc|so\.\d|scoup|o|npz|whl)$"
 )
+THINGS = "_lab/synthetic/art/table.npz"
+"""The things of the scene of `scoup demo`, after the folder of the package."""
 LINK = re.compile(r"\]\((?!https?:|#)([^)]*)\)")
 """Of Markdown, relative."""
 PYTHONS = ("cp310-cp310", "cp311-cp311", "cp312-abi3")
@@ -64,6 +66,8 @@ def faults(path: Path) -> Iterator[str]:
     yield from (f"it has no {name}" for name in PAGE if not files.get(f"{page}/{name}"))
     if not files.get(f"{package}/models/everyday_words.txt"):
         yield "it has no everyday_words.txt"
+    if not files.pop(f"{package}{THINGS}", None):
+        yield "it has no table.npz"
     licences = files.get(f"{page}/licences.txt", b"").decode()
     yield from (
         f"licences.txt does not name {name.strip()}" for name in BUNDLED if f"\n{name}" not in licences

@@ -1,4 +1,4 @@
-"""The four layouts that studies run on: the demo's table, and shelves, hall and yard, which are drawn here."""
+"""The four layouts that studies run on: the demo's table, and shelves, hall and yard, whose things are kept here."""
 
 from __future__ import annotations
 

@@ -11,14 +11,13 @@ import torch
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.raster import project, render_channels, render_colors
 from scoup.scene.regions import LEVELS
-from scoup_lab.synthetic import DemoScene, make_demo_scene
-from scoup_lab.synthetic.art.table import table_things
+from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene
 from scoup_lab.synthetic.art.things import Parts
 from synthetic.small_scenes import SMALL
 
 
 def test_the_room_holds_what_the_demo_promises():
-    parts = Parts.of(table_things())
+    parts = Parts.of(TABLE.things())
     assert len(parts.objects) >= 18
     assert len(parts.parts) > len(parts.objects) > len(parts.groups) >= 5
     assert set(parts.object_of_part.tolist()) == set(range(len(parts.objects)))
@@ -134,6 +133,6 @@ def test_sizes_too_small_are_refused(wrong: dict[str, Any]):
 
 
 def test_two_things_of_one_name_are_refused():
-    room = table_things()
+    room = TABLE.things()
     with pytest.raises(InputError, match="share a name"):
         Parts.of((*room, room[-1]))

@@ -1,6 +1,6 @@
-"""Everything simulated: scenes made by a program, their observations and words, faults, data sets, random scenes.
+"""Everything simulated: scenes, their observations and words, data sets, random scenes.
 
-``make_demo_scene`` makes a scene whose truth is known; nothing is downloaded. ``art/`` contains what is drawn in it.
+``make_demo_scene`` makes a scene whose truth is known; nothing is downloaded. ``art/`` contains what its pictures show.
 """
 
 from scoup_lab.synthetic.art.layout import Layout

@@ -53,13 +53,13 @@ def make_splat(
     n_gaussians: int,
     rng: np.random.Generator,
     light: Light,
-    seen: np.ndarray | None = None,
+    seen: np.ndarray,
     n_directions: int = 30,
 ) -> Splat:
     """Cover all things with exactly ``n_gaussians`` Gaussians.
 
     ``seen``: [F] boolean, the faces of ``Surface.of(things, parts)`` that some view shows. Faces far from
-    these get no Gaussians, because training puts none where no view shows anything. None covers all faces;
+    these get no Gaussians, because training puts none where no view shows anything;
     ``n_directions``: light directions, see ``lighting.lit``.
     """
     n_haze = int(n_gaussians * HAZE_SHARE)
@@ -101,17 +101,14 @@ def make_splat(
 
 
 def _cover(
-    things: tuple[Thing, ...], parts: Parts, count: int, seen: np.ndarray | None, rng: np.random.Generator
+    things: tuple[Thing, ...], parts: Parts, count: int, seen: np.ndarray, rng: np.random.Generator
 ) -> _Samples:
     pieces = [(thing, piece) for thing in things for piece in thing.pieces]
-    meshes = [piece.mesh for _, piece in pieces]
-    if seen is not None:
-        ends = np.cumsum([len(mesh.faces) for mesh in meshes])[:-1]
-        seen_of_piece = np.split(seen, ends)
-        meshes = [
-            _around(mesh, chosen, thing.size)
-            for mesh, chosen, (thing, _) in zip(meshes, seen_of_piece, pieces, strict=True)
-        ]
+    ends = np.cumsum([len(piece.mesh.faces) for _, piece in pieces])[:-1]
+    meshes = [
+        _around(piece.mesh, chosen, thing.size)
+        for (thing, piece), chosen in zip(pieces, np.split(seen, ends), strict=True)
+    ]
     areas = np.array(
         [mesh.face_areas().sum() * thing.size**2 for mesh, (thing, _) in zip(meshes, pieces, strict=True)]
     )

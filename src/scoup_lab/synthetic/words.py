@@ -59,23 +59,23 @@ def unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def make_words(parts: Parts, rng: np.random.Generator, dimensions: int = DIMENSIONS) -> Words:
+def make_words(parts: Parts, rng: np.random.Generator) -> Words:
     """Return text vectors of every name, canonical phrase and distractor, and image prototypes of the names."""
     names = tuple(dict.fromkeys(name for level in LEVELS for name in parts.names(level)))
     kin = _kinship(parts, names)
-    text_mean, image_mean, common = unit(rng.normal(size=(3, dimensions)))
+    text_mean, image_mean, common = unit(rng.normal(size=(3, DIMENSIONS)))
     image_mean = unit(image_mean - (image_mean @ text_mean) * text_mean)
     image_mean = MODALITY_COSINE * text_mean + np.sqrt(1 - MODALITY_COSINE**2) * image_mean
 
     words = (*names, *DISTRACTORS, *CANONICAL)
-    concepts = unit(rng.normal(size=(len(words), dimensions)))
+    concepts = unit(rng.normal(size=(len(words), DIMENSIONS)))
     concepts[: len(names)] = unit(kin @ concepts[: len(names)])
     concepts[-len(CANONICAL) :] = unit(
         np.sqrt(1 - PHRASE_CONCEPT) * concepts[-len(CANONICAL) :] + np.sqrt(PHRASE_CONCEPT) * common
     )
     vectors = unit(TEXT_MEAN * text_mean + np.sqrt(1 - TEXT_MEAN**2) * concepts)
 
-    appearances = unit(kin @ unit(rng.normal(size=(len(names), dimensions))))
+    appearances = unit(kin @ unit(rng.normal(size=(len(names), DIMENSIONS))))
     prototypes = unit(IMAGE_MEAN * image_mean + np.sqrt(1 - IMAGE_MEAN**2) * appearances)
     prototypes = _named(prototypes, vectors, kin, rng)
     absent = slice(len(names), -len(CANONICAL))

@@ -1,1 +1,1 @@
-"""Content of synthetic scenes: meshes, paints, light, things made of them, and the layout of the demo (``table``)."""
+"""Content of synthetic scenes: things with meshes and paints, light, and the layout of the demo (``table``)."""

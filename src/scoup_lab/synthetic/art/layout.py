@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from scoup.scene.cameras import Camera, Cameras
+from scoup_lab.synthetic.art.baked import read_things
 from scoup_lab.synthetic.art.lighting import Light
 from scoup_lab.synthetic.art.meshes import Floats
 from scoup_lab.synthetic.art.things import Thing
 
-Path = Callable[[int, int, bool, np.random.Generator], tuple[Floats, Floats]]
+CameraPath = Callable[[int, int, bool, np.random.Generator], tuple[Floats, Floats]]
 """``path(step, count, held_out, rng)``: eye [3] and aim [3] of one of ``count`` cameras, z up, metres."""
 
 
@@ -22,11 +24,15 @@ class Layout:
 
     name: str  # of scenes of this layout
     title: str  # what it shows, in words that follow "A"
-    things: Callable[[], tuple[Thing, ...]]  # makes all things, placed; z is up, metres
-    path: Path  # no held-out camera has the position of a building camera
+    file: Path  # its things (``baked``)
+    path: CameraPath  # no held-out camera has the position of a building camera
     light: Light
     favourites: tuple[str, ...]  # names worth showing in pictures, the best known first
     field_of_view: float = 58.0  # degrees, horizontal
+
+    def things(self) -> tuple[Thing, ...]:
+        """Return all things, placed; z is up, metres."""
+        return read_things(self.file)
 
     def cameras(
         self, n_building: int, n_held_out: int, width: int, height: int, rng: np.random.Generator

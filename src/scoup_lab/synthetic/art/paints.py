@@ -1,8 +1,10 @@
-"""Colours and patterns: functions from points on a surface to colours."""
+"""Paints: functions from points on a surface to colours. They are stored as graphs of array operations, as materials
+are in the formats of renderers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,11 +13,6 @@ from scoup_lab.synthetic.art.meshes import Floats
 
 Paint = Callable[[Floats, Floats], Floats]
 """``paint(points [n, 3], normals [n, 3]) -> [n, 3]`` sRGB colours 0..1; points in the object's own frame."""
-
-
-def color(code: str) -> Floats:
-    """Return [3] colour 0..1 of a hexadecimal code such as "d94f3d"."""
-    return np.array([int(code[start : start + 2], 16) for start in (0, 2, 4)]) / 255.0
 
 
 def smooth_noise(points: Floats, size: float | ArrayLike, seed: int = 0) -> Floats:
@@ -45,93 +42,41 @@ def _hashed(cells: np.ndarray, seed: int) -> Floats:
     return (mixed >> np.uint64(40)).astype(np.float64) / float(1 << 23) - 1.0
 
 
-def mix(first: Floats, second: Floats, share: Floats) -> Floats:
-    """Return [n, 3]: ``first`` where ``share`` [n] is 0, ``second`` where it is 1."""
-    weight = np.clip(share, 0, 1)[:, None]
-    return first * (1 - weight) + second * weight
-
-
-def solid(code: str, grain: float = 0.035, size: float = 1.5) -> Paint:
-    """Return one colour, with brightness varying by ``grain`` over blobs of ``size``."""
-
-    def paint(points: Floats, normals: Floats) -> Floats:
-        tone = 1 + grain * (smooth_noise(points, size, 1) + smooth_noise(points, size / 4, 2))
-        return np.clip(color(code) * tone[:, None], 0, 1)
-
-    return paint
-
-
-def bands(code: str, other: str, axis: int, edges: ArrayLike) -> Paint:
-    """Return the second colour between pairs of coordinates along an axis: edges [start, end, start, end, ...]."""
-    base, stripe = solid(code), solid(other)
-    limits = np.asarray(edges, float)
-
-    def paint(points: Floats, normals: Floats) -> Floats:
-        inside = np.searchsorted(limits, points[:, axis]) % 2 == 1
-        return np.where(inside[:, None], stripe(points, normals), base(points, normals))
-
-    return paint
-
-
-def gradient(
-    low: str, high: str, axis: int, start: float, end: float, grain: float = 0.08, size: float = 2.0
-) -> Paint:
-    """Blend one colour into the other along an axis, with a blotchy border."""
-
-    def paint(points: Floats, normals: Floats) -> Floats:
-        share = (points[:, axis] - start) / (end - start) + 0.2 * smooth_noise(points, size, 3)
-        tone = 1 + grain * smooth_noise(points, size / 3, 4)
-        return np.clip(mix(color(low), color(high), share) * tone[:, None], 0, 1)
-
-    return paint
-
-
-def spotted(base: str, spots: str, size: float, amount: float = 0.4, seed: int = 0) -> Paint:
-    """Return blobs of the second colour of about ``size``; ``amount`` below 0 gives more of them."""
-
-    def paint(points: Floats, normals: Floats) -> Floats:
-        return mix(
-            solid(base)(points, normals), color(spots), (smooth_noise(points, size, seed + 5) - amount) * 8
+OPERATIONS: dict[str, Callable[..., Any]] = {
+    # numpy's functions of these names
+    **{
+        name: getattr(np, name)
+        for name in (
+            "absolute", "add", "arctan2", "bitwise_and", "bitwise_or", "clip", "cos", "divide", "equal", "floor",
+            "greater", "hypot", "less", "matmul", "maximum", "minimum", "multiply", "remainder", "round",
+            "searchsorted", "sin", "subtract", "where",
         )
-
-    return paint
-
-
-def checked(code: str, other: str, axes: tuple[int, int], size: float) -> Paint:
-    """Return a woven check: overlapping stripes along two axes."""
-
-    def paint(points: Floats, normals: Floats) -> Floats:
-        stripes = [np.sin(points[:, axis] * (np.pi / size)) > 0 for axis in axes]
-        share = 0.5 * (stripes[0].astype(float) + stripes[1])
-        return mix(color(code), color(other), share) * (1 + 0.06 * smooth_noise(points, size / 4, 6))[:, None]
-
-    return paint
+    },
+    "column": lambda values, number: values[:, number],
+    "expand": lambda values: values[:, None],
+    "float": lambda values: values.astype(np.float64),
+    "integer": lambda values: values.astype(np.int64),
+    "noise": smooth_noise,
+    "take": lambda rows, numbers: np.asarray(rows)[numbers],
+}  # fmt: skip
+"""What a node of a graph may do, by name."""
 
 
-def wood(code: str, along: int = 0, size: float = 4.0, planks: float = 0.0, contrast: float = 0.16) -> Paint:
-    """Return wood grain running along an axis; ``planks`` is the width of boards laid side by side (0: one board)."""
-    across = 1 if along == 0 else 0
+def paint_of(graph: Sequence[Sequence[Any]]) -> Paint:
+    """Return the paint of a graph.
 
-    def paint(points: Floats, normals: Floats) -> Floats:
-        board = np.floor(points[:, across] / planks) if planks else np.zeros(len(points))
-        shifted = points + board[:, None] * np.array([37.0, 11.0, 5.0])
-        stretch = np.full(3, size / 3)
-        stretch[along] = size * 6
-        lines = smooth_noise(shifted, stretch, 7) + 0.5 * smooth_noise(shifted, stretch / 3, 8)
-        tone = 1 + contrast * lines + 0.12 * np.sin(board * 2.4 + np.cos(board * 5.1))
-        if planks:
-            gap = np.abs(points[:, across] / planks - np.round(points[:, across] / planks)) * planks
-            tone = np.where(gap < size * 0.06, tone * 0.72, tone)
-        return np.clip(color(code) * tone[:, None], 0, 1)
-
-    return paint
-
-
-def fur(code: str, tint: str) -> Paint:
-    """Return plush: short-range noise between two tones."""
+    ``graph``: nodes ``[operation, argument, ...]`` in the order of their evaluation; the last gives the colours. An
+    argument is a number, a list of numbers, or a string: "points", "normals", or "#3" for the result of node 3.
+    """
 
     def paint(points: Floats, normals: Floats) -> Floats:
-        share = 0.5 + 0.6 * smooth_noise(points, 0.7, 9) + 0.35 * smooth_noise(points, 2.2, 10)
-        return mix(color(code), color(tint), share)
+        values: dict[str, Any] = {"points": points, "normals": normals}
+        result = points
+        for number, (operation, *arguments) in enumerate(graph):
+            result = OPERATIONS[operation](
+                *(values[argument] if isinstance(argument, str) else argument for argument in arguments)
+            )
+            values[f"#{number}"] = result
+        return result
 
     return paint

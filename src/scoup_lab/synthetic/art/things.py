@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from scoup.base.errors import InputError
-from scoup_lab.synthetic.art.meshes import Floats, Mesh, merged, rotation
+from scoup_lab.synthetic.art.meshes import Floats, Mesh, merged
 from scoup_lab.synthetic.art.paints import Paint
 
 
@@ -39,26 +38,6 @@ class Thing:
     size: float = 0.01  # metres per centimetre of the pieces
     # whether other things may have its name and then are the same object, such as four chairs
     several: bool = False
-
-    def at(
-        self,
-        x: float,
-        y: float,
-        z: float,
-        turn: float = 0.0,
-        tilt: ArrayLike = (0, 0),
-        group: str = "",
-        grow: float = 1.0,
-    ) -> Thing:
-        """Place at a point in metres, first tilted about x and y, then turned about z (degrees)."""
-        lean = np.asarray(tilt, float)
-        return replace(
-            self,
-            turn=rotation(lean[0], lean[1], turn),
-            place=np.array([x, y, z]),
-            group=group or self.group,
-            size=0.01 * grow,
-        )
 
     def mesh(self, piece: Piece) -> Mesh:
         """Return the mesh of a piece where the thing is, in metres."""

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from scoup.scene.cameras import Camera
-from scoup_lab.synthetic.art.meshes import box, ellipsoid, merged, plane, rotation
+from scoup_lab.synthetic.art.meshes import merged
 from scoup_lab.synthetic.art.zbuffer import draw, visible_faces
+from synthetic.shapes import half_turn, rectangle, sphere
 
 
 def camera(width: int = 97, height: int = 71, focal: float = 80.0) -> Camera:
@@ -25,7 +26,7 @@ def rays(view: Camera) -> np.ndarray:
 
 def test_sphere_is_seen_where_rays_hit_it():
     view, centre, radius = camera(), np.array([0.3, -0.2, 4.0]), 1.1
-    ball = ellipsoid(radius, centre, segments=160)
+    ball = sphere(radius, centre, segments=160)
     seen = visible_faces(ball.vertices, ball.faces, view) >= 0
     ray = rays(view)
     along = ray @ centre
@@ -37,8 +38,8 @@ def test_sphere_is_seen_where_rays_hit_it():
 
 def test_nearest_of_two_tilted_planes_is_seen():
     view = camera()
-    first = plane((-9, -9, 3.0), (0, 18, 0), (18, 0, 2.0), 2.0)
-    second = plane((-9, -9, 5.0), (0, 18, 0), (18, 0, -2.0), 2.0)
+    first = rectangle((-9, -9, 3.0), (0, 18, 0), (18, 0, 2.0))
+    second = rectangle((-9, -9, 5.0), (0, 18, 0), (18, 0, -2.0))
     both = merged([first, second])
     faces = visible_faces(both.vertices, both.faces, view)
     ray = rays(view)
@@ -64,10 +65,10 @@ def test_neighbouring_triangles_leave_no_gap_and_do_not_overlap():
 
 def test_faces_seen_from_behind_or_behind_the_camera_are_not_drawn():
     view = camera()
-    wall = plane((-1, -1, 3), (0, 2, 0), (2, 0, 0), 1.0)
+    wall = rectangle((-1, -1, 3), (0, 2, 0), (2, 0, 0))
     assert (visible_faces(wall.vertices, wall.faces, view) >= 0).any()
-    assert (visible_faces(wall.vertices, wall.flipped().faces, view) < 0).all()
-    behind = wall.moved((0, 0, -6), rotation(y=180))
+    assert (visible_faces(wall.vertices, wall.faces[:, ::-1], view) < 0).all()
+    behind = wall.moved((0, 0, 0), half_turn())
     assert (visible_faces(behind.vertices, behind.faces, view) < 0).all()
 
 
@@ -87,5 +88,5 @@ def test_empty_input():
 @pytest.mark.parametrize("size", [(1, 1), (2, 5)])
 def test_tiny_images(size: tuple[int, int]):
     view = camera(*size, focal=1.0)
-    cube = box((4, 4, 1), 0.1, (0, 0, 3))
-    assert (visible_faces(cube.vertices, cube.faces, view) >= 0).shape == (size[1], size[0])
+    ball = sphere(2.0, (0, 0, 3))
+    assert (visible_faces(ball.vertices, ball.faces, view) >= 0).shape == (size[1], size[0])

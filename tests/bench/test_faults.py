@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scipy.sparse import csr_array
-
-from scoup.base.errors import UnknownNameError
-from scoup.uplift.rasterise import region_sums
-from scoup_lab.synthetic.faults import (
+from benchmarks.faults import (
     LevelSums,
     as_region_sums,
     diffuse_noise,
@@ -18,6 +14,10 @@ from scoup_lab.synthetic.faults import (
     perturbed,
     wrong_embeddings,
 )
+from scipy.sparse import csr_array
+
+from scoup.base.errors import UnknownNameError
+from scoup.uplift.rasterise import region_sums
 from support import small_scene, unit
 
 
