@@ -97,26 +97,15 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _region_sums(path: Path) -> dict[str, Any]:
     from scoup.uplift.region_sums import RegionSums
-    from scoup.uplift.shards import Shard
 
     sums = RegionSums.open(path)
-    shard = None if sums.inputs is None else Shard.load(sums)
-    of_shard = {}
-    if shard is not None:
-        sources = shard.sources
-        of_shard = {
-            "of_views": shard.n_views,
-            "embedding_model": sources.embedding_model,
-            "words": sources.words,
-        }
     return {
-        "kind": "region sums" if shard is None else "shard",
+        "kind": "region sums",
         "gaussians": sums.n_gaussians,
         "levels": list(sums.levels),
         "raster_preset": sums.raster_preset,
         "weights": sums.weights,
         "views": len(sums),
-        **of_shard,
         "codes": "kept" if sums.codes else "none",
         "bytes": sums.bytes,
         "fingerprint": sums.fingerprint,
@@ -125,30 +114,12 @@ def _region_sums(path: Path) -> dict[str, Any]:
 
 def _field(path: Path) -> dict[str, Any]:
     from scoup.field.facts import read_facts
-    from scoup.field.part_sizes import part_sizes
     from scoup.uplift.storage.paths import folder_bytes, sums_path
 
-    facts, sizes = read_facts(path), part_sizes(path)
-    return {
-        "kind": "language field",
-        "gaussians": facts.gaussians,
-        "coded": facts.coded,
-        "levels": list(facts.levels),
-        "atoms": facts.atoms,
-        "k": facts.k,
-        "dim": facts.dim,
-        "embedding_model": facts.embedding_model,
-        "words": facts.words,
-        "raster_preset": facts.raster_preset,
-        "bytes": path.stat().st_size,
-        "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
-        "bytes_of_codebook": sizes.codebook,
-        "cameras": facts.cameras,
-        "geometry": facts.geometry,
-        "fingerprint": facts.fingerprint,
-        "region_sums": folder_bytes(sums) if (sums := sums_path(path)).is_dir() else None,
-        "provenance": facts.provenance,
-    }
+    facts, sums = read_facts(path), sums_path(path)
+    provenance = facts.pop("provenance")  # long, so last
+    facts["region_sums"] = folder_bytes(sums) if sums.is_dir() else None
+    return {"kind": "language field", **facts, "provenance": provenance}
 
 
 SPLATS = (".ply", ".splat", ".spz", ".glb", ".gltf", ".ksplat", ".sog", ".pt", ".pth", ".ckpt")
