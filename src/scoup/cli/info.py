@@ -23,18 +23,15 @@ class Info(Common):
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
-        from scoup.base.errors import FileFormatError, MissingFileError
+        from scoup.base.errors import MissingFileError
 
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
         suffix = self.path.suffix.lower()
-        if not self.path.is_dir() and suffix not in _KINDS:
-            from scoup.io.splats.other_formats import other_format
-
-            problem, remedy = other_format(self.path) or ("is not a known kind of file", _READ)
-            raise FileFormatError(self.path, problem, remedy)
-        is_scene = self.path.is_dir() and suffix != ".sums"
-        record = (_folder if is_scene else _KINDS[suffix])(self.path)
+        describe = _KINDS.get(suffix, _splat)
+        if self.path.is_dir() and suffix != ".sums":
+            describe = _folder
+        record = describe(self.path)
         if "distorted" in record:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
@@ -42,15 +39,7 @@ class Info(Common):
         console.result(record)
 
 
-_READ = (
-    "read are fields (.scoup), region sums (.sums), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), "
-    "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), "
-    "and folders of scenes and region features"
-)
-
-
 def _folder(path: Path) -> dict[str, Any]:
-    from scoup.io import default_preset
     from scoup.io.describe import describe_folder
     from scoup.uplift.fit import measure_fit
 
@@ -58,14 +47,23 @@ def _folder(path: Path) -> dict[str, Any]:
     if not (found.splat and found.gaussians and found.cameras):
         return found.record
     # As a build would find them.
-    fit = measure_fit(found.gaussians, list(found.cameras), default_preset(found.splat))
+    fit = measure_fit(found.gaussians, list(found.cameras), found.splat.preset)
     return {**found.record, "fit": fit.describe()}
 
 
 def _splat(path: Path) -> dict[str, Any]:
+    from scoup.base.errors import FileFormatError
     from scoup.io import load_gaussians
     from scoup.io.describe import describe_gaussians
+    from scoup.io.splats.formats import is_splat_name, other_format, read_endings
 
+    if not is_splat_name(path):
+        readable = (
+            f"read are fields (.scoup), region sums (.sums), splats ({read_endings()}), cameras (transforms.json, "
+            "cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), and folders of scenes and "
+            "region features"
+        )
+        raise FileFormatError(path, *(other_format(path) or ("is not a known kind of file", readable)))
     return {"kind": "splat", **describe_gaussians(load_gaussians(path))}
 
 
@@ -122,16 +120,14 @@ def _field(path: Path) -> dict[str, Any]:
     return {"kind": "language field", **facts, "provenance": provenance}
 
 
-SPLATS = (".ply", ".splat", ".spz", ".glb", ".gltf", ".ksplat", ".sog", ".pt", ".pth", ".ckpt")
 _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
     ".sums": _region_sums,
-    **dict.fromkeys(SPLATS, _splat),
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
     **dict.fromkeys((".bin", ".txt"), _cameras),
     ".json": _json,
 }
-"""Extension -> what describes such a file."""
+"""Extension -> what describes such a file; all others are splats."""
 
 
 def _lines(record: dict[str, Any], indent: str = "") -> Iterator[str]:

@@ -10,13 +10,11 @@ from scoup.io.regions.convert import ConvertReport, convert_regions
 from scoup.io.regions.load import load_regions, save_regions
 from scoup.io.scenes import (
     camera_photographs,
-    default_preset,
-    find_gaussians,
     load_cameras,
     load_gaussians,
     save_gaussians,
 )
-from scoup.io.splats.formats import check_splat_name
+from scoup.io.splats.formats import SplatSource, splat_source, written_format
 from scoup.io.splats.gltf import GaussianFeatures, read_gltf, read_gltf_features, write_gltf
 from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.splats.ply import (
@@ -36,16 +34,14 @@ __all__ = [
     "ConvertReport",
     "GaussianFeatures",
     "PlyTable",
+    "SplatSource",
     "as_stored",
     "atomic_file",
     "atomic_path",
     "camera_photographs",
     "check_output",
-    "check_splat_name",
     "convert_regions",
-    "default_preset",
     "find_cameras",
-    "find_gaussians",
     "gaussians_from_table",
     "load_cameras",
     "load_gaussians",
@@ -68,6 +64,7 @@ __all__ = [
     "save_label_png",
     "save_png",
     "save_regions",
+    "splat_source",
     "write_colmap",
     "write_compressed_ply",
     "write_gltf",
@@ -78,4 +75,5 @@ __all__ = [
     "write_spz",
     "write_text",
     "write_transforms",
+    "written_format",
 ]

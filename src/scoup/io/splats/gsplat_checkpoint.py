@@ -12,8 +12,10 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.cameras.training_run import is_gsplat_results
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.torch_file import load_torch
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
@@ -143,3 +145,21 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             f"it should be {_WHAT}",
         )
     return result
+
+
+def _in_results(folder: Path) -> Path | None:
+    """Return the splat in a folder of gsplat's trainer: the folder itself, for its checkpoints, or the last export."""
+    if is_gsplat_results(folder) and not any((folder / "ckpts").glob("*.pt")):
+        return exported_splat(folder)
+    has_checkpoints = (folder / "ckpts").is_dir() or any(folder.glob("ckpt_*_rank*.pt"))
+    return folder if has_checkpoints else None
+
+
+FORMAT = SplatFormat(
+    "gsplat checkpoint",
+    (".pt", ".pth", ".ckpt"),
+    read_gsplat_checkpoint,
+    preset="gsplat",
+    find=_in_results,
+    in_scenes=False,
+)
