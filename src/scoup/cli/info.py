@@ -43,12 +43,12 @@ def _folder(path: Path) -> dict[str, Any]:
     from scoup.io.describe import describe_folder
     from scoup.uplift.fit import measure_fit
 
-    found = describe_folder(path)
-    if not (found.splat and found.gaussians and found.cameras):
-        return found.record
+    folder = describe_folder(path)
+    if not (folder.splat and folder.gaussians and folder.cameras):
+        return folder.record
     # As a build would find them.
-    fit = measure_fit(found.gaussians, list(found.cameras), found.splat.preset)
-    return {**found.record, "fit": fit.describe()}
+    fit = measure_fit(folder.gaussians, list(folder.cameras), folder.splat.preset)
+    return {**folder.record, "fit": fit.describe()}
 
 
 def _splat(path: Path) -> dict[str, Any]:
@@ -149,8 +149,8 @@ def _readable(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_readable(item)}" for key, item in value.items())
     if isinstance(value, (list, tuple)):
-        shown = ", ".join(_readable(item) for item in value[:12])
-        return shown + (f", ... ({len(value)} in all)" if len(value) > 12 else "")
+        items = ", ".join(_readable(item) for item in value[:12])
+        return items + (f", ... ({len(value)} in all)" if len(value) > 12 else "")
     if isinstance(value, float):
         return f"{value:.4g}"
     return f"{value:,}" if isinstance(value, int) else str(value)

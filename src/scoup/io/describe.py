@@ -18,13 +18,13 @@ from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians
 from scoup.io.splats.formats import SplatSource, splat_source
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.oddities import oddities
+from scoup.scene.sanity import sanity_problems
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
     """Return the number, extent, medians and fingerprint of Gaussians."""
-    for oddity in oddities(gaussians):
-        warnings.warn(oddity, ScoupWarning, stacklevel=2)
+    for problem in sanity_problems(gaussians):
+        warnings.warn(problem, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
     if len(gaussians):
         record |= {
@@ -53,8 +53,8 @@ def describe_cameras(cameras: Cameras) -> dict[str, Any]:
 def describe_unreadable(path: Path) -> dict[str, Any]:
     """Return the photographs of a scene's cameras that cannot be decoded, and why; nothing where all can be."""
     faults = {name: image_fault(image) for name, image in camera_photographs(path)}
-    found = [f"{name} {fault}" for name, fault in faults.items() if fault]
-    return {"unreadable_photographs": len(found), "unreadable": found} if found else {}
+    unreadable = [f"{name} {fault}" for name, fault in faults.items() if fault]
+    return {"unreadable_photographs": len(unreadable), "unreadable": unreadable} if unreadable else {}
 
 
 def describe_regions(store: RegionStore) -> dict[str, Any]:

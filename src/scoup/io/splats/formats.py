@@ -71,10 +71,10 @@ def splat_source(path: str | Path) -> SplatSource:
     if not os.path.isdir(path):
         raise MissingFileError.of(path, "a trained splat", kind="file or folder")
     for kind in FORMATS:
-        found = kind.find(path)
-        if found is not None:
+        trained = kind.find(path)
+        if trained is not None:
             # A training may have exported its splat in another format.
-            source = SplatSource(found, kind, kind.preset) if found.is_dir() else splat_source(found)
+            source = SplatSource(trained, kind, kind.preset) if trained.is_dir() else splat_source(trained)
             return replace(source, preset=kind.preset)
     return _only_splat(path)
 

@@ -135,7 +135,7 @@ def write_gltf(
 def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> tuple[Gaussians, np.ndarray]:
     """Return Gaussians and which rows were kept; ``placed`` receives the primitives and their numbers of rows."""
     _check_extensions(document)
-    found: list[Columns] = []
+    primitives: list[Columns] = []
     local: dict[int, Columns] = {}
     total = 0
     packed = any(name.startswith(SPZ) for name in document.names("extensionsUsed"))
@@ -147,16 +147,16 @@ def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> t
         total += sum(column.nbytes for column in columns.values())
         if total > most * document.data_bytes:
             raise document.error("repeats its Gaussians far too often", "apply its instances, or remove them")
-        found.append(columns if similarity is None else transformed(columns, similarity))
+        primitives.append(columns if similarity is None else transformed(columns, similarity))
         placed.append((primitive, len(columns["means"])))
-    if not found:
+    if not primitives:
         raise _no_gaussians(document)
-    bases = max(columns["sh"].shape[1] for columns in found)
-    for place, columns in enumerate(found):  # primitives may have different degrees
+    bases = max(columns["sh"].shape[1] for columns in primitives)
+    for place, columns in enumerate(primitives):  # primitives may have different degrees
         missing = bases - columns["sh"].shape[1]
         if missing:
-            found[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
-    joined = {name: np.concatenate([columns[name] for columns in found]) for name in found[0]}
+            primitives[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
+    joined = {name: np.concatenate([columns[name] for columns in primitives]) for name in primitives[0]}
     return keep_finite(**half_turn(joined, _AXIS), source=str(document.path))
 
 

@@ -58,9 +58,9 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
 def exported_splat(results: str | Path) -> Path:
     """Return the splat of the last step that gsplat's trainer exported: ply/point_cloud_<step>.ply."""
     steps = {
-        int(found[1]): file
+        int(matched[1]): file
         for file in (Path(results) / "ply").glob("point_cloud_*.ply")
-        if (found := _EXPORT.fullmatch(file.name))
+        if (matched := _EXPORT.fullmatch(file.name))
     }
     if not steps:
         problem = "contains no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
@@ -84,7 +84,7 @@ def latest_ranks(folder: str | Path) -> list[Path]:
         )
     step, ranks = max(steps.items())
     # The number of ranks is not written anywhere: the most that any step has is the best guess.
-    expected = 1 + max(rank for found in steps.values() for rank in found)
+    expected = 1 + max(rank for files in steps.values() for rank in files)
     missing = sorted(set(range(expected)) - set(ranks))
     if missing:
         listed = ", ".join(map(str, missing[:8]))
@@ -126,7 +126,7 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             and all(wanted in (-1, side) for wanted, side in zip(shape, tensor.shape[1:], strict=True))
         )
         if not sound:
-            found = (
+            actual = (
                 f"{tensor.dtype} {list(tensor.shape)}"
                 if isinstance(tensor, Tensor)
                 else type(tensor).__name__
@@ -134,7 +134,7 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             expected = ["N", *("?" if side < 0 else side for side in shape)]
             raise FileFormatError(
                 path,
-                f"{key} is {found}, expected floats [{', '.join(map(str, expected))}]",
+                f"{key} is {actual}, expected floats [{', '.join(map(str, expected))}]",
                 f"it should be {_WHAT}",
             )
         result[key] = tensor.detach().float().numpy()

@@ -51,11 +51,11 @@ def splat_of_run(run: str | Path) -> Path:
     checkpoint = latest_checkpoint(run)
     if checkpoint is not None:
         return checkpoint
-    found = sorted([*run.glob("*.ply"), *run.glob("exports/*.ply"), *run.glob("exports/*/*.ply")])
-    if len(found) != 1:
-        problem = f"contains no {MODELS}/step-*.ckpt and {len(found)} exported splats"
+    exports = sorted([*run.glob("*.ply"), *run.glob("exports/*.ply"), *run.glob("exports/*/*.ply")])
+    if len(exports) != 1:
+        problem = f"contains no {MODELS}/step-*.ckpt and {len(exports)} exported splats"
         raise MissingFileError(run, problem, f"name the .ply itself, or {_EXPORT}")
-    return found[0]
+    return exports[0]
 
 
 def read_splatfacto(path: str | Path) -> Gaussians:
