@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 import torch
 
 from foreign_samples import save_results, save_run, save_splatfacto, some_similarity
-from io_samples import same_gaussians, save_checkpoint, save_images, some_cameras, some_gaussians
+from io_samples import save_checkpoint, save_images, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import (
     load_cameras,
@@ -255,16 +254,6 @@ def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
         (run / "config.yml").write_text(text)
         with pytest.raises(MissingFileError, match=said):
             load_cameras(run)
-
-
-def test_a_checkpoint_is_known_by_its_name(tmp_path: Path) -> None:
-    given = some_gaussians(9, 0)
-    run = tmp_path / "run"
-    save_run(run, "data")
-    save_splatfacto(given, run / "nerfstudio_models/step-000000009.ckpt")
-    (tmp_path / "copy").mkdir()
-    shutil.copy(run / "nerfstudio_models/step-000000009.ckpt", tmp_path / "copy")
-    assert same_gaussians(load_gaussians(run), load_gaussians(tmp_path / "copy/step-000000009.ckpt"))
 
 
 def test_the_data_may_lie_in_the_folder_of_the_training(tmp_path: Path) -> None:
