@@ -72,7 +72,7 @@ def test_wrong_shapes_and_claimed_sizes(tmp_path):
         torch.save(content, path)
 
     save(quats=torch.zeros(4, 3))
-    with pytest.raises(FileFormatError, match=r"quats is torch.float32 \[4, 3\], expected floats \[N, 4\]"):
+    with pytest.raises(FileFormatError, match=r"quats is torch.float32 \[4, 3\], expected floats \[4, 4\]"):
         read_gsplat_checkpoint(path)
     save(scales=torch.zeros(3, 3))
     with pytest.raises(FileFormatError, match="scales"):

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.cameras.training_run import is_gsplat_results
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.io.torch_file import load_torch
+from scoup.io.torch_file import float_tensor, load_torch
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _NAME = re.compile(r"ckpt_(\d{1,12})_rank(\d{1,6})\.pt")
@@ -109,35 +106,11 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             else ""
         )
         raise FileFormatError(path, f"lacks {', '.join(missing)}", remedy or f"it should be {_WHAT}")
-    size = os.path.getsize(path)
-    count = len(splats["means"]) if isinstance(splats["means"], Tensor) and splats["means"].dim() else 0
-    result = {}
-    for key, shape in _SHAPES.items():
-        tensor = splats[key]
-        # Views with zero strides can claim any size: a tensor has to fit into its file.
-        sound = (
-            isinstance(tensor, Tensor)
-            and tensor.layout == torch.strided
-            and tensor.dtype in (torch.float16, torch.bfloat16, torch.float32, torch.float64)
-            and tensor.device.type == "cpu"
-            and tensor.dim() == len(shape) + 1
-            and tensor.numel() * tensor.element_size() <= size
-            and tensor.shape[0] == count
-            and all(wanted in (-1, side) for wanted, side in zip(shape, tensor.shape[1:], strict=True))
-        )
-        if not sound:
-            actual = (
-                f"{tensor.dtype} {list(tensor.shape)}"
-                if isinstance(tensor, Tensor)
-                else type(tensor).__name__
-            )
-            expected = ["N", *("?" if side < 0 else side for side in shape)]
-            raise FileFormatError(
-                path,
-                f"{key} is {actual}, expected floats [{', '.join(map(str, expected))}]",
-                f"it should be {_WHAT}",
-            )
-        result[key] = tensor.detach().float().numpy()
+    means = float_tensor(path, splats["means"], (-1, 3), "means", _WHAT)
+    result = {
+        key: float_tensor(path, splats[key], (len(means), *shape), key, _WHAT)
+        for key, shape in _SHAPES.items()
+    }
     if result["shN"].shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
         raise FileFormatError(
             path,
