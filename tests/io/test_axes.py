@@ -11,9 +11,10 @@ import torch
 from gltf_samples import spz_in_gltf
 from io_samples import same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError
-from scoup.io import read_gltf, read_spz
+from scoup.io import read_gltf
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf_rotation import rotated_sh
+from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians

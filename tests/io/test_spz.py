@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from io_samples import some_gaussians
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
-from scoup.io import load_gaussians, read_spz, write_ply, write_spz
-from scoup.io.splats.spz import MOST_BITS
+from scoup.io import load_gaussians, write_ply, write_spz
+from scoup.io.splats.spz import MOST_BITS, read_spz
 from scoup.io.splats.spz_container import _unpacked
 from scoup.raster.spherical_harmonics import _basis
 from scoup.scene.gaussians import Gaussians
