@@ -11,7 +11,7 @@ import pytest
 
 from cli_support import BUILD, refused, run, run_json, write_scene
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png
-from scoup.io.splats.formats import READERS
+from scoup.io.splats import formats
 from scoup.io.splats.ply import read_ply
 from scoup.raster import render_colors
 from scoup.scene.gaussians import Gaussians
@@ -51,7 +51,8 @@ def test_info_reads_a_splat_once(monkeypatch: pytest.MonkeyPatch):
         read.append(path)
         return read_ply(path)
 
-    monkeypatch.setitem(READERS, ".ply", counted_read)
+    counted = replace(formats.FORMATS[0], read=counted_read)
+    monkeypatch.setattr(formats, "FORMATS", (counted, *formats.FORMATS[1:]))
     assert "fit" in run_json("info", "scene")
     assert read == [Path("scene/point_cloud.ply")]
 

@@ -1,8 +1,8 @@
-"""The facts of a field's file, read without torch: those of the loaded field, and no check is weaker."""
+"""The facts of a field's file, read without torch: those of the loaded field, with the same refusals."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +10,13 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from safetensors import safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
+from field_files import parts_of, write_whole
 from frozen_fields import small_field
-from scoup.base.digests import sealed
 from scoup.base.errors import ScoupError
-from scoup.field.artefact import tensor_checksum
-from scoup.field.container import METADATA_KEY
-from scoup.field.facts import FieldFacts, read_facts
+from scoup.field.content import TENSORS
+from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.scene.things import NO_THING, ThingTable
 from support import examples, unit
@@ -53,38 +50,127 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return path
 
 
-def parts_of(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    with safe_open(path, framework="pt") as stream:
-        tensors = {name: stream.get_tensor(name).clone() for name in stream.keys()}  # noqa: SIM118
-        return json.loads(stream.metadata()[METADATA_KEY]), tensors
+def facts_of(field: LanguageField) -> dict[str, Any]:
+    """The facts of a loaded field that do not depend on its file."""
+    geometry = None if field.geometry_path is None else f"{field.geometry_path} (not there)"
+    return {
+        "gaussians": len(field),
+        "coded": int(field.coded().sum()),
+        "levels": list(field.levels),
+        "atoms": field.n_atoms,
+        "k": field.code_indices.shape[2],
+        "dim": field.dim,
+        "embedding_model": field.embedding_model,
+        "words": None if field.info.words is None else f"{field.info.words} (not there)",
+        "raster_preset": field.raster_preset,
+        "cameras": 0 if field.cameras is None else len(field.cameras),
+        "geometry": "embedded" if field.has_geometry else geometry,
+        "fingerprint": field.fingerprint,
+        "provenance": field.info.provenance,
+    }
 
 
-def write_whole(path: Path, header: dict[str, Any], tensors: dict[str, Tensor]) -> None:
-    """A file whose checksums are right, whatever it contains."""
-    header = {**header, "checksums": {name: tensor_checksum(tensor) for name, tensor in tensors.items()}}
-    save_file(tensors, path, {METADATA_KEY: sealed(header)})
-
-
-def facts_or_refusal(path: Path, with_torch: bool) -> FieldFacts | str:
+def facts_or_refusal(path: Path, with_torch: bool) -> dict[str, Any] | str:
     try:
-        return FieldFacts.of(LanguageField.load(path)) if with_torch else read_facts(path)
+        if with_torch:
+            return facts_of(LanguageField.load(path))
+        facts = read_facts(path)
+        return {name: value for name, value in facts.items() if not name.startswith("bytes")}
     except ScoupError as error:
         return f"{type(error).__name__}: {error}"
 
 
-def test_they_are_those_of_the_loaded_field(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = FieldFacts.of(LanguageField.load(path))
-    assert expected.cameras > 0
-    assert str(expected.geometry).endswith("gaussians.ply (not there)")
-    monkeypatch.setattr(LanguageField, "load", None)  # not needed
-    assert read_facts(path) == expected
+def test_they_are_those_of_the_loaded_field(path: Path) -> None:
+    facts = facts_or_refusal(path, with_torch=False)
+    assert facts == facts_or_refusal(path, with_torch=True)
+    assert isinstance(facts, dict)
+    assert facts["cameras"] > 0
+    assert facts["geometry"].endswith("gaussians.ply (not there)")
+    assert read_facts(path)["bytes"] == path.stat().st_size
 
 
-def test_embedded_gaussians_are_loaded(tmp_path: Path) -> None:
-    field = small_field()
-    field.geometry_path = None
-    field.save(tmp_path / "f.scoup", embed_geometry=True)
-    assert read_facts(tmp_path / "f.scoup").geometry == "embedded"
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file with all tensors that there may be."""
+    path = tmp_path_factory.mktemp("whole") / "f.scoup"
+    field = field_with_things()
+    field.attach(small_field().gaussians)
+    field.save(path, embed_geometry=True)
+    assert parts_of(path)[1].keys() == TENSORS.keys()
+    assert read_facts(path)["geometry"] == "embedded"
+    return path
+
+
+def refusal(path: Path, header: dict[str, Any], tensors: dict[str, Tensor]) -> str:
+    """What both readers say of a file, whose checksums are right."""
+    write_whole(path, header, tensors)
+    message = facts_or_refusal(path, with_torch=False)
+    assert isinstance(message, str)
+    assert message == facts_or_refusal(path, with_torch=True)
+    return message
+
+
+def another_type(tensor: Tensor) -> Tensor:
+    return tensor.float() if tensor.dtype == torch.float64 else tensor.double()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tensor: None,
+        lambda tensor: tensor[:-1].contiguous(),
+        lambda tensor: tensor[None],
+        lambda tensor: tensor.flatten()[0].clone(),
+        another_type,
+    ],
+    ids=["missing", "shorter", "another axis", "a number", "another type"],
+)
+@pytest.mark.parametrize("name", TENSORS)
+def test_tensors_of_another_form_are_refused(
+    whole: Path, tmp_path: Path, name: str, change: Callable[[Tensor], Tensor | None]
+) -> None:
+    header, tensors = parts_of(whole)
+    changed = change(tensors.pop(name))
+    if changed is not None:
+        tensors[name] = changed
+    assert f"{tmp_path}/d.scoup: is not a complete language field" in refusal(
+        tmp_path / "d.scoup", header, tensors
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("code_indices", 4, "a code index is beyond the 4 atoms"),
+        ("code_weights", -1, "a code weight is negative"),
+        ("code_weights", torch.inf, "code_weights contains values that are not finite"),
+        ("codebook", torch.nan, "codebook contains values that are not finite"),
+        ("things.owners", 3, "things.owners names a thing beyond the 3"),
+        ("things.parents", 3, "things.parents names a thing beyond the 3"),
+        ("things.levels", 3, "a thing is of a level beyond the 3"),
+        ("things.embeddings", torch.nan, "things.embeddings contains values that are not finite"),
+        ("things.agreement", torch.nan, "things.agreement contains values that are not finite"),
+        ("things.mass", torch.inf, "things.mass contains values that are not finite"),
+        ("things.stability", torch.nan, "things.stability contains values that are not finite"),
+        ("cameras.viewmats", torch.nan, "cameras.viewmats contains values that are not finite"),
+        ("cameras.viewmats", 7, "cameras.viewmats contains one that is not a rotation"),
+        ("cameras.Ks", -1, "a focal length that is not positive"),
+        ("cameras.sizes", 0, "cameras.sizes contains one that is not an image size"),
+        ("geometry.means", 7, "its Gaussians have another fingerprint than its header"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(
+    whole: Path, tmp_path: Path, name: str, value: float, said: str
+) -> None:
+    header, tensors = parts_of(whole)
+    tensors[name].numpy().flat[0] = value
+    assert said in refusal(tmp_path / "d.scoup", header, tensors)
+
+
+def test_unknown_tensors_are_refused(whole: Path, tmp_path: Path) -> None:
+    header, tensors = parts_of(whole)
+    more = {**tensors, "things.colours": torch.zeros(3)}
+    assert "unknown tensors things.colours" in refusal(tmp_path / "d.scoup", header, more)
 
 
 @st.composite
@@ -103,7 +189,7 @@ def changes(draw: st.DrawFn) -> tuple[str, str, int, Any]:
     max_examples=examples(150), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
 @given(changes())
-def test_no_check_is_weaker(path: Path, change: tuple[str, str, int, Any]) -> None:
+def test_both_refuse_the_same_damage_alike(path: Path, change: tuple[str, str, int, Any]) -> None:
     how, what, place, value = change
     header, tensors = parts_of(path)
     name = sorted(tensors)[place % len(tensors)]

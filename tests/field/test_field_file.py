@@ -11,13 +11,12 @@ import pytest
 import torch
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from safetensors import safe_open
-from safetensors.torch import save_file
 
+from field_files import parts_of, write_parts
 from frozen_fields import small_field
 from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.artefact import tensor_checksum
-from scoup.field.container import METADATA_KEY, VERSION
+from scoup.field.container import VERSION
 from scoup.field.language_field import LanguageField
 from support import examples
 
@@ -30,17 +29,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     field.geometry_path = None
     field.save(path, embed_geometry=True)
     return path
-
-
-def parts_of(path: Path) -> tuple[dict, dict[str, torch.Tensor]]:
-    """The JSON header and the tensors of a file."""
-    with safe_open(path, framework="pt") as stream:
-        tensors = {name: stream.get_tensor(name).clone() for name in stream.keys()}  # noqa: SIM118
-        return json.loads(stream.metadata()[METADATA_KEY]), tensors
-
-
-def write_parts(path: Path, header: dict, tensors: dict[str, torch.Tensor]) -> None:
-    save_file(tensors, path, {METADATA_KEY: json.dumps(header, sort_keys=True)})
 
 
 def check_same(one: LanguageField, other: LanguageField) -> None:

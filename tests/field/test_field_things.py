@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,15 +10,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
-from planted_wall import COUNT, SETTINGS, planted_wall
-from scoup.base.digests import sealed
+from field_files import parts_of, write_parts
+from planted_wall import SETTINGS, planted_wall
 from scoup.base.errors import FileFormatError, InputError
-from scoup.field.artefact import tensor_checksum
-from scoup.field.container import METADATA_KEY
 from scoup.field.language_field import LanguageField
 from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 from scoup.uplift.build import build
@@ -54,18 +49,6 @@ def assert_same(one: ThingTable | None, other: ThingTable | None) -> None:
         mine, theirs = getattr(one, name), getattr(other, name)
         assert mine.dtype == theirs.dtype
         assert mine.equal(theirs), name
-
-
-def parts_of(path: Path) -> tuple[dict, dict[str, Tensor]]:
-    with safe_open(path, framework="pt") as stream:
-        tensors = {name: stream.get_tensor(name).clone() for name in stream.keys()}  # noqa: SIM118
-        return json.loads(stream.metadata()[METADATA_KEY]), tensors
-
-
-def write_whole(path: Path, header: dict, tensors: dict[str, Tensor]) -> None:
-    """A file whose checksums are right, whatever its tensors hold."""
-    header = {**header, "checksums": {name: tensor_checksum(tensor) for name, tensor in tensors.items()}}
-    save_file(tensors, path, {METADATA_KEY: sealed(header)})
 
 
 @pytest.mark.parametrize("weight_bits", [16, 8])
@@ -180,93 +163,12 @@ def test_things_of_another_field_are_refused(
         with_things(field, change(things_of(field)))
 
 
-def wrong(name: str, change: Callable[[Tensor], Tensor | None]) -> object:
-    return pytest.param(name, change, id=f"{name}-{change.__name__}")
-
-
-def missing(tensor: Tensor) -> None:
-    return None
-
-
-def shorter(tensor: Tensor) -> Tensor:
-    return tensor[:-1].contiguous()
-
-
-def narrower(tensor: Tensor) -> Tensor:
-    return tensor[:, :-1].contiguous()
-
-
-def flat(tensor: Tensor) -> Tensor:
-    return tensor.flatten()
-
-
-def single(tensor: Tensor) -> Tensor:
-    return tensor.flatten()[0].clone()
-
-
-def beyond(tensor: Tensor) -> Tensor:
-    """Numbers 3 * COUNT of a thing that is not there, or a level that is not."""
-    return torch.full(tensor.shape, 3 * COUNT, dtype=tensor.dtype)
-
-
-def not_a_number(tensor: Tensor) -> Tensor:
-    return torch.full_like(tensor, torch.nan)
-
-
-def doubled(tensor: Tensor) -> Tensor:
-    return tensor.double()
-
-
-DAMAGE = [
-    *(wrong(name, missing) for name in PARTS),
-    *(wrong(name, shorter) for name in PARTS),
-    *(wrong(name, single) for name in PARTS),
-    *(wrong(name, flat) for name in ("owners", "embeddings")),
-    *(wrong(name, narrower) for name in ("owners", "embeddings")),
-    *(wrong(name, beyond) for name in ("owners", "parents", "levels")),
-    *(wrong(name, not_a_number) for name in ("embeddings", "agreement", "mass")),
-    *(wrong(name, doubled) for name in PARTS),
-]
-
-
-@pytest.mark.parametrize(("name", "change"), DAMAGE)
-def test_things_that_make_no_sense_are_refused_with_the_file(
-    field: LanguageField, tmp_path: Path, name: str, change: Callable[[Tensor], Tensor | None]
-) -> None:
-    """Though every checksum is right."""
-    field.save(tmp_path / "f.scoup")
-    header, tensors = parts_of(tmp_path / "f.scoup")
-    changed = change(tensors.pop(f"things.{name}"))
-    if changed is not None:
-        tensors[f"things.{name}"] = changed
-    path = tmp_path / "damaged.scoup"
-    write_whole(path, header, tensors)
-    with pytest.raises(FileFormatError, match=r"damaged\.scoup"):
-        LanguageField.load(path)
-
-
-def test_a_part_of_things_that_nobody_knows_is_refused(field: LanguageField, tmp_path: Path) -> None:
-    field.save(tmp_path / "f.scoup")
-    header, tensors = parts_of(tmp_path / "f.scoup")
-    write_whole(tmp_path / "damaged.scoup", header, {**tensors, "things.colours": torch.zeros(3)})
-    with pytest.raises(FileFormatError, match=r"damaged\.scoup"):
-        LanguageField.load(tmp_path / "damaged.scoup")
-
-
 def test_flipped_bits_of_things_are_found(field: LanguageField, tmp_path: Path) -> None:
     field.save(tmp_path / "f.scoup")
     header, tensors = parts_of(tmp_path / "f.scoup")
     for name in PARTS:
         changed = tensors[f"things.{name}"].clone()
         changed.view(torch.uint8).view(-1)[0] ^= 1
-        save_file(
-            {**tensors, f"things.{name}": changed}, tmp_path / "d.scoup", {METADATA_KEY: kept(tmp_path)}
-        )
+        write_parts(tmp_path / "d.scoup", header, {**tensors, f"things.{name}": changed})
         with pytest.raises(FileFormatError, match=rf"d\.scoup.*checksum of things\.{name}"):
             LanguageField.load(tmp_path / "d.scoup")
-    assert header["checksums"].keys() == tensors.keys()
-
-
-def kept(folder: Path) -> str:
-    with safe_open(folder / "f.scoup", framework="pt") as stream:
-        return stream.metadata()[METADATA_KEY]

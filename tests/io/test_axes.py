@@ -11,9 +11,10 @@ import torch
 from gltf_samples import spz_in_gltf
 from io_samples import same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError
-from scoup.io import load_gaussians, read_gltf, read_spz, save_gaussians
+from scoup.io import read_gltf
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf_rotation import rotated_sh
+from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
@@ -47,20 +48,6 @@ def test_colours_of_degree_4_turn_along(axis: Axis) -> None:
     along = Camera("a", camera.viewmat @ turn, camera.K, camera.width, camera.height)
     colors = view_colors(turned(gaussians, axis), along)
     torch.testing.assert_close(colors, view_colors(gaussians, camera), rtol=0, atol=2e-5)
-
-
-@pytest.mark.parametrize(
-    ("suffix", "signs"),
-    [(".spz", [1, -1, -1]), (".glb", [-1, -1, 1]), (".gltf", [-1, -1, 1]), (".splat", [1, 1, 1])],
-)
-def test_the_axes_of_formats(tmp_path: Path, suffix: str, signs: list[float]) -> None:
-    gaussians, path = some_gaussians(5, 1), tmp_path / f"a{suffix}"
-    save_gaussians(gaussians, path)
-    torch.testing.assert_close(load_gaussians(path).means, gaussians.means, atol=2e-5, rtol=0)
-    kept = load_gaussians(path, keep_axes=True)
-    torch.testing.assert_close(kept.means, gaussians.means * torch.tensor(signs), atol=2e-5, rtol=0)
-    save_gaussians(gaussians, path, overwrite=True, keep_axes=True)
-    torch.testing.assert_close(load_gaussians(path, keep_axes=True).means, gaussians.means, atol=2e-5, rtol=0)
 
 
 @pytest.mark.parametrize("name", ["", "_2"])

@@ -33,12 +33,8 @@ def test_all_ranks_of_the_latest_step_in_order(tmp_path):
     again = read_gsplat_checkpoint(tmp_path / "ckpts")
     expected = [some_gaussians(3, seed=30).means, some_gaussians(3, seed=31).means]
     assert torch.equal(again.means, torch.cat(expected))
-
-
-def test_a_rank_that_another_step_has_is_missed(tmp_path):
-    for step, rank in ((7, 0), (7, 1), (30, 0)):
-        save_checkpoint(some_gaussians(2), tmp_path / f"ckpt_{step}_rank{rank}.pt")
-    with pytest.raises(MissingFileError, match="lacks rank 1 of 2"):
+    (tmp_path / "ckpts" / "ckpt_30_rank1.pt").unlink()
+    with pytest.raises(MissingFileError, match="lacks rank 1 of 2"):  # which step 7 has
         read_gsplat_checkpoint(tmp_path)
 
 
@@ -76,7 +72,7 @@ def test_wrong_shapes_and_claimed_sizes(tmp_path):
         torch.save(content, path)
 
     save(quats=torch.zeros(4, 3))
-    with pytest.raises(FileFormatError, match=r"quats is torch.float32 \[4, 3\], expected floats \[N, 4\]"):
+    with pytest.raises(FileFormatError, match=r"quats is torch.float32 \[4, 3\], expected floats \[4, 4\]"):
         read_gsplat_checkpoint(path)
     save(scales=torch.zeros(3, 3))
     with pytest.raises(FileFormatError, match="scales"):

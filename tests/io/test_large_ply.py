@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
+from io_samples import same_gaussians
 from scoup.base.errors import FileFormatError, ScoupWarning, WriteError
 from scoup.io import load_gaussians, read_ply_table, write_ply, write_ply_table
 from scoup.io.splats import ply, ply_rows
@@ -21,11 +21,6 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ply_rows, "AT_A_TIME", 7)
 
 
-def same(first: object, second: object) -> bool:
-    names = ("means", "quats", "scales", "opacities", "sh")
-    return all(torch.equal(getattr(first, name), getattr(second, name)) for name in names)
-
-
 @pytest.mark.parametrize("count", [11, 14, 50])
 def test_the_same_as_in_memory(
     count: int, tmp_path: Path, small_parts: None, monkeypatch: pytest.MonkeyPatch
@@ -33,7 +28,7 @@ def test_the_same_as_in_memory(
     write_ply(random_gaussians(count, seed=0), tmp_path / "a.ply")
     large = load_gaussians(tmp_path / "a.ply")
     monkeypatch.setattr(ply, "MOST_ROWS_IN_MEMORY", 1000)
-    assert same(large, load_gaussians(tmp_path / "a.ply"))
+    assert same_gaussians(large, load_gaussians(tmp_path / "a.ply"))
     assert large.fingerprint() == load_gaussians(tmp_path / "a.ply").fingerprint()
 
 
@@ -52,7 +47,7 @@ def test_rows_that_are_not_finite_are_dropped_with_one_warning(
     monkeypatch.setattr(ply, "MOST_ROWS_IN_MEMORY", 1000)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScoupWarning)
-        assert same(large, load_gaussians(tmp_path / "b.ply"))
+        assert same_gaussians(large, load_gaussians(tmp_path / "b.ply"))
 
 
 def test_none_is_left(tmp_path: Path, small_parts: None) -> None:

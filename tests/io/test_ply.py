@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from io_samples import same_gaussians, some_gaussians
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.splats.activation import (
     logits_from_opacities,
     logs_from_scales,
@@ -269,14 +269,6 @@ def test_point_clouds_and_compressed_files_are_named(tmp_path):
     cloud = {name: np.zeros(2, dtype=np.float32) for name in ("x", "y", "z")}
     with pytest.raises(FileFormatError, match="not a point cloud"):
         read_ply(file_of(tmp_path / "a.ply", cloud))
-
-
-def test_existing_files_are_kept(tmp_path):
-    write_ply(some_gaussians(), tmp_path / "a.ply")
-    before = (tmp_path / "a.ply").read_bytes()
-    with pytest.raises(OutputExistsError):
-        write_ply(some_gaussians(3), tmp_path / "a.ply")
-    assert (tmp_path / "a.ply").read_bytes() == before
 
 
 def test_table_from_memory_has_the_inria_layout():

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError, ScoupWarning
-from scoup.io import default_preset, find_gaussians, load_gaussians
+from scoup.io import load_gaussians, splat_source
 from scoup.io.splats.scenesplat import read_scenesplat, write_scenesplat
 from scoup.scene.gaussians import SH_C0, Gaussians
 
@@ -37,8 +37,8 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         assert getattr(found, name).equal(getattr(gaussians, name))
     assert torch.allclose(found.quats, gaussians.quats, atol=1e-6)
     assert torch.allclose(found.sh, gaussians.sh, atol=1.1 / 255 / SH_C0)
-    assert find_gaussians(tmp_path) == tmp_path
-    assert default_preset(tmp_path) == "gsplat"
+    assert splat_source(tmp_path).path == tmp_path
+    assert splat_source(tmp_path).preset == "gsplat"
     with pytest.raises(OutputExistsError):
         write_scenesplat(gaussians, tmp_path)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from io_samples import same_gaussians, some_gaussians
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.io.splats.splat import read_splat, write_splat
 
 
@@ -60,5 +60,3 @@ def test_wrong_sizes(tmp_path):
     (tmp_path / "a.splat").write_bytes(b"")
     with pytest.raises(FileFormatError, match="is empty"):
         read_splat(tmp_path / "a.splat")
-    with pytest.raises(MissingFileError):
-        read_splat(tmp_path / "none.splat")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +11,13 @@ import pytest
 import torch
 
 from foreign_samples import save_results, save_run, save_splatfacto, some_similarity
-from io_samples import same_gaussians, save_checkpoint, save_images, some_cameras, some_gaussians
+from io_samples import save_checkpoint, save_images, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io import (
-    default_preset,
     load_cameras,
     load_gaussians,
     save_gaussians,
+    splat_source,
     write_colmap,
     write_transforms,
 )
@@ -57,7 +56,7 @@ def test_splats_of_nerfstudio_are_read(tmp_path: Path, degree: int, older: bool)
         assert found.means.equal(given.means)
         for name in ("quats", "scales", "opacities", "sh"):
             assert torch.allclose(getattr(found, name), getattr(given, name), rtol=1e-5, atol=2e-6), name
-        assert default_preset(path) == "gsplat"
+        assert splat_source(path).preset == "gsplat"
 
 
 def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -> None:
@@ -68,7 +67,7 @@ def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -
     (run / "exports" / "splat").mkdir(parents=True)
     save_gaussians(some_gaussians(5), run / "exports" / "splat" / "splat.ply")
     assert len(load_gaussians(run)) == 5
-    assert default_preset(run) == "gsplat"
+    assert splat_source(run).preset == "gsplat"
     (run / "nerfstudio_models").mkdir()
     torch.save(
         {"pipeline": {"_model.field.mlp": torch.zeros(3)}}, run / "nerfstudio_models/step-000000001.ckpt"
@@ -181,7 +180,7 @@ def test_cameras_of_gsplats_results_fit_its_splat(tmp_path: Path, seed: int) -> 
         assert torch.allclose(
             pixels(load_gaussians(results), cameras)[near], expected[near], rtol=1e-3, atol=5e-2
         )
-        assert default_preset(results) == "gsplat"
+        assert splat_source(results).preset == "gsplat"
 
 
 @pytest.mark.parametrize("turn", [(1.0, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
@@ -213,7 +212,7 @@ def test_results_without_checkpoints_have_an_exported_splat(tmp_path: Path) -> N
     for step, count in ((6999, 3), (29999, 5)):
         save_gaussians(some_gaussians(count), results / f"ply/point_cloud_{step}.ply")
     assert len(load_gaussians(results)) == 5
-    assert default_preset(results) == "gsplat"
+    assert splat_source(results).preset == "gsplat"
     with pytest.raises(MissingFileError, match="which is not on this machine"):
         load_cameras(results)
     (results / "cfg.yml").write_text("result_dir: results\n")
@@ -255,16 +254,6 @@ def test_the_data_of_a_run_may_be_a_file_or_not_named(tmp_path: Path) -> None:
         (run / "config.yml").write_text(text)
         with pytest.raises(MissingFileError, match=said):
             load_cameras(run)
-
-
-def test_a_checkpoint_is_known_by_its_name(tmp_path: Path) -> None:
-    given = some_gaussians(9, 0)
-    run = tmp_path / "run"
-    save_run(run, "data")
-    save_splatfacto(given, run / "nerfstudio_models/step-000000009.ckpt")
-    (tmp_path / "copy").mkdir()
-    shutil.copy(run / "nerfstudio_models/step-000000009.ckpt", tmp_path / "copy")
-    assert same_gaussians(load_gaussians(run), load_gaussians(tmp_path / "copy/step-000000009.ckpt"))
 
 
 def test_the_data_may_lie_in_the_folder_of_the_training(tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ from PIL import Image
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.io import read_ply, read_ply_table
+from scoup.io import read_ply_table
+from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
 from scoup.query.label import NONE, GaussianLabels, label
 from scoup.query.label_files import label_files, label_record, labelled_colors, save_label_views, save_labels

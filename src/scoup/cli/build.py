@@ -184,12 +184,13 @@ class Build(BuildOptions, ViewOptions):
 
     def _load(self, console: Console) -> _Loaded:
         """Read the scene."""
-        from scoup.io import default_preset, load_gaussians
+        from scoup.io import load_gaussians
         from scoup.io.scene_parts import find_splat
         from scoup.uplift.provenance import embedding_source
 
-        source = find_splat(self.scene, self.gaussians)
-        raster_preset = default_preset(source) if self.raster_preset == "auto" else self.raster_preset
+        splat = find_splat(self.scene, self.gaussians)
+        source = splat.path
+        raster_preset = splat.preset if self.raster_preset == "auto" else self.raster_preset
         self.settings(raster_preset)  # a mistake shows before the long work
         gaussians = load_gaussians(source).to(self.device)
         cameras, regions, features = self.load_views(self.scene)

@@ -15,16 +15,16 @@ from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, Wr
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
 
-_ARRAYS = (".npy", ".pt")
-_CHECKPOINTS = (".pth", ".ckpt")
+_ARRAYS = (".npy", ".pt")  # of features
+_CHECKPOINTS = (".pth", ".ckpt")  # of LangSplatV2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(WritesCommon):
     """Convert splats, region features or fields of other systems; the kinds of SOURCE and TARGET decide.
 
-    A splat (a file, or a folder with one) becomes another: .ply, .compressed.ply, .splat, .spz, .glb, .gltf, .ksplat,
-    .sog, or OpenUSD's .usd, .usda, .usdc, .usdz, by the suffix of TARGET.
+    A splat (a file, or a folder with one) becomes another, of the format that the ending of TARGET means, such as .ply,
+    .compressed.ply, .spz, .glb or .usdz; docs/formats.md lists all.
 
     A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
     compact file per view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's
@@ -71,7 +71,7 @@ class Convert(WritesCommon):
         from scoup.base.errors import FileFormatError
 
         suffix = self.source.suffix.lower()
-        if self._is_splat(self.target):
+        if self._is_to_splat():
             self._convert_splat(console)
         elif self.source.is_dir() or not self.source.exists():
             self._convert_regions(console)
@@ -87,10 +87,11 @@ class Convert(WritesCommon):
                 "LangSplatV2's checkpoint (.pth)",
             )
 
-    def _is_splat(self, path: Path) -> bool:
-        from scoup.io.splats.formats import WRITERS, written_suffix
+    def _is_to_splat(self) -> bool:
+        from scoup.io.splats.formats import format_of
 
-        return written_suffix(path) in WRITERS
+        kind = format_of(self.target)
+        return kind is not None and kind.write is not None
 
     def _convert_splat(self, console: Console) -> None:
         from scoup.base.errors import InputError
@@ -134,14 +135,14 @@ class Convert(WritesCommon):
 
     def _convert_features(self, console: Console) -> None:
         from scoup.base.errors import InputError
-        from scoup.io import default_preset, find_gaussians, load_gaussians
+        from scoup.io import load_gaussians, splat_source
         from scoup.uplift.foreign import field_from_features, read_features
 
         self._check_field()
         if self.gaussians is None:
             raise InputError(f"{self.source}: name the splat that the features belong to with --gaussians")
-        path = find_gaussians(self.gaussians)
-        gaussians, features = load_gaussians(path), read_features(self.source)
+        splat = splat_source(self.gaussians)
+        gaussians, features = load_gaussians(splat.path), read_features(self.source)
         with console.progress() as progress:
             field = field_from_features(
                 gaussians,
@@ -150,10 +151,10 @@ class Convert(WritesCommon):
                 self.k,
                 **self._encoder(),
                 seed=self.seed,
-                raster_preset=default_preset(path),
+                raster_preset=splat.preset,
                 progress=progress,
             )
-        field.geometry_path = path
+        field.geometry_path = splat.path
         self._save(console, field, embed_geometry=False)
 
     def _convert_checkpoints(self, console: Console) -> None:

@@ -23,17 +23,12 @@ class Info(Common):
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
-        from scoup.base.errors import FileFormatError, MissingFileError
+        from scoup.base.errors import MissingFileError
 
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
         suffix = self.path.suffix.lower()
-        if not self.path.is_dir() and suffix not in _KINDS:
-            from scoup.io.splats.other_formats import other_format
-
-            problem, remedy = other_format(self.path) or ("is not a known kind of file", _READ)
-            raise FileFormatError(self.path, problem, remedy)
-        record = (_folder if self.path.is_dir() else _KINDS[suffix])(self.path)
+        record = (_folder if self.path.is_dir() else _KINDS.get(suffix, _splat))(self.path)
         if "distorted" in record:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
@@ -41,33 +36,34 @@ class Info(Common):
         console.result(record)
 
 
-_READ = (
-    "read are fields (.scoup), splats (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .pt), "
-    "cameras (transforms.json, cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), "
-    "and folders of scenes, region features and region sums"
-)
-
-
 def _folder(path: Path) -> dict[str, Any]:
-    from scoup.io import default_preset
     from scoup.io.describe import describe_folder
     from scoup.uplift.fit import measure_fit
     from scoup.uplift.storage.paths import ENDING, SCENE
 
     if (path / f"{SCENE}{ENDING}").exists():
         return _region_sums(path)
-    found = describe_folder(path)
-    if not (found.splat and found.gaussians and found.cameras):
-        return found.record
+    folder = describe_folder(path)
+    if not (folder.splat and folder.gaussians and folder.cameras):
+        return folder.record
     # As a build would find them.
-    fit = measure_fit(found.gaussians, list(found.cameras), default_preset(found.splat))
-    return {**found.record, "fit": fit.describe()}
+    fit = measure_fit(folder.gaussians, list(folder.cameras), folder.splat.preset)
+    return {**folder.record, "fit": fit.describe()}
 
 
 def _splat(path: Path) -> dict[str, Any]:
+    from scoup.base.errors import FileFormatError
     from scoup.io import load_gaussians
     from scoup.io.describe import describe_gaussians
+    from scoup.io.splats.formats import is_splat_name, other_format, read_endings
 
+    if not is_splat_name(path):
+        readable = (
+            f"read are fields (.scoup), splats ({read_endings()}), cameras (transforms.json, "
+            "cameras.json, COLMAP's .bin and .txt), word tables (.npz, .json, .safetensors), and folders of scenes, "
+            "region features and region sums"
+        )
+        raise FileFormatError(path, *(other_format(path) or ("is not a known kind of file", readable)))
     return {"kind": "splat", **describe_gaussians(load_gaussians(path))}
 
 
@@ -114,39 +110,19 @@ def _region_sums(path: Path) -> dict[str, Any]:
 
 def _field(path: Path) -> dict[str, Any]:
     from scoup.field.facts import read_facts
-    from scoup.field.part_sizes import part_sizes
 
-    facts, sizes = read_facts(path), part_sizes(path)
-    return {
-        "kind": "language field",
-        "gaussians": facts.gaussians,
-        "coded": facts.coded,
-        "levels": list(facts.levels),
-        "atoms": facts.atoms,
-        "k": facts.k,
-        "dim": facts.dim,
-        "embedding_model": facts.embedding_model,
-        "words": facts.words,
-        "raster_preset": facts.raster_preset,
-        "bytes": path.stat().st_size,
-        "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
-        "bytes_of_codebook": sizes.codebook,
-        "cameras": facts.cameras,
-        "geometry": facts.geometry,
-        "fingerprint": facts.fingerprint,
-        "provenance": facts.provenance,
-    }
+    facts = read_facts(path)
+    provenance = facts.pop("provenance")  # long, so last
+    return {"kind": "language field", **facts, "provenance": provenance}
 
 
-SPLATS = (".ply", ".splat", ".spz", ".glb", ".gltf", ".ksplat", ".sog", ".pt", ".pth", ".ckpt")
 _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".scoup": _field,
-    **dict.fromkeys(SPLATS, _splat),
     **dict.fromkeys((".npz", ".safetensors"), _word_table),
     **dict.fromkeys((".bin", ".txt"), _cameras),
     ".json": _json,
 }
-"""Extension -> what describes such a file."""
+"""Extension -> what describes such a file; all others are splats."""
 
 
 def _lines(record: dict[str, Any], indent: str = "") -> Iterator[str]:
@@ -168,8 +144,8 @@ def _readable(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_readable(item)}" for key, item in value.items())
     if isinstance(value, (list, tuple)):
-        shown = ", ".join(_readable(item) for item in value[:12])
-        return shown + (f", ... ({len(value)} in all)" if len(value) > 12 else "")
+        items = ", ".join(_readable(item) for item in value[:12])
+        return items + (f", ... ({len(value)} in all)" if len(value) > 12 else "")
     if isinstance(value, float):
         return f"{value:.4g}"
     return f"{value:,}" if isinstance(value, int) else str(value)

@@ -113,7 +113,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
-        from scoup.io import check_output, check_splat_name
+        from scoup.io import check_output, written_format
 
         if self.threshold is not None and not 0 <= self.threshold <= 1:
             raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
@@ -123,7 +123,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         self._rgb()
         is_field = self.out.suffix.lower() == ".scoup"
         if not is_field:
-            check_splat_name(self.out, "a field (.scoup)")
+            written_format(self.out, "a field (.scoup)")
         if self.edit == "ids" and not self._is_plain_ply():
             what = "a field" if is_field else "this format"
             raise InputError(f"{self.out}: {what} has no column of ids; use a name that ends in .ply")

@@ -60,9 +60,9 @@ class MakeViews(WritesCommon):
         from scoup.base.errors import InputError
         from scoup.base.staging import check_outputs
         from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, save_views
-        from scoup.io import find_gaussians, load_cameras, load_gaussians
+        from scoup.io import load_cameras, load_gaussians, splat_source
 
-        source = find_gaussians(self.splat)
+        source = splat_source(self.splat).path
         out = self.out or Path(f"{source.stem}_views")
         check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
         beside = None if self.beside is None else load_cameras(self.beside, distorted="undistort")
@@ -85,7 +85,7 @@ class MakeViews(WritesCommon):
 
 def is_splat(path: Path) -> bool:
     """Tell whether a file, by its name, is a splat rather than a scene."""
-    from scoup.io.scenes import is_splat_name
+    from scoup.io.splats.formats import is_splat_name
 
     return is_splat_name(path) and not path.is_dir()
 

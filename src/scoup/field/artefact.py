@@ -6,24 +6,14 @@ import os
 import re
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_path, check_output
 from scoup.base.digests import array_checksum, sealed
-from scoup.base.errors import InputError, WriteError, check_format_version
-from scoup.field.container import (
-    METADATA_KEY,
-    SCHEMA,
-    VERSION,
-    check_sums,
-    field_damage_named,
-    place_of,
-    read_container,
-    relative_place,
-)
+from scoup.base.errors import InputError, WriteError
+from scoup.field.container import METADATA_KEY, SCHEMA, VERSION, place_of, read_content, relative_place
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
@@ -90,45 +80,33 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
 
 
 def read_field(path: Path) -> FieldParts:
-    """Read what a ``.scoup`` file holds; see ``LanguageField.load``. The parts are not yet checked for sense.
+    """Read what a ``.scoup`` file holds; see ``LanguageField.load``.
 
-    Everything in the file is read, once: header and tensors, embedded Gaussians included. All of it is compared with
-    its checksums before any of it is used.
+    Everything in the file is read, once, and checked before any of it is used (``container.read_content``).
     """
-    text, header, tensors = read_container(path, "pt")
-    if "codebook" in tensors:
-        # In the file it begins anywhere; products of matrices have the same bytes only with the same alignment.
-        tensors["codebook"] = tensors["codebook"].clone()
-    with field_damage_named(path):
-        check_format_version(path, header["version"], VERSION)
-        return _checked_parts(path, text, header, tensors)
-
-
-def _checked_parts(path: Path, text: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> FieldParts:
-    """Return the parts of a file whose checksums all agree."""
-    check_sums(path, text, header, {name: tensor.contiguous().numpy() for name, tensor in tensors.items()})
-    geometry = header["geometry"]
+    content = read_content(path)
+    header, geometry = content.header, content.header["geometry"]
+    tensors = {name: torch.from_numpy(array) for name, array in content.arrays.items()}
     info = FieldInfo(
-        levels=tuple(str(level) for level in header["levels"]),
-        embedding_model=str(header["embedding_model"]),
-        fingerprint=str(geometry["fingerprint"]),
-        n_gaussians=int(geometry["n_gaussians"]),
-        raster_preset=str(header["raster_preset"]),
-        provenance=dict(header["provenance"]),
+        levels=tuple(header["levels"]),
+        embedding_model=header["embedding_model"],
+        fingerprint=geometry["fingerprint"],
+        n_gaussians=geometry["n_gaussians"],
+        raster_preset=header["raster_preset"],
+        provenance=header["provenance"],
         words=place_of(path, header["words"]),
     )
     weights = tensors["code_weights"]
     if weights.dtype == torch.uint8:
         weights = weights.float() / weights.float().sum(-1, keepdim=True).clamp(min=1)
-    elif weights.dtype != torch.float16:
-        raise InputError(f"code weights are {weights.dtype}, expected float16 or uint8")
     gaussians = None
     if "geometry.means" in tensors:
         gaussians = Gaussians(*(tensors[f"geometry.{name}"] for name in _GEOMETRY))
     return FieldParts(
         tensors["code_indices"],
         weights,
-        tensors["codebook"].float(),
+        # In the file it begins anywhere; products of matrices have the same bytes only with the same alignment.
+        tensors["codebook"].clone().float(),
         info,
         gaussians,
         place_of(path, geometry["path"]),
@@ -173,15 +151,13 @@ def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:
 
 
 def _things(tensors: dict[str, Tensor]) -> ThingTable | None:
-    parts = {
-        name.removeprefix("things."): tensor for name, tensor in tensors.items() if name.startswith("things.")
-    }
-    for name in ("owners", "parents") if parts else ():
-        if parts[name].dtype != torch.uint16:
-            raise InputError(f"things.{name} is {parts[name].dtype}, expected torch.uint16")
+    if "things.owners" not in tensors:
+        return None
+    parts = {each.name: tensors[f"things.{each.name}"] for each in fields(ThingTable)}
+    for name in ("owners", "parents"):
         numbers = parts[name].int()
         parts[name] = torch.where(numbers == MOST_THINGS, NO_THING, numbers)
-    return ThingTable(**parts) if parts else None
+    return ThingTable(**parts)
 
 
 def _thing_tensors(things: ThingTable) -> dict[str, Tensor]:
@@ -197,6 +173,6 @@ def _cameras(tensors: dict[str, Tensor], names: list[str] | None) -> Cameras | N
         return None
     parts = (tensors["cameras.viewmats"], tensors["cameras.Ks"], tensors["cameras.sizes"].tolist())
     return Cameras(
-        Camera(str(name), viewmat, K, int(size[0]), int(size[1]))
-        for name, viewmat, K, size in zip(names, *parts, strict=True)
+        Camera(name, viewmat, K, width, height)
+        for name, viewmat, K, (width, height) in zip(names, *parts, strict=True)
     )

@@ -1,4 +1,4 @@
-"""The container of a language field: safetensors with a JSON header, both with checksums; read without torch."""
+"""The file of a language field: safetensors with a JSON header, both with checksums; read and checked without torch."""
 
 from __future__ import annotations
 
@@ -6,40 +6,58 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from numpy.typing import NDArray
 
 from scoup.base.digests import array_checksum, is_sealed
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.errors import FileFormatError, MissingFileError, check_format_version
 from scoup.base.safetensors_damage import safetensors_damage_named
+from scoup.field.content import check_content
 
 SCHEMA = "scoup.language_field"
 VERSION = 1
 METADATA_KEY = "scoup"
 REBUILD = "build the field again, or copy the file again if it was cut short"
+_WHAT = "a SCOUP language field"
 
 
-def read_container(
-    path: Path, framework: Literal["pt", "numpy"]
-) -> tuple[str, dict[str, Any], dict[str, Any]]:
-    """Return the text of the header, the header, and all tensors of a ``.scoup`` file, not yet checked."""
+@dataclass(frozen=True, eq=False)
+class FieldContent:
+    """The header and the tensors of a ``.scoup`` file, checked."""
+
+    header: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+
+
+def read_content(path: Path) -> FieldContent:
+    """Read a ``.scoup`` file without torch and check all of it: version, checksums, header and tensors.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FieldVersionError: it is of a newer version.
+        FileFormatError: it is not a language field, or damaged.
+    """
     from safetensors import safe_open
 
-    what = "a SCOUP language field"
     if not path.is_file():
-        raise MissingFileError.of(path, what)
-    with safetensors_damage_named(path, what, REBUILD), safe_open(path, framework=framework) as stream:
-        metadata = stream.metadata() or {}
-        text = metadata.get(METADATA_KEY, "{}")
+        raise MissingFileError.of(path, _WHAT)
+    with safetensors_damage_named(path, _WHAT, REBUILD), safe_open(path, framework="numpy") as stream:
+        text = (stream.metadata() or {}).get(METADATA_KEY, "{}")
         header = json.loads(text)
         if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-            raise FileFormatError(path, f"is a safetensors file, but not {what}", "check the path")
-        return text, header, {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+            raise FileFormatError(path, f"is a safetensors file, but not {_WHAT}", "check the path")
+        arrays = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+    with field_damage_named(path):
+        check_format_version(path, header["version"], VERSION)
+        _check_sums(path, text, header, arrays)
+        check_content(header, arrays)
+    return FieldContent(header, arrays)
 
 
-def check_sums(path: Path, text: str, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+def _check_sums(path: Path, text: str, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Compare the header and all arrays of a file with their checksums."""
     if not is_sealed(text, header["checksum"]):
         raise FileFormatError(path, "is damaged (checksum of the header)", REBUILD)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from scoup.field.container import read_content
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,14 @@ class PartSizes:
     geometry: int
     owners: int = 0
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> PartSizes:
+        """Return the sizes of the tensors of a file."""
+        codes = arrays["code_indices"].nbytes + arrays["code_weights"].nbytes
+        geometry = sum(array.nbytes for name, array in arrays.items() if name.startswith("geometry."))
+        owners = arrays["things.owners"].nbytes if "things.owners" in arrays else 0
+        return cls(len(arrays["code_indices"]), codes, arrays["codebook"].nbytes, geometry, owners)
+
     @property
     def codes_a_gaussian(self) -> float:
         return self.codes / max(1, self.gaussians)
@@ -36,16 +49,5 @@ class PartSizes:
 
 
 def part_sizes(path: Path) -> PartSizes:
-    """Return the sizes of a file that ``LanguageField.load`` reads, from its header alone."""
-    with open(path, "rb") as stream:
-        header = json.loads(stream.read(int.from_bytes(stream.read(8), "little")))
-    sizes: dict[str, int] = {}
-    for name, entry in header.items():
-        if name != "__metadata__":
-            start, end = entry["data_offsets"]
-            part = name.split(".")[0]
-            sizes[part] = sizes.get(part, 0) + end - start
-    codes = sizes["code_indices"] + sizes["code_weights"]
-    start, end = header["things.owners"]["data_offsets"] if "things.owners" in header else (0, 0)
-    count = header["code_indices"]["shape"][0]
-    return PartSizes(count, codes, sizes["codebook"], sizes.get("geometry", 0), end - start)
+    """Return the sizes of the parts of a ``.scoup`` file."""
+    return PartSizes.of(read_content(path).arrays)

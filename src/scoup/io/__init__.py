@@ -1,39 +1,31 @@
 """Readers and writers: one module per format; all give and take the dataclasses of ``scene/``."""
 
 from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
-from scoup.io.camera_sources import find_cameras
-from scoup.io.cameras.colmap import read_colmap, read_points, read_tracks, write_colmap
-from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras, write_inria_cameras
-from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
+from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
+from scoup.io.cameras.inria import read_cfg_args, write_inria_cameras
+from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.images import load_image, save_label_png, save_png
-from scoup.io.regions.convert import ConvertReport, convert_regions
+from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.load import load_regions, save_regions
 from scoup.io.scenes import (
     camera_photographs,
-    default_preset,
-    find_gaussians,
     load_cameras,
     load_gaussians,
     save_gaussians,
 )
-from scoup.io.splats.formats import check_splat_name
+from scoup.io.splats.formats import splat_source, written_format
 from scoup.io.splats.gltf import GaussianFeatures, read_gltf, read_gltf_features, write_gltf
-from scoup.io.splats.gsplat_checkpoint import read_gsplat_checkpoint
 from scoup.io.splats.ply import (
     PlyTable,
     as_stored,
     gaussians_from_table,
-    read_ply,
     read_ply_table,
     write_ply,
     write_ply_table,
 )
-from scoup.io.splats.ply_compressed_write import write_compressed_ply
-from scoup.io.splats.splat import read_splat, write_splat
-from scoup.io.splats.spz import read_spz, write_spz
+from scoup.io.splats.spz import write_spz
 
 __all__ = [
-    "ConvertReport",
     "GaussianFeatures",
     "PlyTable",
     "as_stored",
@@ -41,41 +33,30 @@ __all__ = [
     "atomic_path",
     "camera_photographs",
     "check_output",
-    "check_splat_name",
     "convert_regions",
-    "default_preset",
-    "find_cameras",
-    "find_gaussians",
     "gaussians_from_table",
     "load_cameras",
     "load_gaussians",
     "load_image",
     "load_regions",
     "read_cfg_args",
-    "read_colmap",
     "read_gltf",
     "read_gltf_features",
-    "read_gsplat_checkpoint",
-    "read_inria_cameras",
-    "read_ply",
     "read_ply_table",
     "read_points",
-    "read_splat",
-    "read_spz",
     "read_tracks",
-    "read_transforms",
     "save_gaussians",
     "save_label_png",
     "save_png",
     "save_regions",
+    "splat_source",
     "write_colmap",
-    "write_compressed_ply",
     "write_gltf",
     "write_inria_cameras",
     "write_ply",
     "write_ply_table",
-    "write_splat",
     "write_spz",
     "write_text",
     "write_transforms",
+    "written_format",
 ]

@@ -58,10 +58,10 @@ def attach_images(
     missing = len(others) - len(unreadable)
     if missing and missing_images == "skip":
         searched = str(folder.folder) if folder is not None else "no images folder"
-        said = f"skipped {missing} of {counted(len(cameras), 'camera')} without an image ({searched})"
+        message = f"skipped {missing} of {counted(len(cameras), 'camera')} without an image ({searched})"
         if kept:
-            said = f"{none_of(missing, 'image')} was found ({searched}); using the cameras alone"
-        warnings.warn(f"{source}: {said}", ScoupWarning, stacklevel=3)
+            message = f"{none_of(missing, 'image')} was found ({searched}); using the cameras alone"
+        warnings.warn(f"{source}: {message}", ScoupWarning, stacklevel=3)
     try:
         return Cameras(sorted([*attached, *(others if kept else [])], key=lambda camera: camera.name))
     except InputError as error:
@@ -74,8 +74,8 @@ def image_files(
     """Return the names of cameras that have image files, with these files, which are not opened."""
     folder, factor = _choose_folder(roots, images, None)
     hint_first = images is None and (folder is None or factor == 1)
-    found = ((camera.name, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
-    return [(name, path) for name, path in found if path is not None]
+    images_of = ((camera.name, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
+    return [(name, path) for name, path in images_of if path is not None]
 
 
 def _choose_folder(
@@ -105,8 +105,8 @@ def _find(
     hint = camera.image_path
     if hint is not None and hint_first:
         return hint, 1
-    found = folder.find(camera.name) if folder is not None else None
-    return (found, factor) if found is not None else (hint, 1)
+    path = folder.find(camera.name) if folder is not None else None
+    return (path, factor) if path is not None else (hint, 1)
 
 
 def _size_of(path: Path | None, unreadable: list[str]) -> tuple[int, int] | None:

@@ -14,16 +14,17 @@ from scoup.io.camera_sources import find_cameras, where_cameras_are
 from scoup.io.images import image_fault
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.scenes import camera_photographs, find_gaussians, load_cameras, load_gaussians
+from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians
+from scoup.io.splats.formats import SplatSource, splat_source
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.oddities import oddities
+from scoup.scene.sanity import sanity_problems
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
     """Return the number, extent, medians and fingerprint of Gaussians."""
-    for oddity in oddities(gaussians):
-        warnings.warn(oddity, ScoupWarning, stacklevel=2)
+    for problem in sanity_problems(gaussians):
+        warnings.warn(problem, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
     if len(gaussians):
         record |= {
@@ -52,8 +53,8 @@ def describe_cameras(cameras: Cameras) -> dict[str, Any]:
 def describe_unreadable(path: Path) -> dict[str, Any]:
     """Return the photographs of a scene's cameras that cannot be decoded, and why; nothing where all can be."""
     faults = {name: image_fault(image) for name, image in camera_photographs(path)}
-    found = [f"{name} {fault}" for name, fault in faults.items() if fault]
-    return {"unreadable_photographs": len(found), "unreadable": found} if found else {}
+    unreadable = [f"{name} {fault}" for name, fault in faults.items() if fault]
+    return {"unreadable_photographs": len(unreadable), "unreadable": unreadable} if unreadable else {}
 
 
 def describe_regions(store: RegionStore) -> dict[str, Any]:
@@ -84,12 +85,12 @@ def describe_regions(store: RegionStore) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class DescribedFolder:
-    """The description of a folder, and what was loaded for it: the splat's file and Gaussians, the cameras; None where
-    there are none.
+    """The description of a folder, and what was loaded for it: the splat and its Gaussians, the cameras; None if there
+    are none.
     """
 
     record: dict[str, Any]
-    splat: Path | None
+    splat: SplatSource | None
     gaussians: Gaussians | None
     cameras: Cameras | None
 
@@ -107,9 +108,9 @@ def describe_folder(path: Path) -> DescribedFolder:
             record["views_with_regions"] = len(regions)
             record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
     try:
-        splat = find_gaussians(path)
-        gaussians = load_gaussians(splat)
-        record |= {"splat": str(splat), **describe_gaussians(gaussians)}
+        splat = splat_source(path)
+        gaussians = load_gaussians(splat.path)
+        record |= {"splat": str(splat.path), **describe_gaussians(gaussians)}
         no_splat = ""
     except MissingFileError as error:
         no_splat = error.problem

@@ -45,9 +45,9 @@ class ImageFolder:
             return self._exact[name]
         pure = PurePosixPath(name)
         for key in (name, pure.name, pure.with_suffix("").as_posix() if pure.name else name, pure.stem):
-            found = self._loose.get(key, set())
-            if len(found) == 1:
-                return next(iter(found))
+            paths = self._loose.get(key, set())
+            if len(paths) == 1:
+                return next(iter(paths))
         return None
 
 

@@ -7,15 +7,15 @@ from pathlib import Path
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.camera_sources import find_cameras, scene_folder
 from scoup.io.regions.views import FOLDER_NAME
-from scoup.io.scenes import find_gaussians
+from scoup.io.splats.formats import SplatSource, splat_source
 
 
-def find_splat(scene: Path, gaussians: Path | None = None) -> Path:
-    """Return the trained splat: the one named, else the one in the scene's folder; see ``find_gaussians``."""
+def find_splat(scene: Path, gaussians: Path | None = None) -> SplatSource:
+    """Return the trained splat: the one named, else the one in the scene's folder."""
     if gaussians is not None:
-        return find_gaussians(gaussians)
+        return splat_source(gaussians)
     try:
-        return find_gaussians(scene_folder(scene) if scene.is_dir() else scene)
+        return splat_source(scene_folder(scene) if scene.is_dir() else scene)
     except FileFormatError as error:
         if not scene.exists():
             raise FileFormatError(scene, "there is no such scene", "check the path") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from pathlib import Path
 from typing import Literal
@@ -10,39 +9,31 @@ from typing import Literal
 import numpy as np
 
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted, listed
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base.counts import counted
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CameraSource, find_cameras
 from scoup.io.cameras.colmap import read_colmap
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
-from scoup.io.cameras.inria import latest_point_cloud, read_inria_cameras
+from scoup.io.cameras.inria import read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
-from scoup.io.cameras.training_run import GSPLAT_CONFIG, is_gsplat_results, is_nerfstudio_run
+from scoup.io.cameras.training_run import GSPLAT_CONFIG
 from scoup.io.reading import Distorted
-from scoup.io.splats.axes import AXES, turned
-from scoup.io.splats.formats import READERS, WRITERS, check_splat_name, written_suffix
-from scoup.io.splats.gsplat_checkpoint import exported_splat, read_gsplat_checkpoint
-from scoup.io.splats.nerfstudio_checkpoint import is_splatfacto_name, read_splatfacto, splat_of_run
-from scoup.io.splats.other_formats import READ, other_format
-from scoup.io.splats.scenesplat import is_scenesplat, read_scenesplat
+from scoup.io.splats.axes import turned
+from scoup.io.splats.formats import splat_source, written_format
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
-
-_CHECKPOINTS = (".pt", ".pth", ".ckpt")
-_IN_FOLDERS = tuple(name for name in READERS if name not in (".glb", ".gltf"))  # which may hold meshes
 
 
 def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
     """Load a trained splat, on the CPU.
 
     Args:
-        path: a PLY of 3D Gaussian Splatting (also PlayCanvas's compressed one), a .splat, .spz, .glb, .gltf, .ksplat
-            or .sog file; a gsplat checkpoint (.pt) or its ``ckpts`` folder; the output folder of a training by
-            nerfstudio (splatfacto), by gsplat or by Inria's code (the last step is taken); a folder with SceneSplat's
-            arrays (coord.npy and so on), or a folder with one such file.
-        keep_axes: do not turn .spz and glTF, which name their axes, to those of 3DGS (docs/formats.md).
+        path: a file of any splat format that is read (docs/formats.md); the output folder of a training by nerfstudio
+            (splatfacto), by gsplat or by Inria's code (the last step is taken); or a folder with one splat.
+        keep_axes: do not turn formats that name their axes, such as .spz and glTF, to those of 3DGS.
 
     Raises:
         MissingFileError: there is nothing of the kind.
@@ -57,37 +48,32 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
         (3, 4)
     """
     check_arguments("load_gaussians", path=(path, PATH))
-    path = find_gaussians(path)
-    if is_scenesplat(path):
-        gaussians = read_scenesplat(path)
-    elif is_splatfacto_name(path):
-        gaussians = read_splatfacto(path)
-    elif path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
-        gaussians = read_gsplat_checkpoint(path)
-    else:
-        gaussians = READERS[path.suffix.lower()](path)
+    source = splat_source(path)
+    assert source.kind.read is not None
+    gaussians = source.kind.read(source.path)
     if not len(gaussians):
-        raise FileFormatError(path, "contains no Gaussians with finite values", "export the splat again")
-    return _in_axes(gaussians, path, keep_axes)
+        raise FileFormatError(
+            source.path, "contains no Gaussians with finite values", "export the splat again"
+        )
+    return _in_axes(gaussians, source.kind, keep_axes)
 
 
-def _in_axes(gaussians: Gaussians, path: str | Path, keep_axes: bool) -> Gaussians:
+def _in_axes(gaussians: Gaussians, kind: SplatFormat, keep_axes: bool) -> Gaussians:
     """Undo the half-turn that the reader of a format has made, or that its writer will make."""
-    axis = AXES.get(Path(path).suffix.lower())
-    return turned(gaussians, axis) if keep_axes and axis is not None else gaussians
+    return turned(gaussians, kind.axis) if keep_axes and kind.axis is not None else gaussians
 
 
 def save_gaussians(
     gaussians: Gaussians, path: str | Path, overwrite: bool = False, keep_axes: bool = False
 ) -> None:
-    """Write a splat in the format of the suffix: .ply (Inria's layout), .compressed.ply (PlayCanvas), .splat, .spz,
-    .glb, .gltf, .ksplat, .sog, or OpenUSD's .usd, .usda, .usdc, .usdz. All but .ply round values (docs/formats.md).
+    """Write a splat in the format that the ending of the name means: .ply (Inria's layout), .compressed.ply, .spz, .glb
+    and more. All but .ply round values (docs/formats.md).
 
     Args:
         keep_axes: as ``load_gaussians``.
 
     Raises:
-        InputError: another suffix, or values that the format has no place for.
+        InputError: another ending, or values that the format has no place for.
         OutputExistsError: the file exists and ``overwrite`` is false.
         ScoupError: the format needs a package that is not there.
 
@@ -96,58 +82,9 @@ def save_gaussians(
         >>> scoup.save_gaussians(gaussians.select(gaussians.opacities > 0.5), "opaque.ply")
     """
     check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, PATH))
-    check_splat_name(path)
-    WRITERS[written_suffix(path)](_in_axes(gaussians, path, keep_axes), path, overwrite)
-
-
-def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
-    """Return the rasteriser preset of a splat: "gsplat" for checkpoints of its trainer and for SceneSplat's arrays,
-    which were trained with it, otherwise "inria".
-    """
-    folder = Path(path)
-    if is_nerfstudio_run(folder) or is_gsplat_results(folder):
-        return "gsplat"
-    path = find_gaussians(path)
-    return "gsplat" if path.is_dir() or path.suffix.lower() in _CHECKPOINTS else "inria"
-
-
-def is_splat_name(path: Path) -> bool:
-    """Return whether the name of a file is that of a splat."""
-    return path.suffix.lower() in (*READERS, *_CHECKPOINTS)
-
-
-def find_gaussians(path: str | Path) -> Path:
-    """Return the file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``."""
-    path = Path(path)
-    if os.path.isfile(path):
-        if not is_splat_name(path):
-            raise FileFormatError(
-                path, *(other_format(path) or ("is not a kind of splat known here", f"use {READ}"))
-            )
-        return path
-    if not os.path.isdir(path):
-        raise MissingFileError.of(path, "a trained splat", kind="file or folder")
-    if path.name == "point_cloud" or (path / "point_cloud").is_dir():
-        return latest_point_cloud(path)
-    if is_scenesplat(path):
-        return path
-    if is_nerfstudio_run(path):
-        return splat_of_run(path)
-    if is_gsplat_results(path) and not any((path / "ckpts").glob("*.pt")):
-        return exported_splat(path)
-    if (path / "ckpts").is_dir() or any(path.glob("ckpt_*_rank*.pt")):
-        return path
-    # Inria's code copies the sparse points beside its cameras as input.ply.
-    found = [
-        item
-        for item in sorted(path.iterdir())
-        if item.suffix.lower() in _IN_FOLDERS and item.is_file() and item.name != "input.ply"
-    ]
-    if len(found) != 1:
-        names = listed([item.name for item in found], 5)
-        problem = f"contains {len(found)} splats ({names})" if found else "contains no trained splat"
-        raise MissingFileError(path, problem, "name the file of the splat itself")
-    return found[0]
+    kind = written_format(path)
+    assert kind.write is not None
+    kind.write(_in_axes(gaussians, kind, keep_axes), Path(path), overwrite)
 
 
 def load_cameras(

@@ -93,9 +93,9 @@ def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what
         and all(wanted in (-1, side) for wanted, side in zip(shape, value.shape, strict=True))
     )
     if not sound:
-        found = f"{value.dtype} {list(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+        actual = f"{value.dtype} {list(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
         expected = ", ".join("?" if side < 0 else str(side) for side in shape)
-        problem = f"{name} is {found}, expected floats [{expected}]"
+        problem = f"{name} is {actual}, expected floats [{expected}]"
         raise FileFormatError(path, problem, f"it should be {what}")
     return value.detach().float().numpy()
 

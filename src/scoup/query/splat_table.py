@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.io import PlyTable, find_gaussians, gaussians_from_table, read_ply_table
+from scoup.io import PlyTable, gaussians_from_table, read_ply_table, splat_source
 from scoup.io.splats.ply import table_from_gaussians
 from scoup.query.coded_scene import CodedScene
 from scoup.scene.gaussians import Gaussians
@@ -32,7 +32,7 @@ class SplatTable:
         """
         path = geometry or field.geometry_path
         try:
-            path = None if path is None else find_gaussians(path)
+            path = None if path is None else splat_source(path).path
             if path is not None and path.suffix.lower() == ".ply":
                 table = read_ply_table(path)
                 gaussians, kept = gaussians_from_table(table)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.scene.fingerprint import geometry_fingerprint
 
 MAX_SH_DEGREE = 4
 FAINT = 0.1  # opacity below which a Gaussian is not in the picture of a notebook
@@ -120,12 +120,9 @@ class Gaussians:
         return rows & ~torch.isnan(self.opacities) & (self.opacities != -torch.inf)
 
     def fingerprint(self) -> str:
-        """Return the SHA-256 of means, quats, scales and opacities, which decide all blending weights.
-        Colour is left out: a recoloured scene keeps its language field."""
-        digest = hashlib.sha256(f"scoup-geometry-1:{len(self)}".encode())
-        for tensor in (self.means, self.quats, self.scales, self.opacities):
-            digest.update(tensor.detach().cpu().contiguous().numpy().data)
-        return digest.hexdigest()
+        """Return the SHA-256 of means, quats, scales and opacities, which decide all blending weights."""
+        columns = (self.means, self.quats, self.scales, self.opacities)
+        return geometry_fingerprint(*(column.detach().cpu().numpy() for column in columns))
 
 
 def chosen_rows(chosen: Tensor | ArrayLike | slice, count: int) -> Tensor:

@@ -17,8 +17,8 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
+from scoup.scene.sanity import sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
@@ -70,7 +70,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit or are of wrong types.
 
     Warns:
-        ScoupWarning: Gaussians are implausible (``scoup.scene.oddities``), splat and cameras may not fit, or the
+        ScoupWarning: Gaussians are implausible (``scoup.scene.sanity``), splat and cameras may not fit, or the
             codebook explains many regions of a view badly.
 
     Example:
@@ -150,8 +150,8 @@ def check_scene(
     check_fit: bool = True,
 ) -> None:
     """Warn of implausible Gaussians, and check that splat and cameras fit (``uplift/fit.py``)."""
-    for oddity in oddities(gaussians):
-        warnings.warn(oddity, ScoupWarning, stacklevel=3)
+    for problem in sanity_problems(gaussians):
+        warnings.warn(problem, ScoupWarning, stacklevel=3)
     if check_fit:
         fit.check_fit(gaussians, views, raster_preset, backend, geometry_path)
 

@@ -12,7 +12,7 @@ from scoup.base.atomic import reserved_output
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
-from scoup.io import check_output, default_preset, load_gaussians, load_regions
+from scoup.io import check_output, load_gaussians, load_regions, splat_source
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
@@ -69,7 +69,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
         """Return the field of a scene: read where it is built already, else built and saved."""
         gaussians = load_gaussians(scene.splat).to(self.device)
         # Which constants the rasteriser uses follows from the splat.
-        settings = replace(self.build, raster_preset=default_preset(scene.splat))
+        settings = replace(self.build, raster_preset=splat_source(scene.splat).preset)
         if path.is_file() and not self.rebuild:
             return _stored(path, gaussians, settings)
         regions = load_regions(scene.features, scene.cameras)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scoup.base.errors import MissingFileError, UnknownNameError
-from scoup.io import find_gaussians, load_cameras
+from scoup.io import load_cameras, splat_source
 from scoup.io.regions.views import FOLDER_NAME
 from scoup.scene.cameras import Cameras
 
@@ -37,7 +37,7 @@ class Places:
         """Find the splat and the features of a scene, and read its cameras."""
         splat = _placed(self.gaussians, name) or folder
         try:
-            splat = find_gaussians(splat)
+            splat = splat_source(splat).path
         except MissingFileError as error:
             remedy = 'pass gaussians, for example "splats/{scene}/point_cloud.ply"'
             raise MissingFileError(error.path, error.problem, remedy) from error

@@ -93,18 +93,18 @@ def latest_point_cloud(folder: str | Path) -> Path:
     """Return the PLY of the last iteration in an Inria output folder (or in its point_cloud folder)."""
     folder = existing_folder(folder, "an output folder of Inria's code")
     inner = folder if folder.name == "point_cloud" else folder / "point_cloud"
-    found: list[tuple[int, Path]] = []
+    iterations: list[tuple[int, Path]] = []
     for candidate in inner.glob("iteration_*/point_cloud.ply"):
         numbered = re.fullmatch(r"iteration_(\d{1,12})", candidate.parent.name)
         if numbered and candidate.is_file():
-            found.append((int(numbered[1]), candidate))
-    if not found:
+            iterations.append((int(numbered[1]), candidate))
+    if not iterations:
         raise MissingFileError(
             inner,
             "contains no iteration_*/point_cloud.ply",
             "use the folder that training wrote, or the PLY itself",
         )
-    return max(found)[1]
+    return max(iterations)[1]
 
 
 def portable_name(name: str) -> str:

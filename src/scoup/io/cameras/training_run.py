@@ -62,12 +62,12 @@ def _named_path(text: str) -> str | None:
     """
     lines = text.splitlines()
     for number, line in enumerate(lines):
-        found = _KEY.match(line)
-        if found is None:
+        matched = _KEY.match(line)
+        if matched is None:
             continue
-        value = re.sub(r"^&\w+ *", "", found[2]).strip()
+        value = re.sub(r"^&\w+ *", "", matched[2]).strip()
         if value.startswith("!!python/object/apply:pathlib."):
-            parts = _items(lines[number + 1 :], len(found[1]))
+            parts = _items(lines[number + 1 :], len(matched[1]))
             if parts:
                 return "/".join(parts).replace("//", "/", 1)
         elif value and not value.startswith(("!", "*", "{", "[")) and value not in ("null", "~"):
@@ -88,15 +88,15 @@ def _items(lines: list[str], indent: int) -> list[str]:
 
 def _plain(text: str, key: str) -> str | None:
     """Return the plain value of a key at the beginning of a line; None for none."""
-    found = re.search(rf"^{key}: *(.*?) *$", text, re.MULTILINE)
+    matched = re.search(rf"^{key}: *(.*?) *$", text, re.MULTILINE)
     if (
-        found is None
-        or not found[1]
-        or found[1] in ("null", "~")
-        or found[1].startswith(("!", "&", "*", "{"))
+        matched is None
+        or not matched[1]
+        or matched[1] in ("null", "~")
+        or matched[1].startswith(("!", "&", "*", "{"))
     ):
         return None
-    return found[1].strip("'\"")
+    return matched[1].strip("'\"")
 
 
 def _on_this_machine(named: str, run: Path, config: Path, remedy: str) -> Path:

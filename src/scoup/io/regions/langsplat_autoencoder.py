@@ -27,7 +27,7 @@ def read_autoencoder(path: str | Path) -> Decoder:
     path = Path(path)
     content = load_torch(path, _WHAT, "use the best_ckpt.pth that LangSplat's train.py wrote")
     names = content if isinstance(content, dict) else {}
-    numbers = sorted(int(found[1]) for name in names if (found := _WEIGHT.fullmatch(str(name))))
+    numbers = sorted(int(matched[1]) for name in names if (matched := _WEIGHT.fullmatch(str(name))))
     if not numbers:
         raise FileFormatError(path, "contains no layers of a decoder", f"it should be {_WHAT}")
     layers: list[tuple[np.ndarray, np.ndarray]] = []

@@ -111,10 +111,10 @@ def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingF
     """Return the error that says which files were expected and which exist."""
     expected = listed([" and ".join(path.name for path in store.files(camera.stem)) for camera in cameras])
     there = [path.name for path in view_files(store.folder, store.endings[0])]
-    found = f"it has {listed(there)}" if there else f"it has no *{store.endings[0]} files"
+    actual = f"it has {listed(there)}" if there else f"it has no *{store.endings[0]} files"
     return MissingFileError(
         store.folder,
-        f"has features of {none_of(len(cameras), 'camera')}: expected {expected}; {found}",
+        f"has features of {none_of(len(cameras), 'camera')}: expected {expected}; {actual}",
         "use the features of these images",
     )
 

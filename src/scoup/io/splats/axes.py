@@ -15,12 +15,9 @@ import torch
 from scoup.scene.gaussians import Gaussians
 
 Axis = Literal["x", "y", "z"]
+"""Of a half-turn: x from 3DGS to right, up, back; z to left, up, forward."""
 Columns = dict[str, np.ndarray]
 """means, quats (w, x, y, z), scales, opacities, sh, as ``keep_finite`` takes them."""
-USD = (".usd", ".usda", ".usdc", ".usdz")
-"""Suffixes of OpenUSD."""
-AXES: dict[str, Axis] = {".spz": "x", ".glb": "z", ".gltf": "z", **dict.fromkeys(USD, "x")}
-"""Suffix -> axis of the half-turn. .spz and OpenUSD: right, up, back; glTF: left, up, forward."""
 
 
 def half_turn(columns: Mapping[str, np.ndarray], axis: Axis) -> Columns:

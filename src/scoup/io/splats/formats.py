@@ -1,63 +1,160 @@
-"""The splat formats by their suffixes: what reads and what writes each."""
+"""The table of splat formats, and which of them a path has. A new format is a module with a ``FORMAT`` and an entry
+here."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scoup.base.errors import InputError
-from scoup.io.splats.axes import USD
-from scoup.io.splats.gaussforge_formats import read_through_gaussforge, write_through_gaussforge
-from scoup.io.splats.gltf import read_gltf, write_gltf
-from scoup.io.splats.ply import read_ply, write_ply
-from scoup.io.splats.ply_compressed_write import write_compressed_ply
-from scoup.io.splats.splat import read_splat, write_splat
-from scoup.io.splats.spz import read_spz, write_spz
-from scoup.io.splats.usd import write_usd
-from scoup.scene.gaussians import Gaussians
+from scoup.base.counts import listed
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.io.splats import (
+    gaussforge_formats,
+    gltf,
+    gsplat_checkpoint,
+    nerfstudio_checkpoint,
+    ply,
+    ply_compressed_write,
+    scenesplat,
+    splat,
+    spz,
+    usd,
+)
+from scoup.io.splats.splat_format import Preset, SplatFormat
 
-COMPRESSED_PLY = ".compressed.ply"
+FORMATS: tuple[SplatFormat, ...] = (
+    ply.FORMAT,
+    ply_compressed_write.FORMAT,
+    splat.FORMAT,
+    spz.FORMAT,
+    gltf.FORMAT,
+    gaussforge_formats.KSPLAT,
+    gaussforge_formats.SOG,
+    usd.FORMAT,
+    scenesplat.FORMAT,
+    nerfstudio_checkpoint.FORMAT,
+    gsplat_checkpoint.FORMAT,
+)
+"""All formats; in a folder the first that finds a splat is taken."""
 
-READERS: dict[str, Callable[[str | Path], Gaussians]] = {
-    ".ply": read_ply,
-    ".splat": read_splat,
-    ".spz": read_spz,
-    ".glb": read_gltf,
-    ".gltf": read_gltf,
-    ".ksplat": read_through_gaussforge,
-    ".sog": read_through_gaussforge,
-}
-"""By suffix, in small letters; compressed PLYs are told by their contents."""
-
-WRITERS: dict[str, Callable[[Gaussians, str | Path, bool], None]] = {
-    ".ply": write_ply,
-    COMPRESSED_PLY: write_compressed_ply,
-    ".splat": write_splat,
-    ".spz": write_spz,
-    ".glb": write_gltf,
-    ".gltf": write_gltf,
-    ".ksplat": write_through_gaussforge,
-    ".sog": write_through_gaussforge,
-    **dict.fromkeys(USD, write_usd),
-}
-
-
-def written_suffix(path: str | Path) -> str:
-    """Return the suffix of a name, as ``WRITERS`` knows it."""
-    name = Path(path).name.lower()
-    return COMPRESSED_PLY if name.endswith(COMPRESSED_PLY) else Path(name).suffix
+_CONVERTED = (".lcc",)  # by splat-transform
+_NOT_SPLATS = (".obj", ".fbx", ".stl", ".off", ".las", ".laz", ".e57", ".pcd", ".pts")
+_ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2")
 
 
-def check_splat_name(path: str | Path, also: str = "") -> None:
-    """Refuse a name that no splat can be written to, before any work.
+@dataclass(frozen=True)
+class SplatSource:
+    """A trained splat on disk."""
+
+    path: Path
+    """The file; or a folder, if several files are one splat."""
+    kind: SplatFormat
+    preset: Preset
+    """Constants of the rasteriser that it was trained with."""
+
+
+def splat_source(path: str | Path) -> SplatSource:
+    """Return the splat that a path means: a file, the output folder of a training, or a folder with one splat.
+
+    Raises:
+        MissingFileError: there is nothing of the kind.
+        FileFormatError: the file is of another kind.
+    """
+    path = Path(path)
+    if os.path.isfile(path):
+        kind = format_of(path)
+        if kind is None or kind.read is None:
+            unknown = "is not a kind of splat known here", f"use one of {read_endings()}"
+            raise FileFormatError(path, *(other_format(path) or unknown))
+        return SplatSource(path, kind, kind.preset)
+    if not os.path.isdir(path):
+        raise MissingFileError.of(path, "a trained splat", kind="file or folder")
+    for kind in FORMATS:
+        trained = kind.find(path)
+        if trained is not None:
+            # A training may have exported its splat in another format.
+            source = SplatSource(trained, kind, kind.preset) if trained.is_dir() else splat_source(trained)
+            return replace(source, preset=kind.preset)
+    return _only_splat(path)
+
+
+def format_of(path: str | Path) -> SplatFormat | None:
+    """Return the format of a file by its name; None if it is not the name of a splat."""
+    path = Path(path)
+    endings = [
+        (len(ending), kind)
+        for kind in FORMATS
+        for ending in kind.endings
+        if path.name.lower().endswith(ending) and kind.has_name(path)
+    ]
+    return max(endings, key=lambda each: each[0])[1] if endings else None
+
+
+def is_splat_name(path: str | Path) -> bool:
+    """Return whether a file has the name of a splat that is read."""
+    kind = format_of(path)
+    return kind is not None and kind.read is not None
+
+
+def written_format(path: str | Path, also: str = "") -> SplatFormat:
+    """Return the format in which a splat of this name is written.
 
     Args:
         path: the output.
         also: what else the caller writes, for the message.
+
+    Raises:
+        InputError: there is none.
     """
-    suffix = written_suffix(path)
-    if suffix not in WRITERS:
-        known = ", ".join(WRITERS) + (f", or {also}" if also else "")
-        raise InputError(
-            f"{path}: cannot write Gaussians as {suffix or 'a file without extension'}; use one of {known}"
+    kind = format_of(path)
+    if kind is None or kind.write is None:
+        written = [ending for each in FORMATS if each.write is not None for ending in each.endings]
+        known = ", ".join(written) + (f", or {also}" if also else "")
+        suffix = Path(path).suffix.lower() or "a file without extension"
+        raise InputError(f"{path}: cannot write Gaussians as {suffix}; use one of {known}")
+    return kind
+
+
+def read_endings() -> str:
+    """Return the endings of splats that are read, for messages."""
+    return ", ".join(dict.fromkeys(end for kind in FORMATS if kind.read is not None for end in kind.endings))
+
+
+def other_format(path: Path) -> tuple[str, str] | None:
+    """Return why a file of a well-known format is not read, and the remedy; None for other files."""
+    suffix = path.suffix.lower()
+    if suffix in _CONVERTED:
+        return (
+            f"splats in {suffix} files are not read",
+            f"convert it with splat-transform (splat-transform {path.name} {path.stem}.ply), or open it in the "
+            "SuperSplat editor and export a PLY",
         )
+    if format_of(path) is not None:
+        return (
+            f"{suffix} files are not read, whether they hold a splat or a mesh",
+            f"export the trained splat as PLY; read are {read_endings()}",
+        )
+    if suffix in _NOT_SPLATS:
+        return (
+            f"a {suffix} file contains a mesh or a point cloud, not a trained splat",
+            f"use the splat that training wrote: {read_endings()}",
+        )
+    if suffix in _ARCHIVES:
+        return "is an archive", "unpack it, and use the file or folder inside"
+    return None
+
+
+def _only_splat(folder: Path) -> SplatSource:
+    """Return the only splat in a folder."""
+    splats = []
+    for file in sorted(folder.iterdir()):
+        kind = format_of(file)
+        # Inria's code copies the sparse points beside its cameras as input.ply.
+        if kind and kind.read and kind.in_scenes and file.is_file() and file.name != "input.ply":
+            splats.append(SplatSource(file, kind, kind.preset))
+    if len(splats) != 1:
+        names = listed([each.path.name for each in splats], 5)
+        problem = f"contains {len(splats)} splats ({names})" if splats else "contains no trained splat"
+        raise MissingFileError(folder, problem, "name the file of the splat itself")
+    return splats[0]

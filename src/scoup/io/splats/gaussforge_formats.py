@@ -21,10 +21,11 @@ from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, ScoupError, ScoupWarning
 from scoup.io.reading import existing_file
 from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import Gaussians
 
 HOW_TO_GET_IT = "needs the package gaussforge: pip install 'scoup[splats]', and run again"
-KSPLAT = ".ksplat"
+_KSPLAT = ".ksplat"
 _LEAST_SECONDS = 120
 _SECONDS_A_MEGABYTE = 2.0
 _LEAST_MEMORY, _MEMORY_A_BYTE = 4 << 30, 200
@@ -60,7 +61,7 @@ def read_through_gaussforge(path: str | Path) -> Gaussians:
             gaussians = gaussians_from_table(read_ply_table(made))[0]
         except FileFormatError as error:
             raise FileFormatError(path, f"is damaged (converted, it {error.problem})", _WHAT_IT_IS) from error
-    if path.suffix.lower() == KSPLAT:
+    if path.suffix.lower() == _KSPLAT:
         return replace(gaussians, sh=_sh_of_ksplat(gaussians.sh))
     return gaussians
 
@@ -68,7 +69,7 @@ def read_through_gaussforge(path: str | Path) -> Gaussians:
 def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
     """Write a .ksplat or .sog file."""
     path = Path(path)
-    if path.suffix.lower() == KSPLAT:
+    if path.suffix.lower() == _KSPLAT:
         if gaussians.sh_degree > 2:
             warnings.warn(
                 f"{path}: SH degree {gaussians.sh_degree} was cut to 2, for .ksplat",
@@ -131,3 +132,7 @@ def _is_installed() -> bool:
         return importlib.util.find_spec("gaussforge") is not None
     except ValueError:  # it was tried before, in vain
         return False
+
+
+KSPLAT = SplatFormat(_KSPLAT, (_KSPLAT,), read_through_gaussforge, write_through_gaussforge)
+SOG = SplatFormat(".sog", (".sog",), read_through_gaussforge, write_through_gaussforge)

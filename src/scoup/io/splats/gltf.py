@@ -15,7 +15,7 @@ import torch
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.io.splats.activation import keep_finite, linear_arrays
-from scoup.io.splats.axes import AXES, Columns, half_turn
+from scoup.io.splats.axes import Axis, Columns, half_turn
 from scoup.io.splats.gltf_document import GltfDocument, read_document
 from scoup.io.splats.gltf_features import (
     FEATURES,
@@ -40,8 +40,10 @@ from scoup.io.splats.gltf_primitive import (
     transformed,
 )
 from scoup.io.splats.gltf_write import GltfBuilder
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import SH_C0, Gaussians
 
+_AXIS: Axis = "z"
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}
 # What they concern are meshes beside the Gaussians.
 _OF_SURFACES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
@@ -118,7 +120,7 @@ def write_gltf(
         raise InputError(f"{path}: glTF files end in .glb or .gltf; use such a name")
     if features is not None and len(features.ids) != len(gaussians):
         raise InputError(f"features are of {len(features.ids):,} Gaussians, not of {len(gaussians):,}")
-    finite, kept = keep_finite(**half_turn(_writable(gaussians, path), AXES[".glb"]), source=str(path))
+    finite, kept = keep_finite(**half_turn(_writable(gaussians, path), _AXIS), source=str(path))
     if not len(finite):
         raise InputError(f"{path}: there are no Gaussians to write")
     if features is not None:
@@ -133,7 +135,7 @@ def write_gltf(
 def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> tuple[Gaussians, np.ndarray]:
     """Return Gaussians and which rows were kept; ``placed`` receives the primitives and their numbers of rows."""
     _check_extensions(document)
-    found: list[Columns] = []
+    primitives: list[Columns] = []
     local: dict[int, Columns] = {}
     total = 0
     packed = any(name.startswith(SPZ) for name in document.names("extensionsUsed"))
@@ -145,17 +147,17 @@ def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> t
         total += sum(column.nbytes for column in columns.values())
         if total > most * document.data_bytes:
             raise document.error("repeats its Gaussians far too often", "apply its instances, or remove them")
-        found.append(columns if similarity is None else transformed(columns, similarity))
+        primitives.append(columns if similarity is None else transformed(columns, similarity))
         placed.append((primitive, len(columns["means"])))
-    if not found:
+    if not primitives:
         raise _no_gaussians(document)
-    bases = max(columns["sh"].shape[1] for columns in found)
-    for place, columns in enumerate(found):  # primitives may have different degrees
+    bases = max(columns["sh"].shape[1] for columns in primitives)
+    for place, columns in enumerate(primitives):  # primitives may have different degrees
         missing = bases - columns["sh"].shape[1]
         if missing:
-            found[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
-    joined = {name: np.concatenate([columns[name] for columns in found]) for name in found[0]}
-    return keep_finite(**half_turn(joined, AXES[".glb"]), source=str(document.path))
+            primitives[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
+    joined = {name: np.concatenate([columns[name] for columns in primitives]) for name in primitives[0]}
+    return keep_finite(**half_turn(joined, _AXIS), source=str(document.path))
 
 
 def _check_extensions(document: GltfDocument) -> None:
@@ -221,3 +223,6 @@ def _fallback(base: np.ndarray, opacities: np.ndarray) -> np.ndarray:
         encoded = (base.astype(np.float64) * SH_C0 + 0.5).clip(0.0, 1.0)
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     return np.round(np.concatenate([linear, opacities], axis=1) * 65_535).astype(np.uint16)
+
+
+FORMAT = SplatFormat("glTF", (".glb", ".gltf"), read_gltf, write_gltf, axis=_AXIS, in_scenes=False)

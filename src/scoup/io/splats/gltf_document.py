@@ -178,7 +178,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
             f"has {counted(len(data), 'byte')}, but its header says {length}",
             "the file is cut short or damaged; copy it again",
         )
-    found: list[tuple[bytes, memoryview]] = []
+    chunks: list[tuple[bytes, memoryview]] = []
     place = HEADER.size
     while place < length:
         if place + CHUNK.size > length:
@@ -187,13 +187,13 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
         place += CHUNK.size
         if place + size > length:
             raise FileFormatError(path, "has a chunk that reaches beyond its end", _DAMAGED)
-        if len(found) < 2:  # others are of extensions, and to be ignored
-            found.append((kind, memoryview(data)[place : place + size]))
+        if len(chunks) < 2:  # others are of extensions, and to be ignored
+            chunks.append((kind, memoryview(data)[place : place + size]))
         place += size
-    if not found or found[0][0] != JSON_CHUNK:
+    if not chunks or chunks[0][0] != JSON_CHUNK:
         raise FileFormatError(path, "does not begin with JSON", _DAMAGED)
-    binary = found[1][1] if len(found) > 1 and found[1][0] == BINARY_CHUNK else None
-    return bytes(found[0][1]), binary
+    binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == BINARY_CHUNK else None
+    return bytes(chunks[0][1]), binary
 
 
 def _no_constant(name: str) -> float:

@@ -70,8 +70,8 @@ def table_columns(features: GaussianFeatures) -> tuple[bytes, bytes, bytes]:
 def features_json(features: GaussianFeatures) -> dict[str, Any]:
     """Return the extension of a primitive whose attribute _FEATURE_ID_0 holds ``stored_ids``."""
     count = len(features.names)
-    found = {"attribute": 0, "featureCount": count, "label": features.label}
-    return {"featureIds": [{**found, "nullFeatureId": count, "propertyTable": 0}]}
+    ids = {"attribute": 0, "featureCount": count, "label": features.label}
+    return {"featureIds": [{**ids, "nullFeatureId": count, "propertyTable": 0}]}
 
 
 def metadata_json(features: GaussianFeatures, views: tuple[int, int, int]) -> dict[str, Any]:
@@ -102,18 +102,18 @@ def primitive_ids(document: GltfDocument, primitive: dict[str, Any], count: int)
     """Return [N] int64 ids of a primitive of N = ``count`` Gaussians as they are stored, -1 for none; None if it has
     none.
     """
-    found = id_set(document, primitive)
-    if found is None:
+    feature_set = id_set(document, primitive)
+    if feature_set is None:
         return None
-    name = f"_FEATURE_ID_{document.whole(found['attribute'], 'the attribute of feature ids')}"
+    name = f"_FEATURE_ID_{document.whole(feature_set['attribute'], 'the attribute of feature ids')}"
     attributes = primitive.get("attributes")
     index = attributes.get(name) if isinstance(attributes, dict) else None
     rows, normalised = raw_accessor(document, index, "SCALAR", name)
     if normalised or len(rows) != count:
         raise document.error(f"{name} is normalised, or not of as many rows as there are Gaussians")
     ids = rows[:, 0].astype(np.float64)
-    limit = document.whole(found.get("featureCount"), "featureCount", low=1)
-    null = document.whole(found.get("nullFeatureId"), "nullFeatureId", default=limit)
+    limit = document.whole(feature_set.get("featureCount"), "featureCount", low=1)
+    null = document.whole(feature_set.get("nullFeatureId"), "nullFeatureId", default=limit)
     valid = (ids >= 0) & (ids < MOST_NAMES + 1) & (ids != null)  # so are no NaNs
     return np.where(valid, ids, -1.0).astype(np.int64)
 

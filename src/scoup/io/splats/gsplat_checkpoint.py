@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.cameras.training_run import is_gsplat_results
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
-from scoup.io.torch_file import load_torch
+from scoup.io.splats.splat_format import SplatFormat
+from scoup.io.torch_file import float_tensor, load_torch
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _NAME = re.compile(r"ckpt_(\d{1,12})_rank(\d{1,6})\.pt")
@@ -56,9 +55,9 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
 def exported_splat(results: str | Path) -> Path:
     """Return the splat of the last step that gsplat's trainer exported: ply/point_cloud_<step>.ply."""
     steps = {
-        int(found[1]): file
+        int(matched[1]): file
         for file in (Path(results) / "ply").glob("point_cloud_*.ply")
-        if (found := _EXPORT.fullmatch(file.name))
+        if (matched := _EXPORT.fullmatch(file.name))
     }
     if not steps:
         problem = "contains no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
@@ -82,7 +81,7 @@ def latest_ranks(folder: str | Path) -> list[Path]:
         )
     step, ranks = max(steps.items())
     # The number of ranks is not written anywhere: the most that any step has is the best guess.
-    expected = 1 + max(rank for found in steps.values() for rank in found)
+    expected = 1 + max(rank for files in steps.values() for rank in files)
     missing = sorted(set(range(expected)) - set(ranks))
     if missing:
         listed = ", ".join(map(str, missing[:8]))
@@ -107,35 +106,11 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             else ""
         )
         raise FileFormatError(path, f"lacks {', '.join(missing)}", remedy or f"it should be {_WHAT}")
-    size = os.path.getsize(path)
-    count = len(splats["means"]) if isinstance(splats["means"], Tensor) and splats["means"].dim() else 0
-    result = {}
-    for key, shape in _SHAPES.items():
-        tensor = splats[key]
-        # Views with zero strides can claim any size: a tensor has to fit into its file.
-        sound = (
-            isinstance(tensor, Tensor)
-            and tensor.layout == torch.strided
-            and tensor.dtype in (torch.float16, torch.bfloat16, torch.float32, torch.float64)
-            and tensor.device.type == "cpu"
-            and tensor.dim() == len(shape) + 1
-            and tensor.numel() * tensor.element_size() <= size
-            and tensor.shape[0] == count
-            and all(wanted in (-1, side) for wanted, side in zip(shape, tensor.shape[1:], strict=True))
-        )
-        if not sound:
-            found = (
-                f"{tensor.dtype} {list(tensor.shape)}"
-                if isinstance(tensor, Tensor)
-                else type(tensor).__name__
-            )
-            expected = ["N", *("?" if side < 0 else side for side in shape)]
-            raise FileFormatError(
-                path,
-                f"{key} is {found}, expected floats [{', '.join(map(str, expected))}]",
-                f"it should be {_WHAT}",
-            )
-        result[key] = tensor.detach().float().numpy()
+    means = float_tensor(path, splats["means"], (-1, 3), "means", _WHAT)
+    result = {
+        key: float_tensor(path, splats[key], (len(means), *shape), key, _WHAT)
+        for key, shape in _SHAPES.items()
+    }
     if result["shN"].shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
         raise FileFormatError(
             path,
@@ -143,3 +118,21 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
             f"it should be {_WHAT}",
         )
     return result
+
+
+def _in_results(folder: Path) -> Path | None:
+    """Return the splat in a folder of gsplat's trainer: the folder itself, for its checkpoints, or the last export."""
+    if is_gsplat_results(folder) and not any((folder / "ckpts").glob("*.pt")):
+        return exported_splat(folder)
+    has_checkpoints = (folder / "ckpts").is_dir() or any(folder.glob("ckpt_*_rank*.pt"))
+    return folder if has_checkpoints else None
+
+
+FORMAT = SplatFormat(
+    "gsplat checkpoint",
+    (".pt", ".pth", ".ckpt"),
+    read_gsplat_checkpoint,
+    preset="gsplat",
+    find=_in_results,
+    in_scenes=False,
+)

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.io.cameras.training_run import is_nerfstudio_run
 from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.torch_file import float_tensor, load_torch
 from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
 
@@ -49,11 +51,11 @@ def splat_of_run(run: str | Path) -> Path:
     checkpoint = latest_checkpoint(run)
     if checkpoint is not None:
         return checkpoint
-    found = sorted([*run.glob("*.ply"), *run.glob("exports/*.ply"), *run.glob("exports/*/*.ply")])
-    if len(found) != 1:
-        problem = f"contains no {MODELS}/step-*.ckpt and {len(found)} exported splats"
+    exports = sorted([*run.glob("*.ply"), *run.glob("exports/*.ply"), *run.glob("exports/*/*.ply")])
+    if len(exports) != 1:
+        problem = f"contains no {MODELS}/step-*.ckpt and {len(exports)} exported splats"
         raise MissingFileError(run, problem, f"name the .ply itself, or {_EXPORT}")
-    return found[0]
+    return exports[0]
 
 
 def read_splatfacto(path: str | Path) -> Gaussians:
@@ -91,3 +93,14 @@ def _tensors(path: Path, content: Any) -> dict[str, np.ndarray]:
         name: float_tensor(path, plain.get(prefix + name), shape, prefix + name, _WHAT)
         for name, shape in _SHAPES.items()
     }
+
+
+FORMAT = SplatFormat(
+    "nerfstudio checkpoint",
+    (".ckpt",),
+    read_splatfacto,
+    preset="gsplat",
+    has_name=is_splatfacto_name,
+    find=lambda folder: splat_of_run(folder) if is_nerfstudio_run(folder) else None,
+    in_scenes=False,
+)

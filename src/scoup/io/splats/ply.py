@@ -10,6 +10,7 @@ import numpy as np
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY
+from scoup.io.cameras.inria import latest_point_cloud
 from scoup.io.splats.activation import (
     keep_finite,
     logits_from_opacities,
@@ -21,6 +22,7 @@ from scoup.io.splats.activation import (
 from scoup.io.splats.ply_compressed import is_compressed, read_compressed
 from scoup.io.splats.ply_header import format_header, ply_type, read_header
 from scoup.io.splats.ply_rows import read_large, read_rows
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _CENTER = ("x", "y", "z")
@@ -213,3 +215,12 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
 
 def _rest_names(count: int) -> tuple[str, ...]:
     return tuple(f"f_rest_{number}" for number in range(count))
+
+
+def _in_output(folder: Path) -> Path | None:
+    """Return the splat in an output folder of Inria's code."""
+    is_output = folder.name == "point_cloud" or (folder / "point_cloud").is_dir()
+    return latest_point_cloud(folder) if is_output else None
+
+
+FORMAT = SplatFormat("Inria PLY", (".ply",), read_ply, write_ply, find=_in_output)

@@ -8,7 +8,9 @@ import numpy as np
 
 from scoup.base.atomic import atomic_file
 from scoup.io.splats.activation import finite_arrays, unit_quats
+from scoup.io.splats.ply import read_ply
 from scoup.io.splats.ply_compressed import BLOCK, SH_RANGE
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import SH_C0, Gaussians
 
 _RANGES = (("", "xyz"), ("scale_", "xyz"), ("", "rgb"))
@@ -92,3 +94,6 @@ def _rotation(quats: np.ndarray) -> np.ndarray:
     quats = quats * np.where(quats[rows, largest] < 0, -1.0, 1.0)[:, None]
     others = quats[np.arange(4)[None] != largest[:, None]].reshape(-1, 3)
     return largest << 30 | _word((others / np.sqrt(2.0) + 0.5).clip(0, 1), (10, 10, 10))
+
+
+FORMAT = SplatFormat("compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply)

@@ -32,10 +32,10 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
     arrays: dict[str, np.ndarray] = {}
     count = 0
     for first in range(0, header.count, AT_A_TIME):
-        part = activate(_read_binary(header, first, min(AT_A_TIME, header.count - first)))
-        kept = finite_rows(list(part.values()))
+        block = activate(_read_binary(header, first, min(AT_A_TIME, header.count - first)))
+        kept = finite_rows(list(block.values()))
         end = count + int(kept.sum())
-        for name, values in part.items():
+        for name, values in block.items():
             if name not in arrays:
                 arrays[name] = scratch_array((header.count, *values.shape[1:]), np.float32)
             arrays[name][count:end] = values[kept]

@@ -14,6 +14,7 @@ from scoup.base.errors import FileFormatError
 from scoup.base.staging import staged
 from scoup.io.npy import open_npy
 from scoup.io.splats.activation import keep_finite, unit_quats
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import SH_C0, Gaussians
 
 SHAPES: dict[str, tuple[int, ...]] = {
@@ -86,3 +87,11 @@ def _column(path: Path, shape: tuple[int, ...]) -> np.ndarray:
         )
     with np.errstate(all="ignore"):
         return np.array(column, dtype=np.float32)
+
+
+FORMAT = SplatFormat(
+    "SceneSplat's arrays",
+    read=read_scenesplat,
+    preset="gsplat",
+    find=lambda folder: folder if is_scenesplat(folder) else None,
+)

@@ -12,6 +12,7 @@ from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, refused_read
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, unit_quats
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import SH_C0, Gaussians
 
 _ROW = np.dtype([("center", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
@@ -66,3 +67,6 @@ def write_splat(gaussians: Gaussians, path: str | Path, overwrite: bool = False)
 
 def _bytes(values: np.ndarray, factor: float) -> np.ndarray:
     return np.clip(np.nan_to_num(np.round(values * factor), nan=0.0), 0, 255).astype(np.uint8)
+
+
+FORMAT = SplatFormat(".splat", (".splat",), read_splat, write_splat)

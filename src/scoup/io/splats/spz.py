@@ -17,11 +17,13 @@ from scoup.base.counts import share_of
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.io.reading import existing_file, read_bytes
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
-from scoup.io.splats.axes import AXES, Columns, half_turn
+from scoup.io.splats.axes import Axis, Columns, half_turn
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz_container import SpzHeader, read_container, write_container
 from scoup.scene.gaussians import Gaussians
 
 VERSIONS = (1, 2, 3, 4)
+_AXIS: Axis = "x"
 MOST_BITS = 16  # after the binary point of a coordinate
 _COLOR = 0.15  # of a base colour's coefficient in a byte
 _STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degrees
@@ -38,7 +40,7 @@ def read_spz(path: str | Path) -> Gaussians:
     """
     path = existing_file(path, "a .spz file")
     columns = spz_columns(path, read_bytes(path))
-    return keep_finite(**half_turn(columns, AXES[".spz"]), source=str(path))[0]
+    return keep_finite(**half_turn(columns, _AXIS), source=str(path))[0]
 
 
 def spz_columns(path: Path, content: bytes) -> Columns:
@@ -81,7 +83,7 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
     """
     if version not in VERSIONS:
         raise InputError(f"{path}: there is no version {version} of .spz; versions: 1, 2, 3, 4")
-    arrays = half_turn(finite_arrays(gaussians, path), AXES[".spz"])
+    arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
     means, sh = arrays["means"], arrays["sh"]
     if sh.shape[1] > 16 and version < 4:
         warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz {version}", ScoupWarning, stacklevel=2)
@@ -192,3 +194,6 @@ def _last_turned(higher: np.ndarray) -> np.ndarray:
 
 def _bytes(values: np.ndarray) -> bytes:
     return np.clip(np.nan_to_num(np.rint(values), nan=0.0), 0, 255).astype(np.uint8).tobytes()
+
+
+FORMAT = SplatFormat("Niantic's .spz", (".spz",), read_spz, write_spz, axis=_AXIS)

@@ -17,11 +17,13 @@ import numpy as np
 from scoup.base.atomic import atomic_path
 from scoup.base.errors import InputError, ScoupError, WriteError
 from scoup.io.splats.activation import keep_finite, linear_arrays
-from scoup.io.splats.axes import AXES, half_turn
+from scoup.io.splats.axes import Axis, half_turn
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import Gaussians
 
 HOW_TO_GET_IT = "needs the package usd-core, 26.3 or newer: pip install 'scoup[usd]', and run again"
 PRIM = "/Splat"
+_AXIS: Axis = "x"
 _TYPE = "ParticleField3DGaussianSplat"
 _ALIGNED, _PADDING = 64, 0x1986  # of .usdz: where a file begins, and the id of what fills the place before it
 _ZIP_HEADER = 30  # bytes
@@ -45,7 +47,7 @@ def write_usd(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
     """
     path = Path(path)
     usd = _package(path)
-    finite = keep_finite(**half_turn(linear_arrays(gaussians), AXES[".usd"]), source=str(path))[0]
+    finite = keep_finite(**half_turn(linear_arrays(gaussians), _AXIS), source=str(path))[0]
     if not len(finite):
         raise InputError(f"{path}: there are no Gaussians to write")
     with atomic_path(path, overwrite) as temporary:
@@ -113,3 +115,6 @@ def _stage(usd: Any, gaussians: Gaussians) -> Any:
     }.items():
         splat.GetPrim().GetAttribute(name).Set(value)
     return stage
+
+
+FORMAT = SplatFormat("OpenUSD", (".usd", ".usda", ".usdc", ".usdz"), write=write_usd, axis=_AXIS)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.io import default_preset, load_gaussians, load_regions
+from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.models.words import with_everyday
 from scoup.query.text_vectors import TextVectors
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
@@ -111,5 +111,5 @@ def open_study_scene(labelled: LabelledScene, vectors: TextVectors) -> StudyScen
     """Load the splat and open the regions; nothing is rasterised yet."""
     gaussians = load_gaussians(labelled.splat)
     regions = load_regions(labelled.features, labelled.cameras)
-    preset = default_preset(labelled.splat)
+    preset = splat_source(labelled.splat).preset
     return StudyScene(labelled, vectors, RasterisedScene(gaussians, labelled.cameras, regions, preset))

@@ -1,4 +1,4 @@
-"""Gaussians that no training makes: damaged numbers that are finite and so pass every other check."""
+"""Sanity checks of Gaussians: damaged numbers that are finite and so pass every other check."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _SAMPLE = 100_000  # Gaussians that tell the extent
 _REMEDY = "export or train the splat again, or remove them (in the SuperSplat editor)"
 
 
-def oddities(gaussians: Gaussians) -> list[str]:
-    """Return what is absurd about Gaussians, one sentence each, with counts and remedies; empty for a sound scene.
+def sanity_problems(gaussians: Gaussians) -> list[str]:
+    """Return what is implausible about Gaussians, one sentence each, with counts and remedies; empty for a sound scene.
 
     The extent is that of the middle 90 % along each axis, so that some stray Gaussians do not hide themselves.
     """
@@ -27,20 +27,20 @@ def oddities(gaussians: Gaussians) -> list[str]:
     lowest, middle, highest = np.nanquantile(means[::step], (0.05, 0.5, 0.95), axis=0)
     extent = float(np.linalg.norm(highest - lowest))
     total = len(gaussians)
-    found = []
+    problems = []
     if extent > 0:
         large = int((scales > LARGE * extent).sum())
         far = int((np.abs(means - middle).max(1) > FAR * extent).sum())
         if large:
             some = f"{share_of(large, total, 'Gaussian')} {verb(large, 'is', 'are')}"
-            found.append(f"{some} over {LARGE:.0f} times larger than the scene; {_REMEDY}")
+            problems.append(f"{some} over {LARGE:.0f} times larger than the scene; {_REMEDY}")
         if far:
             some = f"{share_of(far, total, 'Gaussian')} {verb(far, 'is', 'are')}"
-            found.append(f"{some} over {FAR:,.0f} times the scene's size away from it; {_REMEDY}")
+            problems.append(f"{some} over {FAR:,.0f} times the scene's size away from it; {_REMEDY}")
     if float(gaussians.opacities.nan_to_num(0).max()) < FAINT:
-        found.append(
+        problems.append(
             f"{verb(total, 'the only Gaussian is', f'all {total:,} Gaussians are')} transparent (no opacity reaches "
             "1/255), so nothing is visible; export the splat again, with opacities as training left them (in a PLY as "
             "logits)"
         )
-    return found
+    return problems
