@@ -41,7 +41,7 @@ from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.shards import Shard, merge
 from scoup.uplift.storage.paths import view_file
 from scoup.uplift.vote import vote
-from scoup_lab.data.labelled_points import read_labelled_npy, read_labelled_ply
+from scoup_lab.data.labelled_points import read_labelled_ply
 from scoup_lab.data.labels import read_labels
 
 
@@ -216,11 +216,7 @@ READERS: Mapping[str, Reader] = {
     "LangSplatV2": Reader("v2.pth", lambda folder: read_langsplatv2(folder / "v2.pth"), containers=(of.ZIP,)),
     "autoencoder": Reader("best_ckpt.pth", lambda folder: read_autoencoder(folder / "best_ckpt.pth"),
                           containers=(of.ZIP,)),
-    "scenesplat": Reader("arrays/coord.npy", lambda folder: load_gaussians(folder / "arrays"),
-                         ("arrays/color.npy",), (of.NPY,)),
     "labelled ply": Reader("labelled.ply", lambda folder: read_labelled_ply(folder / "labelled.ply"), (), (of.PLY,)),
-    "labelled npy": Reader("labelled/segment.npy", lambda folder: read_labelled_npy(
-        folder / "labelled/coord.npy", folder / "labelled/segment.npy"), (), (of.NPY,)),
     "cameras.bin": _cameras("scene/sparse/0/cameras.bin", "scene"),
     "images.bin": _cameras("scene/sparse/0/images.bin", "scene"),
     "points3D.bin": _sparse("scene/sparse/0/points3D.bin", "scene/sparse/0"),

@@ -26,7 +26,6 @@ from scoup.io.splats.formats import READERS, WRITERS, check_splat_name, written_
 from scoup.io.splats.gsplat_checkpoint import exported_splat, read_gsplat_checkpoint
 from scoup.io.splats.nerfstudio_checkpoint import is_splatfacto_name, read_splatfacto, splat_of_run
 from scoup.io.splats.other_formats import READ, other_format
-from scoup.io.splats.scenesplat import is_scenesplat, read_scenesplat
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 
@@ -40,8 +39,8 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
     Args:
         path: a PLY of 3D Gaussian Splatting (also PlayCanvas's compressed one), a .splat, .spz, .glb, .gltf, .ksplat
             or .sog file; a gsplat checkpoint (.pt) or its ``ckpts`` folder; the output folder of a training by
-            nerfstudio (splatfacto), by gsplat or by Inria's code (the last step is taken); a folder with SceneSplat's
-            arrays (coord.npy and so on), or a folder with one such file.
+            nerfstudio (splatfacto), by gsplat or by Inria's code (the last step is taken); or a folder with one such
+            file.
         keep_axes: do not turn .spz and glTF, which name their axes, to those of 3DGS (docs/formats.md).
 
     Raises:
@@ -58,9 +57,7 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
     """
     check_arguments("load_gaussians", path=(path, PATH))
     path = find_gaussians(path)
-    if is_scenesplat(path):
-        gaussians = read_scenesplat(path)
-    elif is_splatfacto_name(path):
+    if is_splatfacto_name(path):
         gaussians = read_splatfacto(path)
     elif path.is_dir() or path.suffix.lower() in _CHECKPOINTS:
         gaussians = read_gsplat_checkpoint(path)
@@ -101,9 +98,7 @@ def save_gaussians(
 
 
 def default_preset(path: str | Path) -> Literal["inria", "gsplat"]:
-    """Return the rasteriser preset of a splat: "gsplat" for checkpoints of its trainer and for SceneSplat's arrays,
-    which were trained with it, otherwise "inria".
-    """
+    """Return the rasteriser preset of a splat: "gsplat" for checkpoints of its trainer, otherwise "inria"."""
     folder = Path(path)
     if is_nerfstudio_run(folder) or is_gsplat_results(folder):
         return "gsplat"
@@ -117,7 +112,7 @@ def is_splat_name(path: Path) -> bool:
 
 
 def find_gaussians(path: str | Path) -> Path:
-    """Return the file (or folder of checkpoints or arrays) that ``load_gaussians`` reads for ``path``."""
+    """Return the file (or folder of checkpoints) that ``load_gaussians`` reads for ``path``."""
     path = Path(path)
     if os.path.isfile(path):
         if not is_splat_name(path):
@@ -129,8 +124,6 @@ def find_gaussians(path: str | Path) -> Path:
         raise MissingFileError.of(path, "a trained splat", kind="file or folder")
     if path.name == "point_cloud" or (path / "point_cloud").is_dir():
         return latest_point_cloud(path)
-    if is_scenesplat(path):
-        return path
     if is_nerfstudio_run(path):
         return splat_of_run(path)
     if is_gsplat_results(path) and not any((path / "ckpts").glob("*.pt")):
