@@ -31,8 +31,6 @@ STUDIES = Family(
         "viewer": "benchmarks.viewer:ViewerCost",
         "editors": "benchmarks.editors:Editors",
         "city": "benchmarks.city:Cities",
-        "endurance": "benchmarks.endurance:Endurance",
-        "hostile": "benchmarks.hostile.study:Hostile",
     },
 )
 

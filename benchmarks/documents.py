@@ -25,10 +25,9 @@ from benchmarks.answers import Answers, Real
 from benchmarks.city import Cities
 from benchmarks.coding import Coding
 from benchmarks.documents_claims import claims_table
-from benchmarks.documents_summaries import ablations, answers, baselines, damaged
+from benchmarks.documents_summaries import ablations, answers, baselines
 from benchmarks.editors import Editors
 from benchmarks.embed import Embedding
-from benchmarks.endurance import Endurance
 from benchmarks.extract import Extraction
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.likeness import Likeness
@@ -185,7 +184,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "viewer": (ViewerCost, "viewer"),
     "editors": (Editors, "editors"),
     "city": (Cities, "city"),
-    "endurance": (Endurance, "endurance"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
@@ -193,7 +191,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme, extraction": extraction,
     "whole way": whole_way,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
-    "damaged files": lambda: damaged(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
     "claims": lambda: claims_table(record),
@@ -209,7 +206,6 @@ HIDDEN = {
     "coding, compared": "20,000",
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
-    "endurance": "update --edited",
     "baselines": "visible-centre-pixel|top-contributors",
     "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending",
     "mask rules": "points|regions|with one at s / m / l|best union of things|24 x 24 points|"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +124,7 @@ def _facts(path: Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[A
 
 def _said(place: Path | None) -> str | None:
     """Return where a file is that the field names, in words."""
-    return None if place is None else str(place) + ("" if place.exists() else " (not there)")
+    return None if place is None else str(place) + ("" if os.path.exists(place) else " (not there)")
 
 
 def _holds_together(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bool:

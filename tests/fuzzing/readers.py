@@ -1,4 +1,4 @@
-"""Every reader of files: which file of the samples is damaged, and what reads it to the end."""
+"""Every reader of files: which of the samples it reads, and how it reads them to the end."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from tests.fuzzing import containers as of
+from tests.fuzzing.containers import Container
+from tests.fuzzing.samples import PICTURES, SIZE
 
-from benchmarks.hostile import containers as of
-from benchmarks.hostile.containers import Container
-from benchmarks.hostile.samples import PICTURES, SIZE
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
 from scoup.field.facts import read_facts
