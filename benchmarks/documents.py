@@ -23,21 +23,14 @@ import tyro
 
 from benchmarks.answers import Answers, Real
 from benchmarks.city import Cities
-from benchmarks.coding import Coding
-from benchmarks.documents_claims import claims_table
 from benchmarks.documents_summaries import ablations, answers, baselines
-from benchmarks.editors import Editors
 from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
 from benchmarks.lerf_sized import LerfSized
-from benchmarks.likeness import Likeness
-from benchmarks.locate import Locate
-from benchmarks.mask_rules import MaskRules
 from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
-from benchmarks.views import Views
 from scoup.extract.registry import EMBEDDERS, SEGMENTERS, Choice
 from scoup_lab.bench import markdown
 
@@ -169,20 +162,14 @@ def scannet() -> str:
 
 
 STUDIES: dict[str, tuple[type[Study], str]] = {
-    "locate": (Locate, "locate"),
     "things": (Things, "things"),
-    "views": (Views, "views"),
     "lerf sized": (LerfSized, "lerf_sized"),
-    "coding, compared": (Coding, "coding"),
     "extract": (Extraction, "extract"),
     "embed": (Embedding, "embed"),
-    "mask rules": (MaskRules, "mask_rules"),
-    "likeness": (Likeness, "likeness"),
     "real": (Real, "real"),
     "constants": (Answers, "answers_fit"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
-    "editors": (Editors, "editors"),
     "city": (Cities, "city"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
@@ -193,7 +180,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "answers": lambda: answers(record, "answers", ("always", "peak")),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
-    "claims": lambda: claims_table(record),
     "scannet": scannet,
     "bench": bench,
     "segmenters": lambda: choices(SEGMENTERS),
@@ -202,16 +188,10 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 """By name."""
 HIDDEN = {
-    "likeness": r"desk-all",
-    "coding, compared": "20,000",
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "baselines": "visible-centre-pixel|top-contributors",
     "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending",
-    "mask rules": "points|regions|with one at s / m / l|best union of things|24 x 24 points|"
-    r"(SAM 2 tiny, )?(smallest first|overlaps up to 0\.9)|"
-    r"SAM 2 tiny, (20 x 20 points|with default|overlaps up to 0\.5|parts kept, on top|level by size)",
-    "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)",
     "city": "(load|coding|save), s",
 }
 """Headings and first cells of the columns and rows that only the record has."""

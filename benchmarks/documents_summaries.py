@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from benchmarks.answers import difference_cell
-from benchmarks.documents_claims import Records
 from scoup_lab.bench import markdown
+
+Records = Callable[[str], dict[str, Any]]
+"""The record of a name."""
 
 
 def baselines(record: Records) -> str:
