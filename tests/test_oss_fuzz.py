@@ -29,10 +29,11 @@ def test_the_files_of_the_project() -> None:
 TARGET = [sys.executable, str(FOLDER / "fuzz_readers.py")]
 
 
-@pytest.fixture
-def seeds(tmp_path: Path) -> Path:
-    assert subprocess.run([*TARGET, "--seeds", str(tmp_path / "seeds")]).returncode == 0
-    return tmp_path / "seeds"
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("seeds")
+    assert subprocess.run([*TARGET, "--seeds", str(folder)]).returncode == 0
+    return folder
 
 
 def test_seeds_are_of_every_reader_and_container(seeds: Path) -> None:
