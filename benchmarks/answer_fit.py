@@ -21,7 +21,6 @@ from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
 
 HUB_SHARES, RIVALS, AGREEMENTS = (0.4, 0.5, 0.6, 0.75), (0.0, 1.0, 2.0, 3.0), (0.0, 0.25, 0.5, 0.75)
-GRID = tuple(product(HUB_SHARES, RIVALS, AGREEMENTS))
 AT_A_TIME = 16  # answers drawn together
 
 
