@@ -191,7 +191,8 @@ HIDDEN = {
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "baselines": "visible-centre-pixel|top-contributors",
-    "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|1/. of the views",
+    "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
+    "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)",
     "viewer": "exported words.*|program, bytes",
     "city": "(load|coding|save), s",
