@@ -3,7 +3,6 @@
 # make test-all   the same, then all random examples, the exhaustive sweeps, and the engines that are installed (about half an hour)
 # make test-engines   the examples of many machines under Slurm (Debian's slurm-wlm and munge; needs root) and Ray
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
-# make count  instructions of the compiled kernels against benchmarks/instruction_counts.json (needs valgrind)
 # make lint   ruff, spelling and pyright; the types of the viewer's page
 # make docs   the site of the documents, in site/; fails where a link leads nowhere
 # make page   the page of `scoup view` again, where it could not be fetched or its sources have changed
@@ -14,7 +13,7 @@ NATIVE := $(wildcard native/CMakeLists.txt native/*.cmake native/src/*)
 VIEWER := $(wildcard viewer/*.* viewer/src/*)
 INSTALL := pyproject.toml tools/install.py tools/build_viewer.py tools/build_backend.py $(NATIVE) $(VIEWER)
 
-.PHONY: demo page docs test test-all test-engines test-native count lint format clean
+.PHONY: demo page docs test test-all test-engines test-native lint format clean
 
 demo: .venv/installed
 	$(BIN)/scoup demo --out demo --overwrite
@@ -42,9 +41,6 @@ test-native: .venv/installed-dev
 	build/native-tests/fuzz 200
 	build/native-tests/test_isa
 	build/native-tests/test_threads
-
-count: .venv/installed-dev
-	$(BIN)/python tools/count_instructions.py
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

@@ -16,23 +16,14 @@ STUDIES = Family(
     {
         "answers": "benchmarks.answers:Answers",
         "real": "benchmarks.answers:Real",
-        "likeness": "benchmarks.likeness:Likeness",
-        "locate": "benchmarks.locate:Locate",
         "things": "benchmarks.things:Things",
-        "views": "benchmarks.views:Views",
-        "coding": "benchmarks.coding:Coding",
-        "claims": "benchmarks.claims:Claims",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",
         "extract": "benchmarks.extract:Extraction",
         "embed": "benchmarks.embed:Embedding",
-        "mask-rules": "benchmarks.mask_rules:MaskRules",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
-        "editors": "benchmarks.editors:Editors",
         "city": "benchmarks.city:Cities",
-        "endurance": "benchmarks.endurance:Endurance",
-        "hostile": "benchmarks.hostile.study:Hostile",
     },
 )
 

@@ -11,6 +11,7 @@ import torch
 
 from benchmarks.answer_scenes import AnswerScene
 from benchmarks.drawn import DrawnAnswer, drawn_masks, question_of
+from benchmarks.real_scenes import place_of
 from benchmarks.study import Record
 from scoup.models.words import with_everyday
 from scoup.query.known_things import ComparedThings
@@ -20,7 +21,6 @@ from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
 
 HUB_SHARES, RIVALS, AGREEMENTS = (0.4, 0.5, 0.6, 0.75), (0.0, 1.0, 2.0, 3.0), (0.0, 0.25, 0.5, 0.75)
-GRID = tuple(product(HUB_SHARES, RIVALS, AGREEMENTS))
 AT_A_TIME = 16  # answers drawn together
 
 
@@ -72,7 +72,7 @@ def fit_record(rows: Mapping[str, Mapping[str, float]]) -> Record:
     scores = {key.split("/")[1]: of for key, of in rows.items()}
     left_out = {}
     for name, of in scores.items():
-        others = [each for other, each in scores.items() if _place(other) != _place(name)] or [of]
+        others = [each for other, each in scores.items() if place_of(other) != place_of(name)] or [of]
         constants = _best(others)
         left_out[name] = {"constants": constants, "mIoU": of[constants], "best": max(of.values())}
     return {
@@ -128,7 +128,3 @@ _AXES = (HUB_SHARES, RIVALS, AGREEMENTS)
 
 def _steps(axis: tuple[float, ...], one: float, other: float) -> int:
     return abs(axis.index(one) - axis.index(other))
-
-
-def _place(name: str) -> str:
-    return name.removesuffix("-all")

@@ -7,7 +7,7 @@ from statistics import mean
 
 import numpy as np
 
-from benchmarks.real_scenes import REAL_SCENES
+from benchmarks.real_scenes import REAL_SCENES, place_of
 from benchmarks.study import Record
 from scoup.query.presence import PRESENT_FROM
 from scoup_lab.bench import markdown
@@ -37,7 +37,7 @@ def presence_of_groups(
             if any(of[name]["absent"] for name in names)
         }
         real = {name: of[name] for name in of if name in REAL_SCENES}
-        if len({_place(name) for name in real}) > 1:
+        if len({place_of(name) for name in real}) > 1:
             found[way]["all with real models"] = presence_of_group(real)
     return found
 
@@ -53,11 +53,11 @@ def presence_of_group(scenes: Mapping[str, Mapping[str, Sequence[float]]]) -> Re
         "AUC": round(mean(auc(present[name], absent[name]) for name in scenes), 4),
         "from": {f"{bound:g}": _shares(present, absent, dict.fromkeys(scenes, bound)) for bound in BOUNDS},
     }
-    if len({_place(name) for name in scenes}) > 1:
+    if len({place_of(name) for name in scenes}) > 1:
         elsewhere = {
             name: float(
                 np.quantile(
-                    np.concatenate([present[other] for other in scenes if _place(other) != _place(name)]),
+                    np.concatenate([present[other] for other in scenes if place_of(other) != place_of(name)]),
                     LOST,
                 )
             )
@@ -92,7 +92,3 @@ def _shares(
     kept = mean(float((present[name] >= bound).mean()) for name, bound in bounds.items())
     refused = mean(float((absent[name] < bound).mean()) for name, bound in bounds.items())
     return [round(kept, 4), round(refused, 4)]
-
-
-def _place(name: str) -> str:
-    return name.removesuffix("-all")

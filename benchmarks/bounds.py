@@ -14,6 +14,7 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.bench import Stopwatch, torch_threads
 
 REPEATS = 5  # of which the fastest counts
+COPIED, SIDE = 1 << 27, 2048  # numbers that are copied, and the side of the matrices that are multiplied
 SAMPLED = 4  # views that are counted; all others count alike
 PREPARED, PROJECTED, PAIR, LABEL, ENTRY = 48, 64, 4, 4, 12
 """Bytes of a prepared and of a projected Gaussian, of its entry in a tile's list, of a pixel's label at one level, and
@@ -25,15 +26,15 @@ exponential, transmittance, sum), counted in the source; a fused multiplication 
 
 def machine_rates(threads: int) -> Record:
     """Return bytes a second of a copy that no cache holds, and float32 operations a second of a matrix product."""
-    source, target = torch.ones(1 << 27), torch.empty(1 << 27)
-    square = torch.ones(2048, 2048)
+    source, target = torch.ones(COPIED), torch.empty(COPIED)
+    square = torch.ones(SIDE, SIDE)
     clock = Stopwatch()
     with torch_threads(threads):
         for _ in range(REPEATS):
             clock("copied", target.copy_, source)
             clock("multiplied", torch.matmul, square, square)
     copied, multiplied = (min(clock.seconds[name]) for name in ("copied", "multiplied"))
-    return {"bytes_per_s": 2 * source.nbytes / copied, "flops_per_s": 2 * 2048**3 / multiplied}
+    return {"bytes_per_s": 2 * source.nbytes / copied, "flops_per_s": 2 * SIDE**3 / multiplied}
 
 
 def least_work(

@@ -23,22 +23,14 @@ import tyro
 
 from benchmarks.answers import Answers, Real
 from benchmarks.city import Cities
-from benchmarks.coding import Coding
-from benchmarks.documents_claims import claims_table
-from benchmarks.documents_summaries import ablations, answers, baselines, damaged
-from benchmarks.editors import Editors
+from benchmarks.documents_summaries import ablations, answers, baselines
 from benchmarks.embed import Embedding
-from benchmarks.endurance import Endurance
 from benchmarks.extract import Extraction
 from benchmarks.lerf_sized import LerfSized
-from benchmarks.likeness import Likeness
-from benchmarks.locate import Locate
-from benchmarks.mask_rules import MaskRules
 from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
-from benchmarks.views import Views
 from scoup.extract.registry import EMBEDDERS, SEGMENTERS, Choice
 from scoup_lab.bench import markdown
 
@@ -156,39 +148,29 @@ def choices(of: Sequence[Choice]) -> str:
     return markdown(headers, [[*choice.cells().values(), choice.what] for choice in of], left=len(headers))
 
 
-def points(name: str, metric: str) -> str:
-    """Return scores of points by class: every system with its interval."""
-    systems = record(name)["systems"]
+def scannet() -> str:
+    """Return mIoU by class on ScanNet's points: every system with its interval."""
     rows = [
         [
             system,
-            f"{100 * of['overall'][metric]:.1f}",
-            "{:.1f} to {:.1f}".format(*(100 * end for end in of["intervals"][metric])),
+            f"{100 * of['overall']['mIoU']:.1f}",
+            "{:.1f} to {:.1f}".format(*(100 * end for end in of["intervals"]["mIoU"])),
         ]
-        for system, of in systems.items()
+        for system, of in record("eval-scannet")["systems"].items()
     ]
-    return markdown(
-        [f"{record(name)['protocol']}, {len(record(name)['classes'])} classes", metric, "95 % interval"], rows
-    )
+    return markdown(["ScanNet points, 19 classes", "mIoU", "95 % interval"], rows)
 
 
 STUDIES: dict[str, tuple[type[Study], str]] = {
-    "locate": (Locate, "locate"),
     "things": (Things, "things"),
-    "views": (Views, "views"),
     "lerf sized": (LerfSized, "lerf_sized"),
-    "coding, compared": (Coding, "coding"),
     "extract": (Extraction, "extract"),
     "embed": (Embedding, "embed"),
-    "mask rules": (MaskRules, "mask_rules"),
-    "likeness": (Likeness, "likeness"),
     "real": (Real, "real"),
     "constants": (Answers, "answers_fit"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
-    "editors": (Editors, "editors"),
     "city": (Cities, "city"),
-    "endurance": (Endurance, "endurance"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
@@ -196,12 +178,9 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme, extraction": extraction,
     "whole way": whole_way,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
-    "damaged files": lambda: damaged(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
-    "claims": lambda: claims_table(record),
-    "scannet": lambda: points("eval-scannet", "mIoU"),
-    "scenesplat": lambda: points("eval-scenesplat", "f-mIoU"),
+    "scannet": scannet,
     "bench": bench,
     "segmenters": lambda: choices(SEGMENTERS),
     "embedders": lambda: choices(EMBEDDERS),
@@ -209,17 +188,13 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 """By name."""
 HIDDEN = {
-    "likeness": r"desk-all",
-    "coding, compared": "20,000",
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
-    "endurance": "update --edited",
     "baselines": "visible-centre-pixel|top-contributors",
-    "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending",
-    "mask rules": "points|regions|with one at s / m / l|best union of things|24 x 24 points|"
-    r"(SAM 2 tiny, )?(smallest first|overlaps up to 0\.9)|"
-    r"SAM 2 tiny, (20 x 20 points|with default|overlaps up to 0\.5|parts kept, on top|level by size)",
-    "viewer": r"guitar|(kitchen-21|desk) \(tuned on\)",
+    "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
+    "1/. of the views",
+    "query": "location in the scene, (same text again|ten further .*)",
+    "viewer": "exported words.*|program, bytes",
     "city": "(load|coding|save), s",
 }
 """Headings and first cells of the columns and rows that only the record has."""

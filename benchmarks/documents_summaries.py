@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from benchmarks.answers import difference_cell
-from benchmarks.documents_claims import Records
 from scoup_lab.bench import markdown
+
+Records = Callable[[str], dict[str, Any]]
+"""The record of a name."""
 
 
 def baselines(record: Records) -> str:
@@ -48,33 +51,3 @@ def answers(record: Records, name: str, rules: Sequence[str]) -> str:
         for rule in rules
     ]
     return markdown(["scenes", "rule", *ways, *pairs], rows, left=2)
-
-
-FAMILIES = {
-    "SCOUP's own (fields, sums, shards, `.regions`)": "regions; regions.json; field; field with a splat beside it; "
-    "region sums; scene of region sums; codes of region sums; shards",
-    "splats": "ksplat; sog; ply; ascii ply; compressed ply; splat; spz; spz of streams; spz, unpacked; glb; "
-    "spz in glb; gltf; scenesplat",
-    "checkpoints": "checkpoint; splatfacto; LangSplatV2; autoencoder",
-    "COLMAP": "cameras.bin; images.bin; points3D.bin; cameras.txt; images.txt; points3D.txt",
-    "JSON and settings of trainers": "transforms.json; cameras.json; cfg_args; config.yml; dataparser_transforms.json; "
-    "cfg.yml",
-    "LangSplat's regions": "region labels; region embeddings",
-    "labels, labelled points": "labelled ply; labelled npy; labels",
-    "word tables": "words.npz; words.json; words.safetensors",
-    "pictures": "png; jpg; webp; bmp; tif",
-}
-"""Readers of the study on damaged files by what they read."""
-
-
-def damaged(record: Records) -> str:
-    """Return what became of damaged files, by what is read."""
-    found = {row["reader"]: row for row in record("hostile")["readers"]}
-    rows = []
-    for title, names in FAMILIES.items():
-        of = [found.pop(name) for name in names.split("; ")]
-        files, accepted, refused = (sum(row[key] for row in of) for key in ("files", "accepted", "refused"))
-        counts = (f"{count:,}" for count in (files, accepted, refused, files - accepted - refused))
-        rows.append([title, str(len(of)), *counts])
-    assert not found
-    return markdown(["files", "readers", "damaged", "accepted", "refused", "failures"], rows)

@@ -29,6 +29,11 @@ REAL_SCENES = {
 """Name of the scene -> its folder and that of its regions: the same masks, with embeddings pooled in two ways."""
 
 
+def place_of(name: str) -> str:
+    """Return what the scenes of both poolings of one place have in common."""
+    return name.removesuffix("-all")
+
+
 @dataclass(frozen=True, eq=False)
 class RealScene:
     """The scene without its Gaussians."""

@@ -1,4 +1,4 @@
-"""The cost of the viewer: bytes sent, the start of server and page, and what is lost where Gaussians are merged."""
+"""The cost of the viewer: bytes sent, the start of server and page."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ import time
 import urllib.request
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import scoup
 from benchmarks.chromium import chromium, program
-from benchmarks.data import data_folder
 from benchmarks.limits import memory_of
-from benchmarks.merged import OTHERS, TUNED, of_scene
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import save_table
@@ -52,10 +50,6 @@ class ViewerCost(Study):
     """Of the scene that is served and exported."""
     n_large: int = 10_000_000
     """Of a scene that is only served, beside the other one."""
-    scenes: tuple[str, ...] = (*TUNED, *OTHERS)
-    """Whose pages are compared with all of their Gaussians (benchmarks.merged)."""
-    data: Path = field(default_factory=data_folder)
-    """Folder that contains desk/, guitar/, kitchen/ and clip/."""
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as folder:
@@ -70,17 +64,11 @@ class ViewerCost(Study):
             with tempfile.TemporaryDirectory() as folder:
                 path = write_field(Path(folder), random_scene_gaussians(self.n_large), cameras)
                 yield f"served/{self.n_large}", serving_costs(path)
-        for name in self.scenes:
-            if f"merged/{name}" not in known:
-                yield f"merged/{name}", of_scene(name, self.data)
 
     def record(self, rows: dict[str, Any]) -> Record:
-        merged = {
-            name.removeprefix("merged/"): row for name, row in rows.items() if name.startswith("merged/")
-        }
         served = [row for name, row in rows.items() if name.startswith("served/")]
         named = {name: row for name, row in rows.items() if "/" not in name}
-        return {**named, "served": served, "merged": merged}
+        return {**named, "served": served}
 
     @staticmethod
     def table(record: Record) -> str:
@@ -90,7 +78,7 @@ class ViewerCost(Study):
             for what, value in found.items()
         ]
         sent = markdown([f"{record['settings']['n_gaussians']:,} Gaussians", ""], body)
-        return "\n\n".join([sent, served_table(record), merged_table(record)])
+        return "\n\n".join([sent, served_table(record)])
 
 
 def served_table(record: Record) -> str:
@@ -118,22 +106,6 @@ def served_table(record: Record) -> str:
             "server, GB",
         ],
         body,
-    )
-
-
-def merged_table(record: Record) -> str:
-    """Return pictures and selections of merged Gaussians beside those of the largest, scene by scene."""
-    body = []
-    for name, found in record["merged"].items():
-        scene = f"{name} (tuned on)" if name in TUNED else name
-        for row in found["rows"]:
-            merged, largest = row["merged"], row["largest"]
-            overlaps = f"{merged['iou']:.3f} / {largest['iou']:.3f}" if found["texts"] else ""
-            body.append(
-                [scene, f"1/{row['part']}", f"{merged['psnr']:.1f} / {largest['psnr']:.1f}", overlaps]
-            )
-    return markdown(
-        ["scene", "Gaussians", "PSNR, merged / largest", "IoU of selections, merged / largest"], body
     )
 
 

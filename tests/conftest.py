@@ -138,7 +138,7 @@ def synthetic_data_sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data_sets")
     with pytest.MonkeyPatch.context() as patch:  # the same scenes are written for each of them
         patch.setattr("scoup_lab.synthetic.data_sets.make_demo_scene", functools.cache(make_demo_scene))
-        for name in ("lerf-ovs", "3d-ovs", "ref-lerf", "scannet", "scenesplat"):
+        for name in ("lerf-ovs", "3d-ovs", "scannet"):
             write_data_set(name, folder / name, layouts, size)
         half = dataclasses.replace(size, label_scale=0.5)
         write_data_set("mipnerf360", folder / "mipnerf360", layouts, half)

@@ -29,8 +29,7 @@ def ready_processes() -> BaseContext:
     if not sys.platform.startswith("linux"):
         return get_context("spawn")
     context = get_context("forkserver")
-    # One server serves all tests of this process, among them those that try readers.
-    context.set_forkserver_preload(["scoup.uplift.build", "benchmarks.hostile.worker"])
+    context.set_forkserver_preload(["scoup.uplift.build"])
     return context
 
 

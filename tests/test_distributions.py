@@ -163,11 +163,3 @@ def test_where_the_page_is_required_its_lack_is_an_error(tmp_path: Path) -> None
     assert done.stderr.startswith(
         "the page of scoup view could not be built: the sources of the page are not at"
     )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(find_spec("ziglang") is None, reason="ziglang is not installed")
-def test_the_core_compiles_for_macos_and_windows(tmp_path: Path) -> None:
-    command = [sys.executable, "tools/cross_compile.py", "macos-arm64", "windows-zig", "--out", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr

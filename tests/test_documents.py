@@ -22,6 +22,7 @@ MEASURED = [
     if path.stem in ("README", "answers", "benchmarks", "evaluation", "claims")
 ]
 NUMBER = re.compile(r"(?<![\w.,/-])[-+~]?(\d{1,3}(?:,\d{3})+|\d+)(\.\d+)?(?![\w/.]*\d)")
+FINISHED = re.compile(r"<!-- measured at [0-9a-f]{8} -->\n.*?<!-- end of table -->", re.DOTALL)
 SCALES = (1.0, 100.0, 1000.0, 1e-3, 1e-6, 1e-9)
 """As stored; percent; milliseconds; kilo, mega and giga."""
 
@@ -65,9 +66,10 @@ def numbers_in(value: Any) -> Iterator[float]:
 
 
 def figures(text: str) -> list[str]:
-    """Numbers with decimals of a text, and all of three digits or more in tables; tables made from records, links and
-    inline code are left out."""
-    text = documents.BLOCK.sub("", text)
+    """Numbers with decimals of a text, and all of three digits or more in tables; tables made from records, paragraphs
+    and tables of finished studies, which name their commit, links and inline code are left out."""
+    text = FINISHED.sub("", documents.BLOCK.sub("", text))
+    text = "\n\n".join(part for part in text.split("\n\n") if not re.search(r"commit [0-9a-f]{8}\b", part))
     text = re.sub(r"\]\(.*?\)|`[^`]*`|https?://\S+", "", text)
     found = []
     for line in text.splitlines():
@@ -159,6 +161,8 @@ def test_a_figure_that_is_not_in_a_record_is_found() -> None:
         "0.82",
     ]
     assert [is_in(each, known) for each in ("0.816", "81.6", "0.82", "1030", "1.03")] == [True] * 5
+    assert figures("A table at commit 098624a6: 0.5\n\n0.7") == ["0.7"]
+    assert figures("<!-- measured at 098624a6 -->\n| 0.5 |\n<!-- end of table -->\n0.7") == ["0.7"]
     assert not any(is_in(each, known) for each in ("0.817", "0.815", "81.7", "0.9", "13.0"))
 
 

@@ -23,7 +23,7 @@ INNER = {
     "cli": "console options parsing",
     "coding": "kmeans",
     "field": "part_sizes",
-    "io": "images npy reading regions.views splats.ply splats.scenesplat",
+    "io": "images reading regions.views splats.ply",
     "models": "word_table words",
     "pictures": "colors",
     "query": "relevancy select text_vectors view_masks",

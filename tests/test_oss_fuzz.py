@@ -26,12 +26,24 @@ def test_the_files_of_the_project() -> None:
         assert option in (ROOT / "native" / "CMakeLists.txt").read_text()
 
 
-def test_the_target_reads_its_seeds_and_reaches_code(tmp_path: Path) -> None:
+TARGET = [sys.executable, str(FOLDER / "fuzz_readers.py")]
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("seeds")
+    assert subprocess.run([*TARGET, "--seeds", str(folder)]).returncode == 0
+    return folder
+
+
+def test_seeds_are_of_every_reader_and_container(seeds: Path) -> None:
+    contents = [seed.read_bytes() for seed in seeds.iterdir()]
+    assert len({content[0] for content in contents}) > 20
+    assert {content[1] for content in contents} == {0, 1, 2}
+
+
+def test_the_target_reads_its_seeds_and_reaches_code(seeds: Path) -> None:
     pytest.importorskip("atheris", reason="needs atheris")
-    target = [sys.executable, str(FOLDER / "fuzz_readers.py")]
-    assert subprocess.run([*target, "--seeds", str(tmp_path / "seeds")]).returncode == 0
-    seeds = list((tmp_path / "seeds").iterdir())
-    assert len({seed.read_bytes()[0] for seed in seeds}) > 20
-    done = subprocess.run([*target, "-runs=200", str(tmp_path / "seeds")], capture_output=True, text=True)
+    done = subprocess.run([*TARGET, "-runs=200", str(seeds)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     assert max(int(number) for number in re.findall(r"cov: (\d+)", done.stderr)) > 1000

@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import mean
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -23,26 +23,24 @@ from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 from scoup_lab.evaluate.label_vectors import text_source
 from scoup_lab.evaluate.point_evaluation import PointEvaluation
 from scoup_lab.evaluate.point_report import PointScores
-from scoup_lab.evaluate.protocols import POINTS
-from scoup_lab.evaluate.protocols.points import NO_CLASS, PointScene, class_ious, class_mean, class_totals
+from scoup_lab.evaluate.protocols import scannet
+from scoup_lab.evaluate.protocols.points import NO_CLASS, class_ious, class_mean, class_totals
 from scoup_lab.evaluate.report import OURS
+from scoup_lab.evaluate.scenes import SceneFiles
 
-LISTS = {"scannet": ("19", "10"), "scenesplat": ("scannet20", "scannet200")}
 
-
-def evaluation_of(name: str, methods: tuple[str, ...] = ()) -> PointEvaluation:
+def evaluation_of(methods: tuple[str, ...] = ()) -> PointEvaluation:
     return PointEvaluation(
-        protocol=POINTS[name],
-        class_lists=tuple(POINTS[name].find_class_list(classes) for classes in LISTS[name]),
+        class_lists=tuple(scannet.find_class_list(classes) for classes in ("19", "10")),
         build=build_settings("default", n_atoms=32),
         methods=tuple(find_method(method) for method in methods),
     )
 
 
-def opened(root: Path, name: str, scene: str = "table") -> tuple[PointScene, str, PointEvaluation]:
+def opened(root: Path, scene: str = "table") -> tuple[SceneFiles, str, PointEvaluation]:
     """A scene, its word table, and how it is evaluated."""
-    found = POINTS[name].open(root, scene)
-    return found, text_source(root, found, None, "none"), evaluation_of(name)
+    found = scannet.open_scene(root, scene)
+    return found, text_source(root, found, None, "none"), evaluation_of()
 
 
 @dataclass(frozen=True)
@@ -61,30 +59,18 @@ class Oracle(NothingRendered):
         return (self.classes != NO_CLASS)[None]
 
 
-@pytest.mark.parametrize("name", ["scannet", "scenesplat"])
-def test_true_classes_score_one(synthetic_data_sets: Path, name: str) -> None:
-    scene, source, evaluation = opened(synthetic_data_sets / name, name)
+def test_true_classes_score_one(synthetic_data_sets: Path) -> None:
+    scene, source, evaluation = opened(synthetic_data_sets / "scannet")
     vectors = evaluation.vectors(source, scene.name)
-    gaussians = load_gaussians(scene.splat)
+    truths = evaluation.truths(scene, load_gaussians(scene.splat))
     for classes in evaluation.class_lists:
-        if name == "scannet":
-            truth = scene.truth(classes, gaussians).classes
-        else:
-            folder = synthetic_data_sets / name / "val" / "table"
-            truth = torch.from_numpy(np.load(folder / f"{classes.file}.npy").astype(np.int64))
-        oracle = Oracle(truth, vectors.of(classes.texts))
-        only = replace(evaluation, class_lists=(classes,))
-        counts = only.count(only.truths(scene, gaussians), gaussians, {OURS: oracle}, vectors)
-        miou = float(class_mean(class_ious(class_totals(counts[classes.name][OURS]))))
-        # A point of a scan that is nearest to a Gaussian of another thing, or of a class that is not counted.
-        assert miou == 1 if name == "scannet" else miou > 0.9
+        oracle = Oracle(truths[classes.name], vectors.of(classes.classes))
+        counts = replace(evaluation, class_lists=(classes,)).count(truths, {OURS: oracle}, vectors)
+        assert float(class_mean(class_ious(class_totals(counts[classes.name][OURS])))) == 1
 
 
-@pytest.mark.parametrize("name", ["scannet", "scenesplat"])
-def test_a_field_answers_better_than_a_shuffled_one(
-    synthetic_data_sets: Path, tmp_path: Path, name: str
-) -> None:
-    scene, source, evaluation = opened(synthetic_data_sets / name, name)
+def test_a_field_answers_better_than_a_shuffled_one(synthetic_data_sets: Path, tmp_path: Path) -> None:
+    scene, source, evaluation = opened(synthetic_data_sets / "scannet")
     counts = evaluation.scene(scene, source, tmp_path)
     field = LanguageField.load(tmp_path / "fields" / "table.scoup", load_gaussians(scene.splat))
     order = torch.randperm(len(field), generator=torch.Generator().manual_seed(0))
@@ -92,7 +78,7 @@ def test_a_field_answers_better_than_a_shuffled_one(
         field.code_indices[order], field.code_weights[order], field.codebook, field.info, field.gaussians
     )
     truths, vectors = evaluation.truths(scene, field.gaussians), evaluation.vectors(source, scene.name)
-    mixed = evaluation.count(truths, field.gaussians, {OURS: FittedField(shuffled)}, vectors)
+    mixed = evaluation.count(truths, {OURS: FittedField(shuffled)}, vectors)
     for classes in evaluation.class_lists:
         ours, chance = (
             float(class_mean(class_ious(class_totals(found[classes.name][OURS]))))
@@ -110,52 +96,45 @@ def test_a_field_answers_better_than_a_shuffled_one(
 
 
 def test_tables_of_several_scenes_and_methods(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    evaluation = evaluation_of("scenesplat", ("dense",))
-    root = synthetic_data_sets / "scenesplat"
-    names = evaluation.protocol.find(root)
+    evaluation = evaluation_of(("dense",))
+    root = synthetic_data_sets / "scannet"
+    names = scannet.find(root)
     assert names == ["shelves", "table"]
     counts = {}
     for name in names:
-        scene, source, _ = opened(root, "scenesplat", name)
+        scene, source, _ = opened(root, name)
         counts[name] = evaluation.scene(scene, source, tmp_path)
     classes = evaluation.class_lists[0]
-    scores = PointScores.of(evaluation.protocol, classes, {**counts, "yard": {}})
+    scores = PointScores.of(classes, {**counts, "yard": {}})
     assert scores.scenes == ("shelves", "table")
-    with pytest.raises(InputError, match=r"none of the scenes \(yard\) has points of a class of scannet20"):
-        PointScores.of(evaluation.protocol, classes, {"yard": {}})
+    with pytest.raises(InputError, match=r"none of the scenes \(yard\) has points of a class of 19"):
+        PointScores.of(classes, {"yard": {}})
     report = scores.report("all")
     report.write(tmp_path)
     record = report.record
     assert json.loads((tmp_path / "all.json").read_text()) == record
     assert list(record["systems"]) == [OURS, "dense"]
     ours = record["systems"][OURS]
-    # The one matrix of both scenes, without walls and floors.
-    both = sum(torch.tensor(ours["confusion"][name]) for name in names)
-    assert isinstance(both, Tensor)
-    ious = class_ious(class_totals(both))
-    assert ours["overall"]["f-mIoU"] == pytest.approx(float(ious[2:].nanmean()))
-    assert ours["overall"]["mIoU"] == pytest.approx(float(ious.nanmean()))
-    assert ours["overall"]["f-mIoU"] != ours["overall"]["mIoU"]
-    low, high = ours["intervals"]["f-mIoU"]
-    assert low <= ours["overall"]["f-mIoU"] <= high
+    ious = [class_ious(class_totals(torch.tensor(ours["confusion"][name]))) for name in names]
+    assert ours["overall"]["mIoU"] == pytest.approx(mean(float(each.nanmean()) for each in ious))
+    low, high = ours["intervals"]["mIoU"]
+    assert low <= ours["overall"]["mIoU"] <= high
     shown = {each["class"]: each for each in ours["classes"]}
     assert {"wall", "floor"} < set(shown)
     assert "bed" not in shown
     text = (tmp_path / "all.md").read_text()
     assert "Left out, without points of these classes: yard." in text
-    assert "f: foreground, without ceiling, floor, wall." in text
     assert "| dense |" in text
     assert f"| wall | {shown['wall']['scenes']} |" in text
-    assert "f-mIoU" in (tmp_path / "all.tex").read_text()
+    assert "mAcc" in (tmp_path / "all.tex").read_text()
 
 
 def test_means_over_scenes_by_hand() -> None:
-    protocol = POINTS["scannet"]
-    classes = protocol.find_class_list("10")
+    classes = scannet.find_class_list("10")
     good, bad = (torch.zeros(10, 11, dtype=torch.int64) for _ in range(2))
     good[0, 0] = 1000
     bad[0, 1], bad[1, 1] = 1, 1  # of class 0 nothing, of class 1 half
-    scores = PointScores(protocol, classes, ("a", "b"), {OURS: [good, bad]})
+    scores = PointScores(classes, ("a", "b"), {OURS: [good, bad]})
     record = scores.report("two").record
     overall = record["systems"][OURS]["overall"]
     assert overall["mIoU"] == pytest.approx((1 + (0 + 0.5) / 2) / 2)
@@ -168,23 +147,18 @@ def test_means_over_scenes_by_hand() -> None:
 
 
 def test_scenes_that_are_not_there(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    protocol = POINTS["scannet"]
     with pytest.raises(MissingFileError, match="no such folder"):
-        protocol.find(tmp_path / "absent")
+        scannet.find(tmp_path / "absent")
     with pytest.raises(MissingFileError, match=r"no SCENE/SCENE_vh_clean_2\.labels\.ply"):
-        protocol.find(tmp_path)
-    with pytest.raises(MissingFileError, match=r"no val/SCENE/coord\.npy"):
-        POINTS["scenesplat"].find(tmp_path)
+        scannet.find(tmp_path)
     with pytest.raises(UnknownNameError, match="tabel"):
-        protocol.find(synthetic_data_sets / "scannet", ["tabel"])
+        scannet.find(synthetic_data_sets / "scannet", ["tabel"])
     with pytest.raises(UnknownNameError, match="list of classes"):
-        protocol.find_class_list("20")
-    with pytest.raises(InputError, match="at least 1"):
-        replace(evaluation_of("scenesplat"), neighbours=0)
+        scannet.find_class_list("20")
 
 
 def test_a_scene_without_points_of_a_class_is_left_out(synthetic_data_sets: Path, tmp_path: Path) -> None:
-    scene, source, evaluation = opened(synthetic_data_sets / "scannet", "scannet")
+    scene, source, evaluation = opened(synthetic_data_sets / "scannet")
     gaussians = load_gaussians(scene.splat)
     folder = tmp_path / "table"
     labels = torch.full((len(gaussians),), 40)

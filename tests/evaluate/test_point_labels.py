@@ -13,15 +13,12 @@ from scoup.base.errors import InputError
 from scoup.query.text_vectors import TextVectors
 from scoup_lab.evaluate.protocols.points import (
     NO_CLASS,
-    ClassList,
     class_accuracies,
     class_ious,
     class_mean,
     class_totals,
     confusion_matrix,
-    drawn_totals,
     frequency_weighted_iou,
-    interval_of,
     label_gaussians,
     overall_accuracy,
 )
@@ -45,14 +42,12 @@ def test_scores_by_hand() -> None:
     assert class_accuracies(totals).tolist() == pytest.approx([2 / 3, 1 / 2, float("nan"), 0], nan_ok=True)
     assert float(class_mean(class_ious(totals))) == pytest.approx(1 / 3)
     assert float(class_mean(class_accuracies(totals))) == pytest.approx((2 / 3 + 1 / 2) / 3)
-    foreground = torch.tensor([False, True, True, True])
-    assert float(class_mean(class_ious(totals), foreground)) == pytest.approx((1 / 3 + 0) / 2)
     assert float(frequency_weighted_iou(totals)) == pytest.approx(3 / 6 * 2 / 3 + 2 / 6 * 1 / 3)
     assert float(overall_accuracy(totals)) == pytest.approx(3 / 6)
 
 
 def test_the_mean_over_no_class_is_none() -> None:
-    assert class_mean(torch.tensor([torch.nan, 0.5]), torch.tensor([True, False])).isnan()
+    assert class_mean(torch.tensor([torch.nan, torch.nan])).isnan()
 
 
 def test_right_answers_score_one_and_wrong_ones_nothing() -> None:
@@ -72,38 +67,11 @@ def test_scores_of_several_totals_at_once() -> None:
     assert class_ious(both)[0].nan_to_num(-1).equal(class_ious(both[0]).nan_to_num(-1))
 
 
-def test_drawn_scenes_are_counted_whole() -> None:
-    totals = torch.zeros(3, 3, 2, dtype=torch.float64)
-    totals[:, 1, 0] = torch.tensor([1.0, 10.0, 100.0])
-    drawn = drawn_totals(totals, samples=200)[:, 1, 0]
-    possible = {a + b + c for a in (1, 10, 100) for b in (1, 10, 100) for c in (1, 10, 100)}
-    assert {int(value) for value in drawn} == possible
-    assert drawn.equal(drawn_totals(totals, samples=200)[:, 1, 0])
-
-
-def test_draws_without_a_value_do_not_count() -> None:
-    drawn = torch.tensor([0.0, 1.0, torch.nan] * 50, dtype=torch.float64)
-    found = interval_of(torch.tensor(0.5), drawn)
-    assert (found.mean, found.low, found.high) == (0.5, 0.0, 1.0)
-    nothing = interval_of(torch.tensor(torch.nan), torch.full((3,), torch.nan))
-    assert nothing.low != nothing.low
-
-
 def test_numbers_that_are_no_class_are_refused() -> None:
     with pytest.raises(InputError, match="-1 to 3, not 0 to 4"):
         confusion_matrix(TRUTH, torch.full_like(TRUTH, 4).clamp(min=0).index_fill(0, torch.tensor([0]), 0), 4)
     with pytest.raises(InputError, match="expected one per point"):
         confusion_matrix(TRUTH, GIVEN[:3], 4)
-
-
-def test_texts_of_classes() -> None:
-    named = ClassList("two", ("wall", "tree"), frozenset({"wall"}), "this is a {}")
-    assert named.texts == ("this is a wall", "this is a tree")
-    assert named.foreground.tolist() == [False, True]
-    assert named.of_texts(torch.tensor([1, NO_CLASS, 0])).tolist() == [1, NO_CLASS, 0]
-    described = ClassList("two", ("road", "tree"), described=(("a road", 0), ("a tree", 1), ("a car", 0)))
-    assert described.texts == ("a road", "a tree", "a car")
-    assert described.of_texts(torch.tensor([2, 1, NO_CLASS])).tolist() == [0, 1, NO_CLASS]
 
 
 @dataclass(frozen=True)

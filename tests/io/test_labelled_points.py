@@ -1,4 +1,4 @@
-"""Labelled points from PLY and .npy files, and what is wrong with others."""
+"""Labelled points from PLY files, and what is wrong with others."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import torch
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
 from scoup_lab.data.labelled_points import (
     LabelledPoints,
-    read_labelled_npy,
     read_labelled_ply,
     write_labelled_ply,
 )
@@ -83,43 +82,3 @@ def test_other_meshes_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_bytes(binary + b"\0" * 100)
     with pytest.raises(FileFormatError, match="cut short"):
         read_labelled_ply(tmp_path / "a.ply")
-
-
-def save(folder: Path, coordinates: np.ndarray, labels: np.ndarray) -> tuple[Path, Path]:
-    np.save(folder / "coord.npy", coordinates)
-    np.save(folder / "segment.npy", labels)
-    return folder / "coord.npy", folder / "segment.npy"
-
-
-def test_arrays(tmp_path: Path) -> None:
-    points = read_labelled_npy(*save(tmp_path, np.ones((2, 3)), np.array([[4, 1], [-1, -1]], np.int16)))
-    assert points.positions.dtype == torch.float32
-    assert points.labels.tolist() == [4, -1]
-
-
-@pytest.mark.parametrize(
-    ("coordinates", "labels", "problem"),
-    [
-        (np.ones((2, 4)), np.ones(2), r"coord.npy: is \[2, 4\], expected \[points, 3\]"),
-        (np.ones((2, 3)), np.ones(3), r"segment.npy: is \[3\], but coord.npy has 2 points"),
-        (np.ones((2, 3)), np.ones((2, 0)), "but coord.npy has 2 points"),
-        (np.full((2, 3), np.inf), np.ones(2), "not finite"),
-        (np.ones((2, 3)), np.array([0.5, 1]), "not whole numbers"),
-        (np.ones((2, 3)), np.array([np.nan, 1]), "not whole numbers"),
-        (np.ones((2, 3)), np.array([{}, {}]), "does not contain plain numbers"),
-    ],
-)
-def test_other_arrays_are_refused(
-    tmp_path: Path, coordinates: np.ndarray, labels: np.ndarray, problem: str
-) -> None:
-    with pytest.raises(FileFormatError, match=problem):
-        read_labelled_npy(*save(tmp_path, coordinates, labels))
-
-
-def test_a_missing_or_short_array_is_refused(tmp_path: Path) -> None:
-    coordinates, labels = save(tmp_path, np.ones((20, 3)), np.ones(20))
-    with pytest.raises(MissingFileError):
-        read_labelled_npy(coordinates, tmp_path / "absent.npy")
-    labels.write_bytes(labels.read_bytes()[:-8])
-    with pytest.raises(FileFormatError, match="cut short"):
-        read_labelled_npy(coordinates, labels)

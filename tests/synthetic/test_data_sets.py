@@ -19,7 +19,7 @@ from scoup_lab.synthetic import TABLE, make_demo_scene
 from scoup_lab.synthetic.data_sets import DataSetSize, write_data_set
 
 
-@pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"])
+@pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])
 def test_synthetic_data_sets_are_complete(synthetic_data_sets: Path, name: str) -> None:
     root = synthetic_data_sets / name
     protocol = PIXELS[name]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from benchmarks.hostile.containers import SUMS
 from numpy.typing import NDArray
+from tests.fuzzing.containers import SUMS
 
 from scoup.base.errors import FileFormatError, InputError
 from scoup.base.native import missing_reason

@@ -1,10 +1,10 @@
-"""Target of OSS-Fuzz: the first byte of an input names a reader of ``benchmarks.hostile``, the rest is the file.
+"""Target of OSS-Fuzz: the first byte of an input names a reader of ``tests.fuzzing``, the rest makes the file.
 
 fuzz_readers.py [OPTION OF LIBFUZZER ...] [CORPUS ...]
 fuzz_readers.py --seeds FOLDER      # valid files, to begin with
 
-Without OSS-Fuzz it needs `pip install atheris`. An exception that is no ScoupError, or a message that is not one line
-with the file in it, is a failure. Nothing of scoup may be imported before it is instrumented.
+Without OSS-Fuzz it needs `pip install atheris`. What tests/fuzzing/target.py raises is a failure. Nothing of scoup may
+be imported before it is instrumented.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ import importlib
 import shutil
 import sys
 import tempfile
-import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +20,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 IN_PYTHON = (
     "ply", "ascii ply", "compressed ply", "splat", "spz", "glb", "gltf", "cameras.bin", "images.bin", "cameras.txt",
     "images.txt", "points3D.txt", "transforms.json", "cameras.json", "cfg_args", "config.yml", "cfg.yml",
-    "region labels", "regions", "regions.json", "field", "region sums", "shards", "words.json",
+    "region labels", "regions", "regions.json", "field", "region sums", "words.json",
 )  # fmt: skip
+"""Readers whose code is Python, so that coverage guides their inputs."""
 
 
 def main(arguments: list[str]) -> None:
@@ -33,11 +32,11 @@ def main(arguments: list[str]) -> None:
         return
     atheris = instrumenter()
     with atheris.instrument_imports(include=["scoup"]):
-        reads = readings()
+        targets = all_targets()
 
     def read(content: bytes) -> None:
         if content:
-            reads[content[0] % len(reads)](content[1:])
+            targets[content[0] % len(targets)](content[1:])
 
     atheris.Setup([sys.argv[0], *arguments], read)
     atheris.Fuzz()
@@ -53,56 +52,33 @@ def instrumenter() -> Any:
     return importlib.import_module("atheris")  # the wheel has no types
 
 
-def reading(reader: Any, folder: Path) -> Callable[[bytes], None]:
-    """Return what reads the bytes of a damaged file, and raises where the reader misbehaves.
-
-    Args:
-        reader: of ``benchmarks.hostile.readers``.
-        folder: with the samples, in which it finds the file.
-    """
-    from scoup.base.errors import ScoupError
-
-    def read(content: bytes) -> None:
-        (folder / reader.file).write_bytes(content)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                reader.read(folder)
-        except ScoupError as error:
-            if "\n" in str(error) or str(folder) not in str(error):
-                raise RuntimeError(f"a message of several lines, or without the file: {error}") from error
-
-    return read
-
-
-def readings() -> list[Any]:
-    """Return a function of the bytes of a file for each reader whose code is Python."""
-    from benchmarks.hostile.readers import READERS
-    from benchmarks.hostile.samples import write_samples
+def all_targets() -> list[Any]:
+    """Return a function of the rest of an input for each reader whose code is Python."""
+    from tests.fuzzing.readers import READERS
+    from tests.fuzzing.samples import write_samples
+    from tests.fuzzing.target import target_of
 
     folder = Path(tempfile.mkdtemp(prefix="fuzz-files-"))
     write_samples(folder / "valid")
     found = []
     for number, name in enumerate(IN_PYTHON):  # a folder each: what one damages, the next one would find
         copied = shutil.copytree(folder / "valid", folder / str(number))
-        found.append(reading(READERS[name], copied))
+        found.append(target_of(READERS[name], copied))
     return found
 
 
 def write_seeds(folder: Path) -> None:
-    """Write the valid files of all readers as inputs."""
-    from benchmarks.hostile.readers import READERS
-    from benchmarks.hostile.samples import write_samples
+    """Write inputs that make the valid files of all readers, whole and part by part."""
+    from tests.fuzzing.readers import READERS
+    from tests.fuzzing.samples import write_samples
+    from tests.fuzzing.target import seeds_of
 
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="fuzz-files-") as samples:
         write_samples(Path(samples))
         for number, name in enumerate(IN_PYTHON):
-            reader = READERS[name]
-            for place, file in enumerate((reader.file, *reader.more)):
-                sample = Path(samples) / file
-                content = sample.read_bytes() if sample.is_file() else b""
-                (folder / f"{number}-{place}").write_bytes(bytes([number]) + content)
+            for place, seed in enumerate(seeds_of(READERS[name], Path(samples))):
+                (folder / f"{number}-{place}").write_bytes(bytes([number]) + seed)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Points with the number of a class each: ScanNet's labelled meshes, and SceneSplat's arrays (docs/formats.md)."""
+"""Points with the number of a class each: ScanNet's labelled meshes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from torch import Tensor
 
 from scoup.base.counts import listed
 from scoup.base.errors import FileFormatError
-from scoup.io.npy import open_npy
 from scoup.io.reading import existing_file
 from scoup.io.splats.ply import PlyTable, read_ply_table, write_ply_table
 
@@ -53,32 +52,6 @@ def write_labelled_ply(points: LabelledPoints, path: str | Path, overwrite: bool
         rows[name] = 255 if name == "alpha" else 128
     rows["label"] = points.labels.numpy()
     write_ply_table(PlyTable(Path("<memory>"), rows), path, overwrite)
-
-
-def read_labelled_npy(coordinates: str | Path, labels: str | Path) -> LabelledPoints:
-    """Return points and their classes from two .npy files, as SceneSplat's preprocessing leaves them.
-
-    ``coordinates``: [P, 3]; ``labels``: [P], or [P, M] with several classes a point, of which the first
-    counts.
-    """
-    coordinates, labels = Path(coordinates), Path(labels)
-    positions = open_npy(coordinates, "coordinates of points")
-    if positions.ndim != 2 or positions.shape[1] != 3:
-        raise FileFormatError(
-            coordinates, f"is {list(positions.shape)}, expected [points, 3]", "pass coord.npy"
-        )
-    numbers = open_npy(labels, "classes of points")
-    if numbers.ndim not in (1, 2) or len(numbers) != len(positions) or 0 in numbers.shape[1:]:
-        raise FileFormatError(
-            labels,
-            f"is {list(numbers.shape)}, but {coordinates.name} has {len(positions)} points",
-            "both are of one preprocessing",
-        )
-    first = numbers if numbers.ndim == 1 else numbers[:, 0]
-    with np.errstate(all="ignore"):
-        places = _finite(coordinates, np.array(positions, dtype=np.float32))
-    classes = _whole(labels, np.array(first, dtype=np.float64))
-    return LabelledPoints(torch.from_numpy(places), torch.from_numpy(classes))
 
 
 def _finite(path: Path, positions: np.ndarray) -> np.ndarray:

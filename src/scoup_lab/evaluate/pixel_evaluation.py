@@ -25,7 +25,6 @@ from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scores import PairScore, SceneScore
-from scoup_lab.evaluate.sentences import SentenceScore, score_sentences, sentence_report
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,6 @@ class PixelResult:
 
     score: SceneScore  # by the 2D protocol
     selected: SceneScore | None  # by the 3D-selection protocol; None if it was not wanted
-    by_things: SentenceScore | None  # of sentences; None for other labels
     levels: tuple[str, ...]  # names of the field's levels
 
 
@@ -50,8 +48,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
     @property
     def stems(self) -> Sequence[str]:
         self.protocol.rule(self.rules)  # rules that the data set has not are refused at once
-        of_things = (f"{self.protocol.name}_things",) if self.protocol.refers else ()
-        return (f"{self.protocol.name}_{self.rules}", *of_things)
+        return (f"{self.protocol.name}_{self.rules}",)
 
     def scene(
         self,
@@ -74,7 +71,6 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
             selected = selection.score_method(
                 scene, vectors, FittedField(field), field.gaussians, raster_preset
             )
-        by_things = score_sentences(scene, field, source, self._title) if self.protocol.refers else None
         if self.sheets:
 
             def map_of(pair: PairScore) -> Tensor:
@@ -83,7 +79,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
 
             sheet = failure_sheet(score, scene, field, map_of, rule)
             save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
-        return PixelResult(score, selected, by_things, field.levels)
+        return PixelResult(score, selected, field.levels)
 
     def reports(self, results: dict[str, PixelResult], described: dict[str, Any]) -> list[Report]:
         """See ``Evaluation``: one by each protocol."""
@@ -100,14 +96,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
             rules = selected[0].rule
             of_gaussians = PixelScores(selection.PROTOCOL, rules, selected, published, shared, (note,))
             reports.append(of_gaussians.report(f"{self.protocol.name}_3d-selection", levels))
-        by_things = [each.by_things for each in found if each.by_things is not None]
-        if by_things:
-            reports.append(sentence_report(self.stems[1], self._title, by_things, scores, shared))
         return reports
-
-    @property
-    def _title(self) -> str:
-        return f"{self.protocol.name} by things"
 
 
 def predict(

@@ -9,7 +9,7 @@ from statistics import mean
 from typing import Any
 
 from scoup.base.counts import counted
-from scoup_lab.evaluate.published import PUBLISHED, Published
+from scoup_lab.evaluate.published import PUBLISHED, SOURCE, Published
 from scoup_lab.evaluate.report import OURS, Report
 from scoup_lab.evaluate.scores import SceneScore, accuracy_interval, miou_interval, overall
 from scoup_lab.evaluate.tables import CAVEATS, Table, number_or_none, percent
@@ -47,17 +47,12 @@ class PixelScores:
     def published(self) -> tuple[Published, ...]:
         """Rows that may stand beside ours: those of a protocol, where some tell of every scene here."""
         rows = PUBLISHED.get(self.protocol, ())
-        known = {scene for row in rows for scene in row.by_scene}
+        known = {scene for row in rows for scene in row.by_scene or ()}
         return rows if self.comparable and {scene.scene for scene in self.scenes} <= known else ()
-
-    @property
-    def footnotes(self) -> dict[str, int]:
-        """Return the sources of the published rows, and their protocol if it differs -> number of the footnote."""
-        return {note: n for n, note in enumerate(dict.fromkeys(row.note for row in self.published), 1)}
 
 
 def overall_table(scores: PixelScores) -> Table:
-    """Return our row with its intervals, then the published rows, marked by a footnote each; in percent."""
+    """Return our row with its intervals, then the published rows; in percent."""
     localizes = scores.localizes
     headers = ["system", "source", "mIoU", "95 % interval"]
     headers += ["localisation", "95 % interval"] if localizes else []
@@ -66,13 +61,12 @@ def overall_table(scores: PixelScores) -> Table:
     row += found.percent() if found is not None else []
     rows = [tuple(row)]
     for other in scores.published:
-        cells = [other.system, _mark(scores, other), _figure(other.miou), "-"]
+        cells = [other.system, "published", _figure(other.miou), "-"]
         cells += [_figure(other.accuracy), "-"] if localizes else []
         rows.append(tuple(cells))
     notes = [*scores.notes, *CAVEATS]
     if scores.published:
-        notes.append("Published rows are as the papers report them; none was measured here.")
-        notes += [f"[{number}] {note}." for note, number in scores.footnotes.items()]
+        notes.append(f"Published rows are as {SOURCE} reports them; none was measured here.")
     elif PUBLISHED.get(scores.protocol):
         notes.append("The scenes are not those of the published data set: published figures are left out.")
     count = sum(len(scene.pairs) for scene in scores.scenes)
@@ -97,7 +91,7 @@ def scene_table(scores: PixelScores) -> Table:
 
 
 def published_table(scores: PixelScores) -> Table:
-    """Return what the papers report for the scenes here, below our own; footnotes as in the overall table."""
+    """Return what the paper reports for the scenes here, below our own."""
     localizes = scores.localizes
     ours = [
         " / ".join(percent(share) for share in (scene.miou, *([scene.accuracy] if localizes else [])))
@@ -106,14 +100,10 @@ def published_table(scores: PixelScores) -> Table:
     rows = [(OURS, "measured", *ours)]
     for other in scores.published:
         if other.by_scene:
-            found = [other.by_scene.get(scene.scene, (None, None)) for scene in scores.scenes]
-            rows.append((other.system, _mark(scores, other), *(_figures(each, localizes) for each in found)))
+            found = [other.by_scene[scene.scene] for scene in scores.scenes]
+            rows.append((other.system, "published", *(_figures(each, localizes) for each in found)))
     title = f"{scores.protocol}: published, by scene, mIoU" + (" / localisation" if localizes else "")
     return Table(title, ("system", "source", *(scene.scene for scene in scores.scenes)), tuple(rows))
-
-
-def _mark(scores: PixelScores, row: Published) -> str:
-    return f"published [{scores.footnotes[row.note]}]"
 
 
 def _figures(both: tuple[float | None, float | None], localizes: bool) -> str:
@@ -180,10 +170,10 @@ def report_record(scores: PixelScores) -> dict[str, Any]:
             }
             for scene in scores.scenes
         },
-        "published_percent": [asdict(other) | {"footnote": other.note} for other in scores.published],
+        "published_percent": [asdict(other) for other in scores.published],
         "caveats": list(CAVEATS),
     }
 
 
 def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}" if round(value, 1) == value else f"{value:.2f}"
+    return "-" if value is None else f"{value:.1f}"

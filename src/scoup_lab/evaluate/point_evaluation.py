@@ -1,4 +1,4 @@
-"""Evaluation of labelled points: the Gaussians of each scene's field are given classes, and points are counted."""
+"""Evaluation of ScanNet's labelled points: the Gaussians of each field are given classes, and points are counted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.io import load_gaussians, load_regions
 from scoup.query.text_vectors import TextVectors
@@ -20,43 +19,32 @@ from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing
 from scoup_lab.evaluate.label_vectors import encode_words
 from scoup_lab.evaluate.point_report import PointScores
-from scoup_lab.evaluate.protocols.points import (
-    ClassList,
-    PointProtocol,
-    PointScene,
-    PointTruth,
-    confusion_matrix,
-    label_gaussians,
-)
+from scoup_lab.evaluate.protocols import scannet
+from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList, confusion_matrix, label_gaussians
 from scoup_lab.evaluate.report import OURS, Report
+from scoup_lab.evaluate.scenes import SceneFiles
 
 Counts = dict[str, dict[str, Tensor]]
 """List of classes -> system -> confusion matrix [C, C + 1] of a scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointEvaluation(Evaluation[PointScene, Counts]):
-    """The evaluation of a point-level data set."""
+class PointEvaluation(Evaluation[SceneFiles, Counts]):
+    """The evaluation of ScanNet's scenes."""
 
-    protocol: PointProtocol
     class_lists: tuple[ClassList, ...]  # benchmarks to score by
     methods: tuple[Method, ...] = ()  # to score beside the fields, fitted to the same regions
     level: str | None = None  # the only level that answers; None: each Gaussian by its most relevant one
-    neighbours: int = 1  # how many Gaussians vote for a point, where points are not Gaussians
     encoded: dict[str, TextVectors] = field(default_factory=dict, init=False, repr=False)  # by source
-
-    def __post_init__(self) -> None:
-        if self.neighbours < 1:
-            raise InputError(f"the number of neighbours must be at least 1, got {self.neighbours}")
 
     @property
     def stems(self) -> Sequence[str]:
-        return [f"{self.protocol.name}_{classes.name}" for classes in self.class_lists]
+        return [f"scannet_{classes.name}" for classes in self.class_lists]
 
     @property
     def texts(self) -> tuple[str, ...]:
         """Return the texts that are queried, each once."""
-        return tuple(dict.fromkeys(text for classes in self.class_lists for text in classes.texts))
+        return tuple(dict.fromkeys(text for classes in self.class_lists for text in classes.classes))
 
     def vectors(self, source: str, scene: str) -> TextVectors:
         """Return vectors of what is queried, encoded once for all scenes of one table or model."""
@@ -66,7 +54,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
 
     def scene(
         self,
-        scene: PointScene,
+        scene: SceneFiles,
         source: str,
         out: Path,
         progress: Progress = no_progress,
@@ -76,7 +64,7 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
         vectors = self.vectors(source, scene.name)
         # Before the work of a build: what is wrong with the truth is known at once.
         truths = self.truths(scene, load_gaussians(scene.splat))
-        if not any(truth.counts for truth in truths.values()):
+        if not any(_counts(truth) for truth in truths.values()):
             say(f"{scene.name}: none of its points is of a class that is scored; left out")
             return {}
         built = self.field(scene, out / "fields" / f"{scene.name}.scoup", source, progress, say)
@@ -88,40 +76,40 @@ class PointEvaluation(Evaluation[PointScene, Counts]):
             rasterised = RasterisedScene(gaussians, scene.cameras, regions, built.info.raster_preset)
             settings = MethodSettings(self.build.seed)
             fitted |= {method.name: method.fit(rasterised, settings) for method in self.methods}
-        return self.count(truths, built.gaussians, fitted, vectors, level)
+        return self.count(truths, fitted, vectors, level)
 
-    def truths(self, scene: PointScene, gaussians: Gaussians) -> dict[str, PointTruth]:
-        """Read the truth of a scene, by the name of each list of classes."""
-        return {classes.name: scene.truth(classes, gaussians) for classes in self.class_lists}
+    def truths(self, scene: SceneFiles, gaussians: Gaussians) -> dict[str, Tensor]:
+        """Return [N] true class of each Gaussian of a scene, by the name of each list of classes."""
+        return {
+            classes.name: scannet.read_truth(scene.folder, classes, gaussians) for classes in self.class_lists
+        }
 
     def count(
         self,
-        truths: Mapping[str, PointTruth],
-        gaussians: Gaussians,
+        truths: Mapping[str, Tensor],
         fitted: Mapping[str, FittedMethod],
         vectors: TextVectors,
         level: int | None = None,
     ) -> Counts:
         """Return the confusion matrices of methods on a scene, by the lists of classes that it has points of."""
-        scored = [classes for classes in self.class_lists if truths[classes.name].counts]
+        scored = [classes for classes in self.class_lists if _counts(truths[classes.name])]
         counts: Counts = {classes.name: {} for classes in scored}
         for classes in scored:
             truth, size = truths[classes.name], len(classes.classes)
             for name, method in fitted.items():
-                given = classes.of_texts(label_gaussians(method, vectors, classes.texts, level))
-                answers = truth.answers(gaussians, given, size, self.neighbours)
-                counts[classes.name][name] = confusion_matrix(truth.classes, answers, size)
+                given = label_gaussians(method, vectors, classes.classes, level).cpu()
+                counts[classes.name][name] = confusion_matrix(truth, given, size)
         return counts
 
     def reports(self, results: dict[str, Counts], described: dict[str, Any]) -> list[Report]:
         """See ``Evaluation``: one by each list of classes."""
-        settings = {
-            **described,
-            "build": asdict(self.build),
-            "level": self.level or "best",
-            "neighbours": self.neighbours,
-        }
+        settings = {**described, "build": asdict(self.build), "level": self.level or "best"}
         return [
-            PointScores.of(self.protocol, classes, results, settings).report(stem)
+            PointScores.of(classes, results, settings).report(stem)
             for classes, stem in zip(self.class_lists, self.stems, strict=True)
         ]
+
+
+def _counts(truth: Tensor) -> bool:
+    """Return whether any point has a class."""
+    return bool((truth != NO_CLASS).any())

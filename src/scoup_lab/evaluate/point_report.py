@@ -11,17 +11,15 @@ from torch import Tensor
 
 from scoup.base.counts import counted, listed
 from scoup.base.errors import InputError
-from scoup_lab.evaluate.metrics import Interval
+from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.protocols import scannet
 from scoup_lab.evaluate.protocols.points import (
     ClassList,
-    PointProtocol,
     class_accuracies,
     class_ious,
     class_mean,
     class_totals,
-    drawn_totals,
     frequency_weighted_iou,
-    interval_of,
     overall_accuracy,
 )
 from scoup_lab.evaluate.report import Report
@@ -35,7 +33,6 @@ Score = Callable[[Tensor], Tensor]
 class PointScores:
     """Confusion matrices of scenes and systems by one list of classes."""
 
-    protocol: PointProtocol  # that was followed
     classes: ClassList
     scenes: tuple[str, ...]  # names
     matrices: dict[str, list[Tensor]]  # system -> [C, C + 1] of each scene
@@ -45,7 +42,6 @@ class PointScores:
     @classmethod
     def of(
         cls,
-        protocol: PointProtocol,
         classes: ClassList,
         scenes: Mapping[str, Mapping[str, Mapping[str, Tensor]]],
         settings: dict[str, Any] | None = None,
@@ -60,44 +56,30 @@ class PointScores:
         matrices = {system: [of_scene[system] for of_scene in found.values()] for system in systems}
         left = [name for name in scenes if name not in found]
         notes = (f"Left out, without points of these classes: {', '.join(left)}.",) if left else ()
-        return cls(protocol, classes, tuple(found), matrices, settings or {}, notes)
+        return cls(classes, tuple(found), matrices, settings or {}, notes)
 
     def report(self, stem: str) -> Report:
         """Return tables and record."""
         tables = [overall_table(self), scene_table(self), class_table(self)]
-        return Report(stem, self.protocol.title, tables, report_record(self), shown=1)
+        return Report(stem, scannet.TITLE, tables, report_record(self), shown=1)
 
     @property
     def scores(self) -> dict[str, Score]:
         """The protocol's scores by name, in order; the first one leads."""
-        foreground = self.classes.foreground
-        means: dict[str, Score] = {
+        return {
             "mIoU": lambda totals: class_mean(class_ious(totals)),
             "mAcc": lambda totals: class_mean(class_accuracies(totals)),
+            "accuracy": overall_accuracy,
+            "frequency-weighted IoU": frequency_weighted_iou,
         }
-        if self.protocol.pooled:
-            means = {
-                "f-mIoU": lambda totals: class_mean(class_ious(totals), foreground),
-                "f-mAcc": lambda totals: class_mean(class_accuracies(totals), foreground),
-                **means,
-            }
-        return means | {"accuracy": overall_accuracy, "frequency-weighted IoU": frequency_weighted_iou}
 
     def totals(self, system: str) -> Tensor:
         """Return [T, 3, C] float64 of a system's scenes."""
         return torch.stack([class_totals(matrix) for matrix in self.matrices[system]])
 
     def interval(self, system: str, score: Score) -> Interval:
-        """Return a score over all scenes with its interval over them; nothing but its value where there is
-        one scene."""
-        totals = self.totals(system)
-        if self.protocol.pooled:
-            return interval_of(score(totals.sum(0)), score(drawn_totals(totals)))
-        values = score(totals)
-        # A mean over scenes, drawn like them: as totals of one class.
-        one = torch.stack([values, torch.ones_like(values), values], -1)[..., None]
-        drawn = drawn_totals(one)[..., 0]
-        return interval_of(values.mean(), drawn[:, 0] / drawn[:, 1])
+        """Return the mean of a score over scenes with its interval over them."""
+        return bootstrap_interval(score(self.totals(system)).tolist(), self.scenes)
 
 
 def overall_table(scores: PointScores) -> Table:
@@ -110,23 +92,16 @@ def overall_table(scores: PointScores) -> Table:
         cells = [system, *(percent(each.mean) for each in intervals)]
         cells.insert(2, intervals[0].percent()[1] if len(scores.scenes) > 1 else "-")
         rows.append(tuple(cells))
-    counted_as = (
-        "Points of all scenes are counted together."
-        if scores.protocol.pooled
-        else "Figures are means over scenes, each counting alike."
-    )
     notes = [
         *scores.notes,
-        counted_as,
-        "Means are over the classes that have points (of a scene, where scenes are averaged); all classes are queried.",
+        "Figures are means over scenes, each counting alike.",
+        "Means are over the classes that have points in a scene; all classes are queried.",
         "Intervals: 95 %, bootstrap over scenes.",
         "All views with regions are used for building: nothing is held out. Never set beside 2D scores.",
     ]
-    if scores.protocol.pooled and scores.classes.excluded:
-        notes.insert(0, f"f: foreground, without {', '.join(sorted(scores.classes.excluded))}.")
     points = sum(int(matrix.sum()) for matrix in next(iter(scores.matrices.values())))
     title = (
-        f"{scores.protocol.title}, {scores.classes.name} ({len(scores.classes.classes)} classes): "
+        f"{scannet.TITLE}, {scores.classes.name} ({len(scores.classes.classes)} classes): "
         f"{counted(len(scores.scenes), 'scene')}, {counted(points, 'point')}"
     )
     return Table(title, tuple(headers), tuple(rows), tuple(notes))
@@ -142,7 +117,7 @@ def scene_table(scores: PointScores) -> Table:
             true = totals[1]
             figures = (percent(float(score(totals))) for score in scores.scores.values())
             rows.append((scene, system, f"{int(true.sum())}", f"{int((true > 0).sum())}", *figures))
-    return Table(f"{scores.protocol.title}: by scene", tuple(headers), tuple(rows))
+    return Table(f"{scannet.TITLE}: by scene", tuple(headers), tuple(rows))
 
 
 def class_table(scores: PointScores) -> Table:
@@ -161,7 +136,7 @@ def class_table(scores: PointScores) -> Table:
             cells += [percent(of_system["iou"]), percent(of_system["accuracy"])]
         rows.append(tuple(cells))
     notes = ["Points of all scenes together."]
-    return Table(f"{scores.protocol.title}: by class", tuple(headers), tuple(rows), tuple(notes))
+    return Table(f"{scannet.TITLE}: by class", tuple(headers), tuple(rows), tuple(notes))
 
 
 def class_records(scores: PointScores, system: str) -> list[dict[str, Any]]:
@@ -192,10 +167,7 @@ def report_record(scores: PointScores) -> dict[str, Any]:
         several = len(scores.scenes) > 1
         systems[system] = {
             "overall": {name: number_or_none(each.mean) for name, each in intervals.items()},
-            "intervals": {
-                name: each.ends if several and each.low == each.low else None
-                for name, each in intervals.items()
-            },
+            "intervals": {name: each.ends if several else None for name, each in intervals.items()},
             "scenes": {
                 scene: {name: number_or_none(float(score(totals))) for name, score in scores.scores.items()}
                 for scene, totals in zip(scores.scenes, scores.totals(system), strict=True)
@@ -206,10 +178,8 @@ def report_record(scores: PointScores) -> dict[str, Any]:
             },
         }
     return {
-        "protocol": scores.protocol.title,
+        "protocol": scannet.TITLE,
         "classes": list(scores.classes.classes),
-        "excluded_from_foreground": sorted(scores.classes.excluded),
-        "pooled": scores.protocol.pooled,
         "settings": scores.settings,
         "systems": systems,
     }

@@ -1,5 +1,4 @@
-"""Synthetic data sets, complete, in the layouts of LERF-OVS, 3D-OVS, Mip-NeRF 360, Ref-LERF, ScanNet and
-SceneSplat-Bench.
+"""Synthetic data sets, complete, in the layouts of LERF-OVS, 3D-OVS, Mip-NeRF 360 and ScanNet.
 
 Every scene is made by ``scoup_lab.synthetic.make_demo_scene``. Nothing was photographed, trained or labelled by hand,
 and scores say nothing about the data set whose layout is used. Scenes are named after their layouts, so that nobody
@@ -24,15 +23,14 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.table import TABLE
-from scoup_lab.synthetic.folder import label_file, write_scene, write_views
-from scoup_lab.synthetic.point_truth import POINT_TRUTHS, with_class_words
-from scoup_lab.synthetic.referring import write_referring_truth
+from scoup_lab.synthetic.folder import label_file, write_scene
+from scoup_lab.synthetic.point_truth import with_class_words, write_scannet_truth
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
 
 NOTE = """A data set made by a program, in the layout of {name}. Nothing in it was photographed,
 trained or labelled by hand: scores on it say nothing about {name}.
 
-{splat}
+SCENE/point_cloud.ply     the Gaussians
 SCENE/images/             renders of them, in place of photographs
 SCENE/sparse/0/           their cameras, as COLMAP writes them
 SCENE/language_features/  simulated regions and embeddings, in LangSplat's layout
@@ -46,21 +44,13 @@ IMAGE_NAMES = {
     "lerf-ovs": "frame_{:05d}.png",
     "3d-ovs": "{:02d}.png",
     "mipnerf360": "DSCF{:04d}.png",
-    "ref-lerf": "frame_{:05d}.png",
     "scannet": "{}.png",
-    "scenesplat": "frame_{:06d}.png",
 }
 """Names of the images of a data set, counted from 1 (from 0 in 3D-OVS)."""
-PLY = "SCENE/point_cloud.ply     the Gaussians"
-ARRAYS = (
-    "SCENE/coord.npy, ...      the Gaussians: also color, opacity, scale, quat; SCENE is a folder of val/"
-)
 LABELS = "label/SCENE/             the truth: one JSON and its picture a labelled frame"
 TRUTHS = {
     "3d-ovs": "SCENE/segmentations/      the truth: classes.txt, and <frame>/<class>.png with 0 or 255",
-    "ref-lerf": "SCENE/json/, gt_mask/     the truth: sentences of test and other frames, and the masks they name",
     "scannet": "SCENE/*.labels.ply        the truth: a point at each Gaussian, with its class among NYU's 40",
-    "scenesplat": "SCENE/pc_coord.npy, ...   the truth: points; pc_segment20, pc_segment200: their classes",
 }
 
 
@@ -104,18 +94,17 @@ def write_data_set(
         raise InputError(
             f"a data set needs at least one scene, and scenes of different names, got {list(names)}"
         )
-    home = "val" if data_set == "scenesplat" else ""
     for name in names:
-        if (root / home / name).exists() and not overwrite:
-            raise OutputExistsError(root / home / name)
-    splat, labels = ARRAYS if home else PLY, TRUTHS.get(data_set, LABELS)
+        if (root / name).exists() and not overwrite:
+            raise OutputExistsError(root / name)
+    labels = TRUTHS.get(data_set, LABELS)
     with staged(root, ["README.txt"], overwrite) as hidden:
         for number, (name, (layout, seed)) in enumerate(zip(names, scenes, strict=True)):
             progress("synthetic data set", number, len(names))
             scene = make_demo_scene(seed, size.n_gaussians, size.width, size.height, size.n_views, 0, layout)
-            _write_scene(data_set, _renamed(scene, pattern), hidden / home, name, size)
+            _write_scene(data_set, _renamed(scene, pattern), hidden, name, size)
         progress("synthetic data set", len(names), len(names))
-        write_text(hidden / "README.txt", NOTE.format(name=data_set, splat=splat, labels=labels))
+        write_text(hidden / "README.txt", NOTE.format(name=data_set, labels=labels))
     return names
 
 
@@ -140,12 +129,10 @@ def _renamed(scene: DemoScene, pattern: str) -> DemoScene:
 def _write_scene(data_set: str, scene: DemoScene, root: Path, name: str, size: DataSetSize) -> None:
     folder = root / name
     labelled = {scene.building[i].name for i in np.linspace(0, size.n_views - 1, size.n_labelled).astype(int)}
-    if data_set in POINT_TRUTHS:
-        scene = with_class_words(scene, data_set)
-        POINT_TRUTHS[data_set](scene, folder)
-    elif data_set == "ref-lerf":
-        scene = write_referring_truth(scene, labelled, folder)
-    (write_views if data_set == "scenesplat" else write_scene)(scene, folder)
+    if data_set == "scannet":
+        scene = with_class_words(scene)
+        write_scannet_truth(scene, folder)
+    write_scene(scene, folder)
     for camera in scene.building:
         image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
         save_png(image, folder / "images" / camera.name)

@@ -115,11 +115,6 @@ def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) ->
 def write_scene(scene: DemoScene, folder: Path) -> None:
     """Write all of a scene's folder but its images: splat, cameras with some points, regions and text vectors."""
     save_gaussians(scene.gaussians, folder / "point_cloud.ply")
-    write_views(scene, folder)
-
-
-def write_views(scene: DemoScene, folder: Path) -> None:
-    """Write all of it but the images and the splat."""
     count = len(scene.gaussians)
     points = np.linspace(0, count - 1, min(SPARSE_POINTS, count)).astype(int)
     colors = (scene.gaussians.sh[points, 0].numpy() * SH_C0 + 0.5).clip(0, 1) * 255

@@ -16,7 +16,6 @@ from scoup.io.splats import (
     nerfstudio_checkpoint,
     ply,
     ply_compressed_write,
-    scenesplat,
     splat,
     spz,
     usd,
@@ -32,7 +31,6 @@ FORMATS: tuple[SplatFormat, ...] = (
     gaussforge_formats.KSPLAT,
     gaussforge_formats.SOG,
     usd.FORMAT,
-    scenesplat.FORMAT,
     nerfstudio_checkpoint.FORMAT,
     gsplat_checkpoint.FORMAT,
 )

@@ -1,4 +1,4 @@
-"""scoup eval lerf-ovs, 3d-ovs, mipnerf360, ref-lerf, scannet, scenesplat: one data set by its own protocol."""
+"""scoup eval lerf-ovs, 3d-ovs, mipnerf360, scannet: one data set by its own protocol."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class OfPixels(Evaluated):
     option_groups: ClassVar[OptionGroups] = {"scoring": "rules selection", "output": "sheets"}
 
     rules: Rules = "scoup"
-    """Rules that turn relevancy into masks and points; langsplat has some for LERF-OVS and Ref-LERF only."""
+    """Rules that turn relevancy into masks and points; langsplat has some for LERF-OVS only."""
     selection: Flag = False
     """Also score by the 3D-selection protocol, in tables of its own."""
     sheets: Literal["worst", "none"] = "worst"
@@ -147,68 +147,7 @@ class MipNerf360(OfPixels):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RefLerf(OfPixels):
-    """Score Ref-LERF (figurines, ramen, teatime, waldo_kitchen): masks of what sentences refer to, with the rules of
-    LERF-OVS, and by things in a table of its own.
-
-    "The mug left of the laptop" is read as `scoup select` reads it; left and right are meant from the labelled view.
-    """
-
-    protocol: ClassVar[str] = "ref-lerf"
-
-
-@dataclass(frozen=True, kw_only=True)
-class OfPoints(Evaluated):
-    """Options of the point-level protocols."""
-
-    option_groups: ClassVar[OptionGroups] = {
-        "data set": "cameras",
-        "scoring": "classes level neighbours methods",
-    }
-
-    cameras: OptionalText = None
-    """The cameras (folder or file), with {scene} for the scene's name. Default: those in each scene's folder."""
-    classes: Names = ()
-    """Lists of classes to score by; repeat it for several. Default: 19, 15 and 10 (scannet), scannet20 (scenesplat)."""
-    level: Literal["best", "s", "m", "l"] = "best"
-    """The level that answers; best takes the one at which a Gaussian is most relevant to any class."""
-    neighbours: int = 1
-    """How many nearest Gaussians vote for a point, where points are not Gaussians."""
-    methods: Names = ()
-    """Methods to score beside the field, as in scoup eval baselines; repeat it for several."""
-
-    def evaluation(self) -> Evaluation[Any, Any]:
-        from scoup_lab.baselines.methods import find_method
-        from scoup_lab.evaluate.point_evaluation import PointEvaluation
-        from scoup_lab.evaluate.protocols import POINTS
-
-        protocol = POINTS[self.protocol]
-        return PointEvaluation(
-            protocol=protocol,
-            class_lists=tuple(
-                protocol.find_class_list(name) for name in self.classes or protocol.default_classes
-            ),
-            methods=tuple(find_method(name) for name in self.methods),
-            level=None if self.level == "best" else self.level,
-            neighbours=self.neighbours,
-            **self.shared(),
-        )
-
-    def opened(self, console: Console) -> Iterator[SceneFiles]:
-        from scoup_lab.evaluate.protocols import POINTS
-
-        protocol = POINTS[self.protocol]
-        names = protocol.find(self.root, self.scenes)
-        return (protocol.open(self.root, name, self.places()) for name in names)
-
-    def places(self) -> Places:
-        from dataclasses import replace
-
-        return replace(super().places(), cameras=self.cameras)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScanNet(OfPoints):
+class ScanNet(Evaluated):
     """Score the Gaussians of ScanNet's scenes against the labels of their points, by OpenGaussian's 19, 15 and 10
     classes.
 
@@ -216,16 +155,37 @@ class ScanNet(OfPoints):
     positions and order.
     """
 
+    option_groups: ClassVar[OptionGroups] = {"data set": "cameras", "scoring": "classes level methods"}
     protocol: ClassVar[str] = "scannet"
 
+    cameras: OptionalText = None
+    """The cameras (folder or file), with {scene} for the scene's name. Default: those in each scene's folder."""
+    classes: Names = ()
+    """Lists of classes to score by; repeat it for several. Default: 19, 15 and 10."""
+    level: Literal["best", "s", "m", "l"] = "best"
+    """The level that answers; best takes the one at which a Gaussian is most relevant to any class."""
+    methods: Names = ()
+    """Methods to score beside the field, as in scoup eval baselines; repeat it for several."""
 
-@dataclass(frozen=True, kw_only=True)
-class SceneSplat(OfPoints):
-    """Score by SceneSplat-Bench: labelled points take the class of the nearest Gaussian; f-mIoU is over foreground
-    classes.
+    def evaluation(self) -> Evaluation[Any, Any]:
+        from scoup_lab.baselines.methods import find_method
+        from scoup_lab.evaluate.point_evaluation import PointEvaluation
+        from scoup_lab.evaluate.protocols import scannet
 
-    ROOT contains val/SCENE (or test/SCENE) with coord.npy and the classes of its points, for which --classes names the
-    benchmark: scannet20, scannet200, scannetpp, matterport or holicity.
-    """
+        return PointEvaluation(
+            class_lists=tuple(scannet.find_class_list(name) for name in self.classes or scannet.CLASS_LISTS),
+            methods=tuple(find_method(name) for name in self.methods),
+            level=None if self.level == "best" else self.level,
+            **self.shared(),
+        )
 
-    protocol: ClassVar[str] = "scenesplat"
+    def opened(self, console: Console) -> Iterator[SceneFiles]:
+        from scoup_lab.evaluate.protocols import scannet
+
+        names = scannet.find(self.root, self.scenes)
+        return (scannet.open_scene(self.root, name, self.places()) for name in names)
+
+    def places(self) -> Places:
+        from dataclasses import replace
+
+        return replace(super().places(), cameras=self.cameras)

@@ -24,7 +24,7 @@ class StudyOptions(DataSetOptions):
 
     option_groups: ClassVar[OptionGroups] = {"data set": "data_set"}
 
-    data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf"] = "lerf-ovs"
+    data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360"] = "lerf-ovs"
     """Layout of ROOT, and whose protocol scores."""
     rules: Rules = "scoup"
     """Rules that turn relevancy into masks and points."""

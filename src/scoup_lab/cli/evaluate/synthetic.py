@@ -14,8 +14,7 @@ from scoup.cli.options import OptionGroups, WritesCommon
 
 @dataclass(frozen=True, kw_only=True)
 class Synthetic(WritesCommon):
-    """Write a complete synthetic data set in the layout of LERF-OVS, 3D-OVS, Mip-NeRF 360, Ref-LERF, ScanNet or
-    SceneSplat-Bench.
+    """Write a complete synthetic data set in the layout of LERF-OVS, 3D-OVS, Mip-NeRF 360 or ScanNet.
 
     Images, COLMAP cameras, splat, region features, text vectors and labels are all simulated, so scores say nothing
     about the data set whose layout is used.
@@ -24,12 +23,10 @@ class Synthetic(WritesCommon):
     option_groups: ClassVar[OptionGroups] = {"size": "scenes n_gaussians width height views labelled"}
 
     data_set: Annotated[
-        tyro.conf.Positional[
-            Literal["lerf-ovs", "3d-ovs", "mipnerf360", "ref-lerf", "scannet", "scenesplat"]
-        ],
+        tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360", "scannet"]],
         tyro.conf.arg(metavar="LAYOUT", help_behavior_hint=""),
     ]
-    """Data set whose layout is used: lerf-ovs, 3d-ovs, mipnerf360, ref-lerf, scannet or scenesplat."""
+    """Data set whose layout is used: lerf-ovs, 3d-ovs, mipnerf360 or scannet."""
     root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT", help_behavior_hint="")]
     """Folder to write into."""
     scenes: int = 2

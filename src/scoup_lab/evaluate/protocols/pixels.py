@@ -37,7 +37,6 @@ class PixelProtocol:
     level_choice: LevelChoice | None = None  # in place of the rule's
     levels: tuple[str, ...] | None = None  # those that may answer; None for all
     localizes: bool = False  # whether points are scored too
-    refers: bool = False  # labels are sentences, which things answer too (scoup_lab.evaluate.sentences)
     at_label_size: bool = False  # bring features to the size of the label; else labels to that of the render
 
     def rule(self, system: str = "scoup") -> MaskRule:

@@ -12,18 +12,24 @@ given no class and counts as missed (the script gives clusters without features 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, looked_up
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.class_names import NYU40
 from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply
-from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList, PointProtocol, PointTruth
+from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList
+from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 
+TITLE = "ScanNet points"
+"""In tables."""
+SPLAT = "point_cloud.ply"  # the splat of a scene if it lies in its folder, where other PLY files lie too
 SCENES = (
     "scene0000_00", "scene0062_00", "scene0070_00", "scene0097_00", "scene0140_00",
     "scene0200_00", "scene0347_00", "scene0400_00", "scene0590_00", "scene0645_00",
@@ -51,7 +57,7 @@ def gaussian_truth(gaussians: Gaussians, points: LabelledPoints, classes: ClassL
     """
     remedy = (
         "the protocol needs a splat that starts from these points and is trained with their positions frozen and "
-        "without densification (scoup eval scenesplat scores other splats, by their nearest Gaussians)"
+        "without densification"
     )
     if len(gaussians) != len(points.labels):
         raise InputError(
@@ -70,21 +76,29 @@ def gaussian_truth(gaussians: Gaussians, points: LabelledPoints, classes: ClassL
     return truth.masked_fill(gaussians.opacities.cpu() < LEAST_OPACITY, NO_CLASS)
 
 
-def point_truth(folder: Path, classes: ClassList, gaussians: Gaussians) -> PointTruth:
-    """Return the truth of a scene: Gaussian i has the label of point i."""
+def find_class_list(name: str) -> ClassList:
+    """Return a list of classes by name."""
+    return looked_up("list of classes of scannet", name, CLASS_LISTS)
+
+
+def find(root: Path, wanted: Sequence[str] = ()) -> list[str]:
+    """Return the names of the scenes below ``root`` whose points have classes: those wanted, or all, the published
+    ones first.
+    """
+    check_root(root, "scannet")
+    names = sorted(path.name for path in root.iterdir() if labels_path(path).is_file())
+    return choose_scenes(root, names, wanted, SCENES, str(labels_path(Path("SCENE"))))
+
+
+def open_scene(root: Path, name: str, places: Places = USUAL) -> SceneFiles:
+    """Read the cameras of a scene, and find its splat and features; the truth is not read yet."""
+    folder = root / name
+    if places.gaussians is None and (folder / SPLAT).is_file():
+        places = replace(places, gaussians=str(folder / SPLAT))
+    return places.open(folder, name)
+
+
+def read_truth(folder: Path, classes: ClassList, gaussians: Gaussians) -> Tensor:
+    """Return [N] int64 true class of each Gaussian of a scene: that of the point of its number."""
     path = labels_path(folder)
-    return PointTruth(gaussian_truth(gaussians, read_labelled_ply(path), classes, str(path)), None)
-
-
-PROTOCOL = PointProtocol(
-    "scannet",
-    "ScanNet points",
-    scenes=SCENES,
-    class_lists=CLASS_LISTS,
-    default_classes=("19", "15", "10"),
-    pooled=False,
-    names=lambda root: sorted(path.name for path in root.iterdir() if labels_path(path).is_file()),
-    expected=str(labels_path(Path("SCENE"))),
-    folder=lambda root, name: root / name,
-    truth=point_truth,
-)
+    return gaussian_truth(gaussians, read_labelled_ply(path), classes, str(path))

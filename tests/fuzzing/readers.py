@@ -1,4 +1,4 @@
-"""Every reader of files: which file of the samples is damaged, and what reads it to the end."""
+"""Every reader of files: which of the samples it reads, and how it reads them to the end."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from tests.fuzzing import containers as of
+from tests.fuzzing.containers import Container
+from tests.fuzzing.samples import PICTURES, SIZE
 
-from benchmarks.hostile import containers as of
-from benchmarks.hostile.containers import Container
-from benchmarks.hostile.samples import PICTURES, SIZE
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
 from scoup.field.facts import read_facts
@@ -39,7 +39,7 @@ from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.paths import view_file
 from scoup.uplift.vote import vote
-from scoup_lab.data.labelled_points import read_labelled_npy, read_labelled_ply
+from scoup_lab.data.labelled_points import read_labelled_ply
 from scoup_lab.data.labels import read_labels
 
 
@@ -204,11 +204,7 @@ READERS: Mapping[str, Reader] = {
     "LangSplatV2": Reader("v2.pth", lambda folder: read_langsplatv2(folder / "v2.pth"), containers=(of.ZIP,)),
     "autoencoder": Reader("best_ckpt.pth", lambda folder: read_autoencoder(folder / "best_ckpt.pth"),
                           containers=(of.ZIP,)),
-    "scenesplat": Reader("arrays/coord.npy", lambda folder: load_gaussians(folder / "arrays"),
-                         ("arrays/color.npy",), (of.NPY,)),
     "labelled ply": Reader("labelled.ply", lambda folder: read_labelled_ply(folder / "labelled.ply"), (), (of.PLY,)),
-    "labelled npy": Reader("labelled/segment.npy", lambda folder: read_labelled_npy(
-        folder / "labelled/coord.npy", folder / "labelled/segment.npy"), (), (of.NPY,)),
     "cameras.bin": _cameras("scene/sparse/0/cameras.bin", "scene"),
     "images.bin": _cameras("scene/sparse/0/images.bin", "scene"),
     "points3D.bin": _sparse("scene/sparse/0/points3D.bin", "scene/sparse/0"),

@@ -1,6 +1,6 @@
 """Pictures of the viewer's page for the documents: light, dark, and dark at the width of a phone.
 
-    python -m tools.screenshots FIELD TEXT [TEXT ...] [--table WORDS] [--camera NAME] [--mode MODE] [--out FOLDER]
+    python -m benchmarks.screenshots FIELD TEXT [TEXT ...] [--table WORDS] [--camera NAME] [--mode MODE] [--out FOLDER]
 
 Opens a field in the viewer and its page in headless Chromium, asks the texts, and writes viewer-light.jpg,
 viewer-dark.jpg and viewer-dark-phone.jpg. Needs Chromium, playwright and the page (tools/build_viewer.py).
@@ -14,10 +14,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.chromium import chromium, program
 from PIL import Image
 
 import scoup
+from benchmarks.chromium import chromium, program
 from scoup.view.viewed_field import ViewedField
 from scoup.view.viewer import Viewer
 

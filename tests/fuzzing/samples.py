@@ -46,7 +46,6 @@ from scoup.io.regions.views import ViewRegions
 from scoup.io.splats.gltf import write_gltf
 from scoup.io.splats.gltf_features import GaussianFeatures
 from scoup.io.splats.ply import table_from_gaussians
-from scoup.io.splats.scenesplat import write_scenesplat
 from scoup.models.word_table import save_table
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.rasterise import region_sums
@@ -91,12 +90,8 @@ def _write_splats(folder: Path) -> None:
     if importlib.util.find_spec("gaussforge") is not None:
         for ending in ("ksplat", "sog"):
             save_gaussians(few, folder / f"a.{ending}")
-    write_scenesplat(some_gaussians(5), folder / "arrays")
     points = LabelledPoints(few.means, torch.arange(4))
     write_labelled_ply(points, folder / "labelled.ply")
-    (folder / "labelled").mkdir()
-    np.save(folder / "labelled" / "coord.npy", few.means.numpy())
-    np.save(folder / "labelled" / "segment.npy", np.arange(4, dtype=np.int32))
 
 
 def _write_alike(folder: Path) -> None:

@@ -1,0 +1,186 @@
+"""A short run of the target of the fuzzers over every reader, with inputs that are always the same; and readers that
+misbehave on purpose, which it must find."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+from tests.fuzzing.containers import join_parts
+from tests.fuzzing.mutation import damage
+from tests.fuzzing.readers import READERS, Memory, Reader
+from tests.fuzzing.samples import write_samples
+from tests.fuzzing.target import (
+    Misbehaviour,
+    file_of,
+    pack_parts,
+    seeds_of,
+    target_of,
+    unpack_parts,
+)
+
+from scoup.base.errors import FileFormatError, ScoupWarning
+from support import examples
+
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits are those of Linux")
+COUNT, SEED = examples(120), 7
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("valid")
+    write_samples(folder)
+    return folder
+
+
+def damaged(random: Random, reader: Reader, seeds: list[bytes]) -> bytes:
+    """An input that makes a damaged file: damaged as a whole, or in a part of a container."""
+    seed = random.choice(seeds)
+    if not seed[0]:
+        return seed[:1] + damage(random, seed[1:])
+    parts = unpack_parts(seed[2:], len(unpacked(seed)))
+    place = random.randrange(len(parts))
+    parts[place] = damage(random, parts[place])
+    return seed[:2] + pack_parts(parts)
+
+
+def unpacked(seed: bytes) -> list[bytes]:
+    """The parts of a seed."""
+    found, rest = [], seed[2:]
+    while rest:
+        found += unpack_parts(rest, 1)
+        rest = rest[4 + len(found[-1]) :]
+    return found
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_no_reader_misbehaves(samples: Path, tmp_path: Path, name: str) -> None:
+    reader, folder = READERS[name], tmp_path / "files"
+    shutil.copytree(samples, folder)
+    read, seeds = target_of(reader, folder), seeds_of(reader, samples)
+    random, accepted = Random(f"{SEED} {name}"), []
+    for number in range(max(10, int(COUNT * reader.share))):
+        content = damaged(random, reader, seeds)
+        try:
+            accepted.append(read(content))
+        except Misbehaviour as error:
+            raise AssertionError(f"{name}, file {number}, kept as {folder / reader.file}") from error
+    assert not all(accepted)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_seeds_make_files_that_are_read(samples: Path, tmp_path: Path, name: str) -> None:
+    reader, folder = READERS[name], tmp_path / "files"
+    shutil.copytree(samples, folder)
+    valid = [(samples / file).read_bytes() for file in (reader.file, *reader.more)]
+    seeds = seeds_of(reader, samples)
+    assert [file_of(reader, valid, seed) for seed in seeds[: len(valid)]] == valid
+    assert file_of(reader, valid, b"") == file_of(reader, valid, b"\0") == b""
+    if reader.share == 1:
+        read = target_of(reader, folder)
+        assert all(read(seed) for seed in seeds)
+
+
+@pytest.mark.parametrize("name", [name for name, reader in READERS.items() if reader.containers])
+def test_containers_are_put_together_as_they_were(samples: Path, name: str) -> None:
+    """What is taken apart and joined again is taken apart alike, and damage inside changes the whole."""
+    reader = READERS[name]
+    for file in (reader.file, *reader.more):
+        whole = (samples / file).read_bytes()
+        for container in reader.containers:
+            parts = container.split(whole)
+            again = join_parts(container, whole, parts)
+            assert [part.rstrip() for part in container.split(again)] == [part.rstrip() for part in parts]
+            last = max(range(len(parts)), key=lambda place: len(parts[place]))
+            changed = [part[1:] if place == last else part for place, part in enumerate(parts)]
+            assert join_parts(container, whole, changed) != again
+
+
+def test_parts_are_packed_and_cut_short() -> None:
+    packed = pack_parts([b"one", b"", b"three"])
+    assert unpack_parts(packed, 3) == [b"one", b"", b"three"]
+    assert unpack_parts(packed[:-2], 4) == [b"one", b"", b"thr", b""]
+
+
+FILE, VALID = "a.planted", b"fine"
+
+
+def loop(path: Path) -> None:
+    while True:
+        pass
+
+
+def take(size: int) -> None:
+    np.ones(size, np.uint8)
+
+
+def take_and_hide(path: Path) -> None:
+    try:
+        take(1 << 30)
+    except MemoryError as error:
+        raise FileFormatError(path, "is damaged") from error
+
+
+def refuse(path: Path) -> None:
+    warnings.warn("said beforehand", ScoupWarning, stacklevel=2)
+    raise FileFormatError(path, "is damaged")
+
+
+def refuse_namelessly(path: Path) -> None:
+    raise FileFormatError("somewhere", "is damaged")
+
+
+def warn(path: Path) -> None:
+    _ = np.float32(1e30) * np.float32(1e30)
+
+
+def fail(path: Path) -> None:
+    raise ValueError("no refusal")
+
+
+def planted(misbehave: Callable[[Path], object], folder: Path) -> Callable[[bytes], bool]:
+    """The target of a reader that accepts the valid sample alone."""
+
+    def read(place: Path) -> None:
+        if (place / FILE).read_bytes() != VALID:
+            misbehave(place / FILE)
+
+    (folder / FILE).write_bytes(VALID)
+    return target_of(Reader(FILE, read, memory=Memory(64, 64)), folder, seconds=0.5)
+
+
+@linux
+@pytest.mark.parametrize(
+    ("misbehave", "said"),
+    [
+        (loop, "no ScoupError"),
+        (lambda path: take(1 << 30), "no ScoupError"),
+        (lambda path: np.empty(1 << 34, np.uint8), "no ScoupError"),
+        (take_and_hide, "memory had run out"),
+        (fail, "no ScoupError"),
+        (refuse_namelessly, "without the file"),
+        (warn, "no ScoupError"),
+    ],
+)
+def test_what_readers_do_is_found(tmp_path: Path, misbehave: Callable[[Path], object], said: str) -> None:
+    read = planted(misbehave, tmp_path)
+    assert read(b"\0" + VALID)
+    with pytest.raises(Misbehaviour, match=said):
+        read(b"\0damaged")
+
+
+def test_what_readers_may_do_is_counted(tmp_path: Path) -> None:
+    assert not planted(refuse, tmp_path)(b"\0damaged")
+    assert planted(lambda path: take(40 << 20), tmp_path)(b"\0damaged")
+
+
+def test_a_sample_that_is_not_valid_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / FILE).write_bytes(b"other")
+    with pytest.raises(ValueError, match="no refusal"):
+        target_of(Reader(FILE, lambda folder: fail(folder / FILE)), tmp_path)
