@@ -6,7 +6,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -167,17 +166,13 @@ def test_tensors_on_a_cpu_are_refused() -> None:
 
 
 def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scoup.raster.triton.projection import TritonProjection
+    from scoup.raster.triton.projection import product_precision
     from scoup.raster.triton.rendering import most_atoms_of_products
 
-    def products(precision: Any, wide: bool) -> str:
-        return TritonProjection.products(SimpleNamespace(precision=precision), wide)  # type: ignore[arg-type]
-
-    cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
-    assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
+    assert [product_precision(wide) for wide in (False, True)] == ["fp16x3", "tf32x3"]
     assert [most_atoms_of_products(name) for name in ("fp16x3", "tf32x3", "ieee")] == [256, 128, 64]
     monkeypatch.setattr(torch.version, "hip", "6.4")
-    assert [products(*case) for case in cases] == ["fp16x3", "ieee", "ieee", "ieee", "ieee"]
+    assert [product_precision(wide) for wide in (False, True)] == ["fp16x3", "ieee"]
     assert [most_atoms_of_products(name) for name in ("fp16x3", "ieee")] == [128, 64]
 
 
@@ -188,10 +183,10 @@ def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
 
     from scoup.raster.triton.projection import FUSED
 
-    for name, precision in (("3 channels", "ieee"), ("region sums", "fp16x3"), ("codes 3 x 64", "fp16x3")):
+    for name, changes in (("3 channels", {"PRECISION": "ieee"}), ("region sums", {}), ("codes 3 x 64", {})):
         kernel, types, constants, warps = launches()[name]
         signature = {argument: types.get(argument, "constexpr") for argument in kernel.arg_names}
-        source = ASTSource(kernel, signature, {**constants, "PRECISION": precision})
+        source = ASTSource(kernel, signature, {**constants, **changes})
         compiled = triton.compile(
             source, target=GPUTarget("hip", "gfx942", 64), options={"num_warps": warps, **FUSED}
         )
