@@ -92,9 +92,6 @@ def test_rows_that_are_known_get_the_same_codes_and_new_ones_are_noticed() -> No
     assert not known.badly_explained.any()
     new = values(2, seed=5)
     assert book.encode(new).badly_explained.all()
-    extended = book.extended(new, 4)
-    assert len(extended.atoms) == 130
-    assert extended.codes.weights[-2:, 0].tolist() == pytest.approx([1, 1])
 
 
 @pytest.mark.parametrize(("n_atoms", "k"), [(10, 1), (10, 10), (300, 4), (12, 16)])

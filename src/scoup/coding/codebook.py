@@ -1,8 +1,7 @@
-"""The result of stage 1: a codebook and the codes learned with it; and how both take in more rows later."""
+"""The result of stage 1: a codebook and the codes learned with it; and codes of rows it was not learned from."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +11,7 @@ from scoup.base.brief import brief
 from scoup.base.errors import InputError
 from scoup.coding.encode import encode
 from scoup.coding.kmeans import spherical_kmeans
-from scoup.coding.report import CodingReport, decoded_cosines, report_with_more
+from scoup.coding.report import CodingReport, decoded_cosines
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
 
@@ -47,7 +46,7 @@ class Codebook:
     """[L, D] float32: of unit norm with the "exact" solver (or zero, where embeddings take fewer values than there are
     atoms), not with "adam"."""
     codes: SparseCodes
-    """Of the rows passed to ``fit_codes``, in their order, and then of those passed to ``extended``."""
+    """Of the rows passed to ``fit_codes``, in their order."""
     report: CodingReport
     """Quality and cost."""
 
@@ -60,40 +59,6 @@ class Codebook:
             InputError: if the rows are not [R, D] with this codebook's D, or not finite.
         """
         return encode_rows(self._checked(rows), self.atoms, self.codes.k, self.report.explained_from)
-
-    def extended(self, rows: Tensor, n_new: int = 8, seed: int = 0) -> Codebook:
-        """Return a codebook with more atoms, learned from those of ``rows`` [R, D] that this one explains badly.
-
-        The old atoms come first and the old codes stay as they are, number for number; only the type of the indices
-        widens beyond 256 atoms. After them come the codes of all ``rows`` under all atoms. Where no row is badly
-        explained the atoms are the same, and only codes are appended. Same input and seed, same result.
-
-        Args:
-            rows: [R, D] floating point, any norm.
-            n_new: append at most so many atoms of unit norm; as many as there are different rows to learn from, if
-                those are fewer.
-            seed: of the random starts.
-
-        Raises:
-            InputError: if the rows are not [R, D] with this codebook's D or not finite, ``n_new`` is negative, or the
-                atoms would be more than 65536.
-        """
-        started = time.perf_counter()
-        check_new_atoms(len(self.atoms), n_new)
-        rows = self._checked(rows)
-        encoded = encode_rows(rows, self.atoms, self.codes.k, self.report.explained_from)
-        new = learn_atoms(rows[encoded.badly_explained], self.atoms, self.codes.k, n_new, seed)
-        atoms = self.atoms
-        if len(new):
-            atoms = torch.cat([self.atoms, new])
-            encoded = encode_rows(rows, atoms, self.codes.k, self.report.explained_from)
-        # torch joins few things of type uint16.
-        indices = torch.cat([self.codes.indices.long(), encoded.codes.indices.long()])
-        weights = torch.cat([self.codes.weights, encoded.codes.weights])
-        codes = SparseCodes(indices.to(index_dtype(len(atoms))), weights, len(atoms))
-        cosines = encoded.cosines[rows.any(1)]
-        report = report_with_more(self.report, cosines, codes, time.perf_counter() - started)
-        return Codebook(atoms, codes, report)
 
     def _checked(self, rows: Tensor) -> Tensor:
         rows = normalise_embeddings(rows)

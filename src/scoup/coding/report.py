@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -16,11 +16,7 @@ ROUNDING = 1e-5  # of a cosine, between a fit and the same rows coded again
 
 @dataclass(frozen=True)
 class CodingReport:
-    """Quality and cost of a sparse coding.
-
-    After ``Codebook.extended`` all figures are of all rows, but for ``low_cosine`` and ``explained_from``, which stay
-    those of the rows the first atoms were learned from.
-    """
+    """Quality and cost of a sparse coding."""
 
     solver: str
     """Its name."""
@@ -96,23 +92,6 @@ def explained_from(low_cosine: float, regions: int, n_atoms: int) -> float:
     """
     factor = (regions + n_atoms) / (regions - n_atoms) if regions > n_atoms else 1.0
     return max(1.0 - (1.0 - low_cosine) * factor - ROUNDING, LEAST_EXPLAINED)
-
-
-def report_with_more(
-    report: CodingReport, cosines: Tensor, codes: SparseCodes, seconds: float
-) -> CodingReport:
-    """Return the report of old and new rows together: ``codes`` of all rows, cosines and seconds of the new ones."""
-    regions = report.regions + len(cosines)
-    total = report.mean_cosine * report.regions + float(cosines.double().sum())
-    mean = total / regions if regions else 1.0
-    return replace(
-        report,
-        regions=regions,
-        loss=1.0 - mean,
-        mean_cosine=mean,
-        dead_atoms=_dead_atoms(codes),
-        seconds=report.seconds + seconds,
-    )
 
 
 def _dead_atoms(codes: SparseCodes) -> float:
