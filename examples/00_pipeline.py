@@ -29,7 +29,8 @@ embeddings = [regions.embeddings(level)[0] for level in regions.levels]  # S x [
 books = [scoup.fit_codes(rows, n_atoms=128, k=4) for rows in embeddings]
 codebook = torch.stack([book.atoms for book in books])  # [S, L, D]
 
-# 3. Rasterise each view once: how much each Gaussian contributes to each region. All that follows is algebra on it.
+# 3. Rasterise each view once: how much each Gaussian contributes to each region. The rest is algebra on it, which you
+# can repeat with other codes.
 sums = scoup.region_sums(gaussians, cameras, regions)
 
 # 4. Lift the codes of the regions onto the Gaussians, and merge regions of many views into things.

@@ -91,12 +91,6 @@ def test_cut_out_a_thing(scene, tmp_path):
     assert 0 < len(scoup.LanguageField.load(rest)) < 150
 
 
-def test_rasterise_once_code_often(scene):
-    printed = example("03_rasterise_once_code_often.py", scene)
-    assert "32 atoms" in printed
-    assert "64 atoms" in printed
-
-
 @pytest.fixture(scope="module")
 def field(scene: Path) -> Path:
     path = scene.parent / "f.scoup"
