@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compiling import compile_kernel
-from interpreting import interpreter
 from launches import launches
 from machine_code import unwritten
 from raster import gpu_checks
@@ -29,11 +29,10 @@ MOST_SPILLED = 2560
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
 
 
-@pytest.fixture(scope="module")
-def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
+@pytest.fixture(scope="session")
+def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
     """Runs a check of ``gpu_checks`` with interpreted kernels."""
-    with interpreter() as worker:
-        yield lambda check, *arguments: worker.submit(check, *arguments, "cpu").result()
+    return lambda check, *arguments: triton_interpreter.submit(check, *arguments, "cpu").result()
 
 
 def every_third(first: int) -> list[Any]:
