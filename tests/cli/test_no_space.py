@@ -71,7 +71,6 @@ VERBS = {
 }  # fmt: skip
 # Of these, what is complete stays for the same command to continue.
 RESUMED = (".safetensors", ".regions", "_s.npy", "_f.npy", "_made.json", "regions.json")
-VIEWS_AT_WORK = "own.partial/"  # cameras that were chosen and renders that are finished
 
 
 @pytest.fixture(scope="session")
@@ -121,7 +120,7 @@ def check_refused(arguments: tuple[str, ...], size: int, outputs: set[str]) -> N
     places = outputs | {str(parent) for name in outputs for parent in Path(name).parents} - {"."}
     assert path in places or ".partial" in path, lines[0]
     new = {name for name in entries(here) - before if Path(name).is_file() or not Path(name).exists()}
-    assert all(name.endswith(RESUMED) or name.startswith(VIEWS_AT_WORK) for name in new), new
+    assert all(name.endswith(RESUMED) for name in new), new
     assert not any(".lock" in name or "/." in f"/{name}" for name in entries(here) - before)
     contents = {name: content for name, content in contents.items() if ".partial" not in name}  # it goes on
     assert {name: content for name, content in snapshot(here).items() if name in contents} == contents

@@ -10,15 +10,12 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
-from torch import Tensor
 
 from cli_support import QUICK, refused, run, run_json, snapshot
 from scoup.cli.views import MakeViews
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, write_transforms
-from scoup.raster import Projection, render_colors
-from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -65,45 +62,15 @@ def test_photographs_whose_cameras_are_replaced_stay() -> None:
     assert set(before) < set(Path("scene/images").iterdir())
 
 
-@pytest.mark.parametrize("beside", [(), ("--beside", "scene")], ids=["alone", "beside"])
-def test_interrupted_views_continue(beside: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    views = ("views", SPLAT, *SMALL, "--views", 3, *beside, "--out")
-    whole = run_json(*views, "whole")
-    there = len(load_cameras("whole")) - 3
-    made: list[str] = []
-
-    def render(gaussians: Gaussians, camera: Camera, projection: Projection) -> Tensor:
-        if camera.name in made or len(made) == 2:
-            raise KeyboardInterrupt
-        made.append(camera.name)
-        return render_colors(gaussians, camera, projection)
-
-    with monkeypatch.context() as patch:
-        patch.setattr("scoup.extract.own_views.render_colors", render)
-        code, _, said = run(*views, "own")
-    assert code == 130
-    assert f"{there + 2} of {there + 3} views are kept, run the same command again to continue" in said
-    assert not Path("own").exists()
-    with monkeypatch.context() as patch:
-        patch.setattr("scoup.extract.own_views.choose_cameras", interrupt)
-        patch.setattr("scoup.extract.own_views.render_colors", lambda *those: made.clear() or render(*those))
-        code, said, _ = run(*views, "own")
-    assert code == 0
-    assert f"own: resumes: {there + 2} of {there + 3} views are done" in said
-    assert len(made) == 1
-    assert snapshot(Path("own")) == snapshot(Path("whole"))
-    assert not list(Path().glob("*.partial*"))
-    assert f"{whole['coverage']:.1%} of the opaque" in said
-
-
-def test_work_on_other_views_is_not_continued(monkeypatch: pytest.MonkeyPatch) -> None:
-    views = ("views", SPLAT, *SMALL, "--out", "own", "--views")
+def test_interrupted_views_leave_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = snapshot(Path())
     with monkeypatch.context() as patch:
         patch.setattr("scoup.extract.own_views.render_colors", interrupt)
-        said = run(*views, 2)[2]
-    assert "the cameras are kept, run the same command again to continue" in said
-    assert "own.partial: belongs to other views; starting over" in run(*views, 3)[2]
-    assert len(load_cameras("own")) == 3
+        code, _, said = run("views", SPLAT, *SMALL, "--views", 3, "--out", "own")
+    assert code == 130
+    assert "nothing was written" in said
+    assert snapshot(Path()) == before
+    assert not Path("own").exists()
 
 
 def test_views_beside_photographs_keep_them() -> None:

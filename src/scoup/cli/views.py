@@ -14,7 +14,6 @@ from scoup.cli.options import OptionalInteger, OptionalPath, OptionGroups, Write
 
 if TYPE_CHECKING:
     from scoup.cli.extract import Extract
-    from scoup.extract.view_work import ViewWork
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +58,9 @@ class MakeViews(WritesCommon):
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.base.errors import InputError
+        from scoup.base.locks import locked_output
         from scoup.base.staging import check_outputs
         from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, save_views
-        from scoup.extract.view_work import view_work
         from scoup.io import find_gaussians, load_cameras, load_gaussians
 
         source = find_gaussians(self.splat)
@@ -73,32 +72,23 @@ class MakeViews(WritesCommon):
                 f"{self.beside}: has no photographs, only cameras; name a scene with photographs"
             )
         gaussians = load_gaussians(source)
-        how = {"width": self.width, "height": self.height, "count": self.views, "up": self.up}
-        with view_work(out, gaussians, beside, **how) as work, console.progress() as progress:
-            _say_what_is_kept(console, out, work, len(beside or ()))
-            cameras = work.cameras or work.choose(
-                choose_cameras(gaussians, beside=beside, progress=progress, **how)
+        with locked_output(out, overwrite=True, is_folder=True), console.progress() as progress:
+            cameras = choose_cameras(
+                gaussians,
+                width=self.width,
+                height=self.height,
+                count=self.views,
+                up=self.up,
+                beside=beside,
+                progress=progress,
             )
-            shown = save_views(gaussians, cameras, out, beside, self.overwrite, progress, work)
+            shown = save_views(gaussians, cameras, out, beside, self.overwrite, progress)
         there = f" beside {counted(len(beside), 'photograph')}" if beside is not None else ""
         console.say(
             f"{out}: {counted(len(cameras), 'view')}{there}; {shown.once:.1%} of the opaque Gaussians are in one or "
             f"more, {shown.often:.1%} in three or more"
         )
         return {"scene": out, "views": len(cameras), "coverage": shown.once, "coverage_by_three": shown.often}
-
-
-def _say_what_is_kept(console: Console, out: Path, work: ViewWork, n_beside: int) -> None:
-    """Report what is resumed, and what an interruption leaves."""
-    before = console.kept()
-
-    def report() -> str:
-        total = n_beside + len(work.cameras)
-        return kept(work.done, total, "views", "cameras" * bool(work.cameras), before)
-
-    if work.cameras:
-        console.say(f"{out}: resumes: {work.done} of {n_beside + len(work.cameras)} views are done")
-    console.kept = report
 
 
 def is_splat(path: Path) -> bool:

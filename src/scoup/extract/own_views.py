@@ -16,10 +16,8 @@ from scoup.base.progress import Progress, no_progress, reported
 from scoup.base.staging import staged
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
-from scoup.extract.view_work import ViewWork
 from scoup.io import load_cameras, save_png, write_transforms
 from scoup.pictures import as_picture, contact_sheet
-from scoup.pictures.colors import Picture
 from scoup.pictures.sheet import sheet_tile
 from scoup.raster import prepare_gaussians, project, region_sums, render_colors
 from scoup.scene.cameras import Camera, Cameras
@@ -132,7 +130,6 @@ def save_views(
     beside: Cameras | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
-    work: ViewWork | None = None,
 ) -> Coverage:
     """Render a splat from cameras and write a scene folder that every tool reads.
 
@@ -144,7 +141,6 @@ def save_views(
         folder: the scene.
         beside: cameras with photographs: their photographs are copied, and transforms.json names them too.
         overwrite: replace these files, and remove images that the replaced transforms.json names.
-        work: of an interrupted run, whose renders are kept (``view_work``).
 
     Returns:
         What all cameras together show.
@@ -168,18 +164,22 @@ def save_views(
         raise InputError(
             "cameras: there are none to render" + (", the photographs show all" * bool(photographs))
         )
-    work = work or ViewWork(torch.zeros(len(gaussians), dtype=torch.int32))
+    seen = torch.zeros(len(gaussians), dtype=torch.int32)  # in how many views each Gaussian is
     tiles = []
     before = _images_of_views(folder) if overwrite else []
     # transforms.json comes last: where it is, the views are whole.
     with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
-        for number, camera in enumerate(reported(together, "views", len(together), progress)):
-            (hidden / places[camera.name]).parent.mkdir(parents=True, exist_ok=True)
-            picture = _view(gaussians, camera, work, number)
+        for camera in reported(together, "views", len(together), progress):
+            place = hidden / places[camera.name]
+            place.parent.mkdir(parents=True, exist_ok=True)
+            projection = project(gaussians, camera)
+            blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
+            seen[region_sums(projection, blank).gaussian.unique()] += 1
             if camera.image_path is not None:
-                shutil.copyfile(camera.image_path, hidden / places[camera.name])
-            if picture is not None:
-                save_png(picture, hidden / places[camera.name])
+                shutil.copyfile(camera.image_path, place)
+            else:
+                picture = as_picture(render_colors(gaussians, camera, projection))
+                save_png(picture, place)
                 tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
         write_transforms(
@@ -188,21 +188,9 @@ def save_views(
     for name in set(before) - set(places.values()):
         remove(folder / name)
     opaque = gaussians.opacities >= OPAQUE
-    counted = work.seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
+    counted = seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
     once, often = (float((counted >= least).double().mean()) for least in (1, 3))
     return Coverage(once, often)
-
-
-def _view(gaussians: Gaussians, camera: Camera, work: ViewWork, number: int) -> Picture | None:
-    """Return the render of a view, kept or new; None for a photograph. Its Gaussians are counted."""
-    if number < work.done:
-        return work.picture(camera.name) if camera.image_path is None else None
-    projection = project(gaussians, camera)
-    blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
-    visible = region_sums(projection, blank).gaussian.unique()
-    picture = None if camera.image_path else as_picture(render_colors(gaussians, camera, projection))
-    work.keep(visible, camera.name, picture)
-    return picture
 
 
 def _images_of_views(folder: Path) -> list[str]:
