@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -84,6 +85,15 @@ def needs_triton() -> None:
     """Tests that compile or interpret kernels are skipped where triton is not installed."""
     if importlib.util.find_spec("triton") is None:
         pytest.skip("triton is not installed")
+
+
+@pytest.fixture(scope="session")
+def triton_interpreter(needs_triton: None) -> Iterator[ProcessPoolExecutor]:
+    """A process that interprets all Triton kernels on the CPU."""
+    from interpreting import interpreter
+
+    with interpreter() as worker:
+        yield worker
 
 
 @pytest.fixture

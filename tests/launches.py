@@ -49,7 +49,7 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     constants = {"K": 4, "GROUPS": 1, "WIDE": False, "BLOCK": 128}
     found["pack"] = codes.pack_kernel, types, constants, 4
     types = {"records": F32, "starts": I64, "columns": I16, "n_columns": I32, "bases": I64, "sums": F32}
-    constants = {**blended, "CHUNK": gpu_regions.CHUNK, "COLUMNS": gpu_regions.COLUMNS, "PRECISION": "fp16x3"}
+    constants = {**blended, "CHUNK": gpu_regions.CHUNK, "COLUMNS": gpu_regions.COLUMNS}
     types = {**types, **SIZE, **BOUNDS, "first_tile": "i32"}
     found["region sums"] = regions.region_sums_kernel, types, constants, gpu_regions.WARPS
     types = {
@@ -94,4 +94,4 @@ def _of_codes(levels: int, n_atoms: int, precision: Any = "fp16x3") -> dict[str,
 def _table(pixels_last: bool) -> dict[str, Any]:
     from scoup.raster.triton import rendering as gpu
 
-    return {"COLUMNS": gpu.COLUMNS, "PIXELS_LAST": pixels_last, "TABLE_PRECISION": "fp16x3"}
+    return {"COLUMNS": gpu.COLUMNS, "PIXELS_LAST": pixels_last}

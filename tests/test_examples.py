@@ -10,10 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 import scoup
 from cli_support import run, write_scene
+from scoup.extract.plain_colors import PlainColors
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
 
 pytestmark = pytest.mark.usefixtures("quick_python")
 
@@ -31,6 +35,42 @@ def example(name: str, *arguments: object) -> str:
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def colored(scene: Path, folder: Path) -> Path:
+    """A copy of the scene whose photographs have random pixels."""
+    scene = Path(shutil.copytree(scene, folder / "scene"))
+    for number, path in enumerate(sorted((scene / "images").iterdir())):
+        pixels = np.random.default_rng(number).integers(0, 256, np.asarray(Image.open(path)).shape, np.uint8)
+        Image.fromarray(pixels).save(path)
+    return scene
+
+
+def test_pipeline(scene, tmp_path):
+    """Field and answer are those of `scoup.build` on the same regions."""
+    pytest.importorskip("skimage", reason="scikit-image is not installed (pip install 'scoup[segment]')")
+    scene = colored(scene, tmp_path)
+    names = ["kettle", "mug", "table", *CANONICAL_PHRASES]
+    solid = np.random.default_rng(0).integers(1, 256, (len(names), 1, 1, 3), np.uint8)
+    vectors = PlainColors().embed(torch.from_numpy(np.tile(solid, (1, 64, 64, 1)))).numpy()
+    save_table(tmp_path / "colors.npz", names, vectors)
+    out = tmp_path / "f.scoup"
+    printed = example(
+        "00_pipeline.py", scene, "felzenszwalb", "colors", "kettle", out, tmp_path / "colors.npz"
+    )
+    assert printed.startswith("Answer('kettle'")
+    assert "('kettle' in 'view_00.png'" in printed
+    made = scoup.LanguageField.load(out)
+    cameras = scoup.load_cameras(scene)
+    regions = scoup.load_regions(f"{out}.regions", cameras)
+    settings = scoup.BuildSettings(effort="best")
+    built = scoup.build(scoup.load_gaussians(scene), cameras, regions, settings, check_fit=False)
+    assert made.code_indices.equal(built.code_indices)
+    assert made.code_weights.equal(built.code_weights)
+    assert made.codebook.equal(built.codebook)
+    assert made.thing_table is not None
+    assert built.thing_table is not None
+    assert made.thing_table.owners.equal(built.thing_table.owners)
 
 
 def test_build_and_query(scene):
@@ -51,12 +91,6 @@ def test_cut_out_a_thing(scene, tmp_path):
     assert 0 < len(scoup.LanguageField.load(rest)) < 150
 
 
-def test_rasterise_once_code_often(scene):
-    printed = example("03_rasterise_once_code_often.py", scene)
-    assert "32 atoms" in printed
-    assert "64 atoms" in printed
-
-
 @pytest.fixture(scope="module")
 def field(scene: Path) -> Path:
     path = scene.parent / "f.scoup"
@@ -65,10 +99,7 @@ def field(scene: Path) -> Path:
 
 
 def test_own_embeddings(scene, tmp_path):
-    scene = Path(shutil.copytree(scene, tmp_path / "scene"))
-    for number, path in enumerate(sorted((scene / "images").iterdir())):
-        pixels = np.random.default_rng(number).integers(0, 256, np.asarray(Image.open(path)).shape, np.uint8)
-        Image.fromarray(pixels).save(path)
+    scene = colored(scene, tmp_path)
     printed = example("04_own_embeddings.py", scene, "red")
     assert printed.startswith("red in view_00.png: pixel (")
 

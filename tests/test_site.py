@@ -6,6 +6,7 @@ import ast
 import re
 import unicodedata
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -99,12 +100,33 @@ def test_every_page_is_in_the_navigation() -> None:
     assert sorted(found) == sorted({path.name for path in DOCS.glob("*.md")} | made)
 
 
+def test_every_example_is_a_page() -> None:
+    config = SimpleNamespace(nav=[{"Home": "index.md"}, {"Examples": []}])
+    site_hooks.on_config(config)
+    scripts = sorted((ROOT / "examples").glob("*.py"))
+    assert config.nav == [
+        {"Home": "index.md"},
+        {"Examples": [f"examples/{path.stem}.md" for path in scripts]},
+    ]
+    assert "- Examples: []" in (ROOT / "mkdocs.yml").read_text()
+    pages = site_hooks.example_pages()
+    for path in scripts:
+        head, block, code = pages[f"examples/{path.stem}.md"].partition("```python\n")
+        title, text = head.split("\n\n", 1)
+        assert re.fullmatch("# [A-Z][a-z ]+", title)
+        # Nothing of the file is lost: docstring, then code.
+        written = path.read_text().replace('"""', "", 2).split()
+        assert [*text.split(), *code.removesuffix("```\n").split()] == written
+        assert block
+
+
 def test_links_out_of_the_documents_lead_to_the_repository() -> None:
     text = "[a](../examples) [b](../CONTRIBUTING.md#x) [c](benchmarks/query.json) [d](method.md#y) [e](https://x.org)"
     assert site_hooks.outside(text, "R") == (
         "[a](R/tree/main/examples) [b](contributing.md#x) [c](R/blob/main/docs/benchmarks/query.json) "
         "[d](method.md#y) [e](https://x.org)"
     )
+    assert site_hooks.outside("[a](../examples/00_pipeline.py)", "R") == "[a](examples/00_pipeline.md)"
     assert site_hooks.in_docs("[a](docs/gpu.md#z) [b](LICENSE)") == "[a](gpu.md#z) [b](../LICENSE)"
 
 

@@ -1,7 +1,4 @@
-"""The page of all verbs and their options, from the code: ``python tools/document_verbs.py`` prints it as Markdown.
-
-The site is built with it (tools/site_hooks.py); it is not kept as a file.
-"""
+"""The page of all verbs and their options, made from the code; ``python tools/document_verbs.py`` prints it."""
 
 from __future__ import annotations
 
@@ -25,12 +22,12 @@ PLAIN = {int: "INT", float: "NUMBER", str: "TEXT", Path: "PATH"}
 
 
 def page() -> str:
-    """Markdown of all verbs."""
+    """Return the page as Markdown."""
     return HEAD + "".join(section(name, verb) for name, verb in verbs(SCOUP, "scoup"))
 
 
 def verbs(family: Family, program: str) -> Iterator[tuple[str, type]]:
-    """Every verb with the words that call it, such as "scoup eval lerf-ovs"."""
+    """Yield every verb with the words that call it, such as "scoup eval lerf-ovs"."""
     for name in family.verbs:
         verb = family.load(name)
         if isinstance(verb, Family):
@@ -40,7 +37,7 @@ def verbs(family: Family, program: str) -> Iterator[tuple[str, type]]:
 
 
 def section(name: str, verb: type) -> str:
-    """A verb: what it does, and a table of options for each group."""
+    """Return the section of a verb: its docstring, and a table of options per group."""
     hints, texts = get_type_hints(verb, include_extras=True), attribute_texts(verb)
     known = {field.name: field for field in fields(verb)}
     groups = option_groups(verb)
@@ -56,13 +53,13 @@ def section(name: str, verb: type) -> str:
 
 
 def row(field: Field[Any], hint: Any, text: str) -> str:
-    """A line of a table."""
+    """Return a row of a table of options."""
     cells = f"`{written(field, hint)}`", default_of(field), text.replace("<", "&lt;")
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
 
 
 def written(field: Field[Any], hint: Any) -> str:
-    """An option as it is written on the command line, with what follows it."""
+    """Return an option as it is written on the command line, with its value."""
     name, value, positional = field.name.replace("_", "-"), "", False
     for note in notes_of(hint):
         name = getattr(note, "name", None) or name
@@ -77,7 +74,7 @@ def written(field: Field[Any], hint: Any) -> str:
 
 
 def notes_of(hint: Any) -> Iterator[Any]:
-    """What is annotated, the innermost first."""
+    """Yield the annotations of a type, the innermost first."""
     if get_origin(hint) is Annotated:
         inner, *notes = get_args(hint)
         yield from notes_of(inner)
@@ -85,7 +82,7 @@ def notes_of(hint: Any) -> Iterator[Any]:
 
 
 def plain_type(hint: Any) -> Any:
-    """A type without annotations, and without None."""
+    """Return a type without annotations, and without None."""
     while get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if get_origin(hint) in (Union, types.UnionType):
@@ -95,7 +92,7 @@ def plain_type(hint: Any) -> Any:
 
 
 def shown_type(kind: Any) -> str:
-    """What follows an option."""
+    """Return the placeholder of an option's value."""
     origin = get_origin(kind)
     if origin is Literal:
         return "{" + ",".join(map(str, get_args(kind))) + "}"
@@ -110,7 +107,7 @@ def shown_type(kind: Any) -> str:
 
 
 def default_of(field: Field[Any]) -> str:
-    """The default, where it says more than the text does."""
+    """Return the default of an option; "" for None, False and empty ones."""
     if field.default is MISSING:
         return "required"
     if field.default is None or field.default is False or field.default in ((), ""):

@@ -1,7 +1,8 @@
-"""What mkdocs does beside its usual work: adds generated pages, and leads links out of docs/ to the repository."""
+"""Hooks of mkdocs: generated pages, and links out of docs/ that lead to the repository."""
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from pathlib import Path
@@ -15,14 +16,24 @@ import document_verbs
 ROOT = Path(__file__).resolve().parent.parent
 FROM_ROOT = {"contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
 """Pages of the site that are files of the repository's first folder."""
+EXAMPLES = "Examples"
+"""Entry of the navigation below which the examples are."""
 LINK = re.compile(r"(\]\()([^)#:\s]+)(#[^)\s]*)?(\))")
 
 
+def on_config(config: Any) -> Any:
+    """Put the pages of the examples into the navigation."""
+    for entry in config.nav:
+        if EXAMPLES in entry:
+            entry[EXAMPLES] = sorted(example_pages())
+    return config
+
+
 def on_files(files: Any, config: Any) -> Any:
-    """The verbs, and the files of the first folder."""
+    """Add the verbs, the examples, and the files of the first folder."""
     from mkdocs.structure.files import File
 
-    pages = {"verbs.md": document_verbs.page()}
+    pages = {"verbs.md": document_verbs.page(), **example_pages()}
     for page, source in FROM_ROOT.items():
         pages[page] = in_docs((ROOT / source).read_text(encoding="utf-8"))
     for page, text in pages.items():
@@ -31,12 +42,25 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Links to what is not in docs/ lead to the repository."""
+    """Lead links to what is not in docs/ to the repository."""
     return outside(markdown, config.repo_url)
 
 
+def example_pages() -> dict[str, str]:
+    """Return a page per example, path -> Markdown: its docstring as text, its code as a block."""
+    pages = {}
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        first = ast.parse(source).body[0]
+        code = "\n".join(source.splitlines()[first.end_lineno :]).strip()
+        title = path.stem.partition("_")[2].replace("_", " ").capitalize()
+        text = ast.get_docstring(ast.parse(source))
+        pages[f"examples/{path.stem}.md"] = f"# {title}\n\n{text}\n\n```python\n{code}\n```\n"
+    return pages
+
+
 def in_docs(text: str) -> str:
-    """A text of the first folder as if it stood in docs/."""
+    """Return a text of the first folder as if it were in docs/."""
 
     def moved(found: re.Match[str]) -> str:
         path = found[2].removeprefix("docs/") if found[2].startswith("docs/") else f"../{found[2]}"
@@ -46,8 +70,9 @@ def in_docs(text: str) -> str:
 
 
 def outside(text: str, repository: str) -> str:
-    """Links of a page of docs/ to other folders, as addresses of the repository."""
+    """Return a page of docs/ whose links to other folders lead to generated pages or to the repository."""
     pages = {f"../{source}": page for page, source in FROM_ROOT.items()}
+    pages |= {f"../{page.removesuffix('.md')}.py": page for page in example_pages()}
 
     def moved(found: re.Match[str]) -> str:
         path = pages.get(found[2], found[2])

@@ -53,7 +53,6 @@ VERBS = {
     "transfer": ("transfer", "f.scoup", "edited.ply", "--out", "a.scoup"),
     "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "40", "--height", "30", "--out", "own"),
     "extract": ("extract", "scene", *FREE, "--out", "regions"),
-    "extract, LangSplat": ("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat"),
     "convert": ("convert", "scene", "compact"),
     "query": ("query", "f.scoup", "kettle", "--out", "answers", "--camera", "all"),
     "select": ("select", "f.scoup", "kettle", "--always", "--out", "a.ply"),

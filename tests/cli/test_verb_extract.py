@@ -61,9 +61,9 @@ def test_extract_then_build(here) -> None:
 
 def test_extract_from_photographs_alone(here) -> None:
     photographs()
-    record = run_json("extract", "scene/images", *FREE, "--out", "deep/out", "--layout", "langsplat")
+    record = run_json("extract", "scene/images", *FREE, "--out", "deep/out")
     assert record["made"] == 4
-    assert {"view_00_s.npy", "view_00_f.npy", MANIFEST} <= {path.name for path in Path("deep/out").iterdir()}
+    assert {"view_00.regions", MANIFEST} <= {path.name for path in Path("deep/out").iterdir()}
     code, out, _ = run("extract", "scene", *FREE, "--out", "other", "--quiet")
     assert (code, out) == (0, "")
     one, other = (load_regions(folder, load_cameras("scene")) for folder in ("deep/out", "other"))
@@ -82,7 +82,7 @@ def test_what_extract_refuses(here) -> None:
     )
     assert "no level default" in refused("extract", "scene", *FREE, "--with-default")
     run_json("extract", "scene", *FREE)
-    assert "bits: 32, not 16" in refused("extract", "scene", *FREE, "--bits", "32")
+    assert "max_height: 10, not 1080" in refused("extract", "scene", *FREE, "--max-height", "10")
     Path("file").write_text("")
     assert "is a file" in refused("extract", "scene", *FREE, "--out", "file")
     assert "contains no photographs" in refused("extract", "scene/language_features", *FREE)
@@ -129,14 +129,13 @@ def test_convert_both_ways(here) -> None:
 
 def test_convert_into_a_folder_that_extract_has_made(here) -> None:
     photographs()
-    run_json("extract", "scene", *FREE, "--out", "regions", "--layout", "langsplat")
-    run_json("extract", "scene", *FREE, "--out", "compact")
-    assert Path("regions/view_00_made.json").exists()
-    run_json("convert", "compact", "regions", "--overwrite")
-    assert not list(Path("regions").glob("*_made.json"))  # they are not what extract has made any more
+    run_json("extract", "scene", *FREE, "--out", "regions")
+    run_json("convert", "regions", "langsplat")
+    run_json("convert", "langsplat", "regions", "--overwrite")
+    assert len(load_regions("regions", load_cameras("scene"))) == 4
     Path("regions/notes.txt").touch()
     assert "contains other files than region features (notes.txt)" in refused(
-        "convert", "compact", "regions", "--overwrite"
+        "convert", "langsplat", "regions", "--overwrite"
     )
 
 

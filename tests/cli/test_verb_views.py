@@ -62,6 +62,17 @@ def test_photographs_whose_cameras_are_replaced_stay() -> None:
     assert set(before) < set(Path("scene/images").iterdir())
 
 
+def test_interrupted_views_leave_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = snapshot(Path())
+    with monkeypatch.context() as patch:
+        patch.setattr("scoup.extract.own_views.render_colors", interrupt)
+        code, _, said = run("views", SPLAT, *SMALL, "--views", 3, "--out", "own")
+    assert code == 130
+    assert "nothing was written" in said
+    assert snapshot(Path()) == before
+    assert not Path("own").exists()
+
+
 def test_views_beside_photographs_keep_them() -> None:
     given = load_cameras("scene")
     record = run_json("views", SPLAT, *SMALL, "--views", 2, "--beside", "scene", "--out", "more")

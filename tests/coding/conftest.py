@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from types import ModuleType
 
 import pytest
 from coders import Coder, interpreted_coder, native_coder, reference_coder
-
-from interpreting import interpreter
 
 
 @pytest.fixture(scope="session")
@@ -20,11 +18,10 @@ def core() -> ModuleType:
     return module
 
 
-@pytest.fixture(scope="module")
-def interpreted(needs_triton: None) -> Iterator[Coder]:
-    """The coder for GPUs, interpreted on the CPU in a process of its own; slow, so give it few rows."""
-    with interpreter() as worker:
-        yield interpreted_coder(worker)
+@pytest.fixture(scope="session")
+def interpreted(triton_interpreter: ProcessPoolExecutor) -> Coder:
+    """The coder for GPUs, interpreted on the CPU; slow, so give it few rows."""
+    return interpreted_coder(triton_interpreter)
 
 
 @pytest.fixture(params=["reference", "native"])

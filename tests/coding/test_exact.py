@@ -24,7 +24,7 @@ QUICK = ExactSettings(steps=30, batch=100, passes=3)
 
 
 def test_ends_below_adam(backend: str) -> None:
-    rows = clip_like(600, 48, objects=40)
+    rows = clip_like(300, 32, objects=40)
     adam = solve_adam(rows, 16, 3, settings=AdamSettings(epochs=500))
     adam_loss = report_on(rows, adam.atoms, adam.codes).loss
     efforts = exact.EFFORTS.items()

@@ -19,7 +19,6 @@ from scoup.base.parts import Part
 from scoup.extract import (
     Masks,
     MaskSettings,
-    Output,
     extract,
     find_photographs,
     open_embedder,
@@ -29,6 +28,7 @@ from scoup.extract import (
 )
 from scoup.extract.felzenszwalb import Felzenszwalb
 from scoup.extract.plain_colors import PlainColors
+from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import LEVELS
@@ -70,12 +70,11 @@ def scene(folder: Path, count: int = 4) -> tuple[Path, Cameras]:
     return folder, Cameras(cameras)
 
 
-@pytest.mark.parametrize("layout", ["compact", "langsplat"])
-def test_regions_are_read_back(tmp_path: Path, layout) -> None:
+def test_regions_are_read_back(tmp_path: Path) -> None:
     folder, cameras = scene(tmp_path)
     segmenter, embedder = Blocks(), PlainColors()
     out = folder / "language_features"
-    report = extract(find_photographs(folder), out, segmenter, embedder, Output(layout, 32))
+    report = extract(find_photographs(folder), out, segmenter, embedder)
     assert (report.made, report.kept, report.skipped) == ([f"{n}.png" for n in range(4)], 0, {})
     regions = scoup.load_regions(folder, cameras)
     assert regions.view_names == cameras.names
@@ -91,12 +90,11 @@ def test_regions_are_read_back(tmp_path: Path, layout) -> None:
     assert json.loads((out / MANIFEST).read_text())["embedding_model"] == "colors"
 
 
-@pytest.mark.parametrize("layout", ["compact", "langsplat"])
-def test_work_goes_on_where_it_stopped(tmp_path: Path, layout) -> None:
+def test_work_goes_on_where_it_stopped(tmp_path: Path) -> None:
     folder, _ = scene(tmp_path)
     photographs = find_photographs(folder)
     whole = tmp_path / "whole"
-    extract(photographs, whole, Blocks(), PlainColors(), Output(layout))
+    extract(photographs, whole, Blocks(), PlainColors())
 
     class Stops(Blocks):
         def segment(self, image: np.ndarray) -> dict[str, Masks]:
@@ -106,29 +104,28 @@ def test_work_goes_on_where_it_stopped(tmp_path: Path, layout) -> None:
 
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
-        extract(photographs, out, Stops(), PlainColors(), Output(layout))
+        extract(photographs, out, Stops(), PlainColors())
     before = snapshot(out)
     segmenter = Blocks()
-    report = extract(photographs, out, segmenter, PlainColors(), Output(layout))
+    report = extract(photographs, out, segmenter, PlainColors())
     assert (len(report.made), report.kept, segmenter.calls) == (2, 2, 2)
     after = snapshot(out)
     assert {name: after[name] for name in before} == before  # nothing is done twice
     assert after == snapshot(whole)
 
 
-@pytest.mark.parametrize("layout", ["compact", "langsplat"])
 @pytest.mark.parametrize("kind", ["cut", "gone", "empty"])
-def test_damaged_views_are_made_again(tmp_path: Path, layout, kind: str) -> None:
+def test_damaged_views_are_made_again(tmp_path: Path, kind: str) -> None:
     folder, _ = scene(tmp_path)
     out = tmp_path / "out"
-    extract(find_photographs(folder), out, Blocks(), PlainColors(), Output(layout))
+    extract(find_photographs(folder), out, Blocks(), PlainColors())
     whole = snapshot(out)
-    victim = out / ("1.regions" if layout == "compact" else "1_made.json")
+    victim = out / "1.regions"
     if kind == "gone":
         victim.unlink()
     else:
         victim.write_bytes(victim.read_bytes()[: 0 if kind == "empty" else 20])
-    report = extract(find_photographs(folder), out, Blocks(), PlainColors(), Output(layout))
+    report = extract(find_photographs(folder), out, Blocks(), PlainColors())
     assert (report.made, report.kept) == (["1.png"], 3)
     assert snapshot(out) == whole
 
@@ -147,12 +144,8 @@ def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
     photographs, out = find_photographs(folder), tmp_path / "out"
     extract(photographs, out, Blocks(), PlainColors())
     before = snapshot(out)
-    changes = {"bits": Output(bits=32), "max_height": Output(max_height=10), "layout": Output("langsplat")}
-    for name, change in changes.items():
-        with pytest.raises(
-            InputError, match=rf"{name.replace('_', '.')}: .*another folder.*`overwrite=True`"
-        ):
-            extract(photographs, out, Blocks(), PlainColors(), change)
+    with pytest.raises(InputError, match=r"max.height: .*another folder.*`overwrite=True`"):
+        extract(photographs, out, Blocks(), PlainColors(), max_height=10)
     with pytest.raises(InputError, match=r"side: 16, not 8"):
         extract(photographs, out, Blocks(16), PlainColors())
     assert snapshot(out) == before
@@ -302,8 +295,9 @@ def test_tiny_models_from_end_to_end(tmp_path: Path) -> None:
     assert record["segmenter"] == str(tmp_path / "sam")
     assert record["points_per_side"] == 3
     full = open_segmenter(sam, settings, with_default=True)
-    extract(find_photographs(folder), tmp_path / "full", full, embedder, Output("langsplat"))
-    planes = np.load(tmp_path / "full" / "0_s.npy")
+    extract(find_photographs(folder), tmp_path / "full", full, embedder)
+    convert_regions(tmp_path / "full", tmp_path / "langsplat")
+    planes = np.load(tmp_path / "langsplat" / "0_s.npy")
     assert planes[0].max() >= 0  # the level "default"
     again = scoup.load_regions(tmp_path / "full", cameras)
     for level in LEVELS:
@@ -318,7 +312,7 @@ def test_the_desk_from_photographs_to_regions(tmp_path: Path, data_folder: Path)
     desk = data_folder / "desk"
     photographs = find_photographs(desk)
     assert len(photographs) == 29
-    report = extract(photographs[:2], tmp_path, Felzenszwalb(), PlainColors(), Output(max_height=200))
+    report = extract(photographs[:2], tmp_path, Felzenszwalb(), PlainColors(), max_height=200)
     assert report.bytes / 2 < 150_000
     cameras = scoup.load_cameras(desk)[:2]
     regions = scoup.load_regions(tmp_path, cameras)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 import torch
 
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
-
-if TYPE_CHECKING:
-    from scoup.raster.triton.projection import Precision
 
 if not torch.cuda.is_available():
     pytest.skip("needs a CUDA device", allow_module_level=True)
@@ -58,9 +53,3 @@ def test_codes_on_a_gpu(kind: str, seed: int, levels: int, n_atoms: int, k: int,
 def test_a_build_on_a_gpu() -> None:
     for rounds in (1, 2):
         gpu_checks.check_build(rounds, "cuda")
-
-
-@pytest.mark.parametrize("precision", ["ieee", "tf32x3"])
-def test_precisions_on_a_gpu(precision: Precision) -> None:
-    for n_atoms in (64, 128, 256):
-        gpu_checks.check_codes("mixed", 0, 3, n_atoms, 4, True, "cuda", precision)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compiling import compile_kernel
-from interpreting import interpreter
 from launches import launches
 from machine_code import unwritten
 from raster import gpu_checks
@@ -30,11 +29,10 @@ MOST_SPILLED = 2560
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
 
 
-@pytest.fixture(scope="module")
-def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
+@pytest.fixture(scope="session")
+def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
     """Runs a check of ``gpu_checks`` with interpreted kernels."""
-    with interpreter() as worker:
-        yield lambda check, *arguments: worker.submit(check, *arguments, "cpu").result()
+    return lambda check, *arguments: triton_interpreter.submit(check, *arguments, "cpu").result()
 
 
 def every_third(first: int) -> list[Any]:
@@ -167,17 +165,13 @@ def test_tensors_on_a_cpu_are_refused() -> None:
 
 
 def test_products_on_gpus_of_amd(needs_triton: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from scoup.raster.triton.projection import TritonProjection
+    from scoup.raster.triton.projection import product_precision
     from scoup.raster.triton.rendering import most_atoms_of_products
 
-    def products(precision: Any, wide: bool) -> str:
-        return TritonProjection.products(SimpleNamespace(precision=precision), wide)  # type: ignore[arg-type]
-
-    cases = [("fp16x3", False), ("fp16x3", True), ("tf32x3", False), ("tf32", True), ("ieee", True)]
-    assert [products(*case) for case in cases] == ["fp16x3", "tf32x3", "tf32x3", "tf32", "ieee"]
+    assert [product_precision(wide) for wide in (False, True)] == ["fp16x3", "tf32x3"]
     assert [most_atoms_of_products(name) for name in ("fp16x3", "tf32x3", "ieee")] == [256, 128, 64]
     monkeypatch.setattr(torch.version, "hip", "6.4")
-    assert [products(*case) for case in cases] == ["fp16x3", "ieee", "ieee", "ieee", "ieee"]
+    assert [product_precision(wide) for wide in (False, True)] == ["fp16x3", "ieee"]
     assert [most_atoms_of_products(name) for name in ("fp16x3", "ieee")] == [128, 64]
 
 
@@ -188,10 +182,10 @@ def test_kernels_with_float32_compile_for_amd(needs_triton: None) -> None:
 
     from scoup.raster.triton.projection import FUSED
 
-    for name, precision in (("3 channels", "ieee"), ("region sums", "fp16x3"), ("codes 3 x 64", "fp16x3")):
+    for name, changes in (("3 channels", {"PRECISION": "ieee"}), ("region sums", {}), ("codes 3 x 64", {})):
         kernel, types, constants, warps = launches()[name]
         signature = {argument: types.get(argument, "constexpr") for argument in kernel.arg_names}
-        source = ASTSource(kernel, signature, {**constants, "PRECISION": precision})
+        source = ASTSource(kernel, signature, {**constants, **changes})
         compiled = triton.compile(
             source, target=GPUTarget("hip", "gfx942", 64), options={"num_warps": warps, **FUSED}
         )

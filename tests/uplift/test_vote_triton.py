@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from compiling import compile_kernel
-from interpreting import interpreter
 from launches import launches
 from uplift import triton_checks
 from uplift.random_votes import Sizes
 
 
-@pytest.fixture(scope="module")
-def interpreted(needs_triton: None) -> Iterator[Callable[..., None]]:
+@pytest.fixture(scope="session")
+def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
     """Runs a check of ``triton_checks`` with interpreted kernels."""
-    with interpreter() as worker:
-        yield lambda check, *arguments: worker.submit(check, *arguments, "cpu").result()
+    return lambda check, *arguments: triton_interpreter.submit(check, *arguments, "cpu").result()
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ class Extract(WritesCommon):
         "photograph": "images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
         "mask": "preset points_per_side with_default",
-        "output": "out layout bits part",
+        "output": "out part",
     }
 
     scene: Annotated[
@@ -51,7 +51,8 @@ class Extract(WritesCommon):
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
     out: OptionalPath = None
-    """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
+    """Folder for the regions, which scoup convert turns into LangSplat's files. Default: SCENE/language_features, where
+    scoup build looks."""
     segmenter: OptionalText = None
     """mobile-sam, or its checkpoint (.pt); sam-vit-b, -l, -h; sam2.1-tiny, -small, -base-plus, -large; sam3; a folder
     or hub id of such a model; onnx:FOLDER with an encoder and a decoder; or felzenszwalb: regions of even colour from
@@ -73,10 +74,6 @@ class Extract(WritesCommon):
     early filters, 16 bits on a GPU. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
-    layout: Literal["compact", "langsplat"] = "compact"
-    """compact: one small file per view. langsplat: <image>_s.npy and _f.npy, as other programs read them."""
-    bits: Literal[16, 32] = 16
-    """Bits of a stored embedding number in the compact layout."""
     with_default: Flag = False
     """Also make LangSplat's level "default", which contains all masks in one list; SCOUP does not use it."""
     max_height: int = 1080
@@ -96,7 +93,7 @@ class Extract(WritesCommon):
         """Extract and report; returns what the result says."""
         from scoup.base.errors import InputError
         from scoup.base.parts import Part
-        from scoup.extract import Output, extract, find_photographs
+        from scoup.extract import extract, find_photographs
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
 
@@ -118,9 +115,9 @@ class Extract(WritesCommon):
             None if self.overwrite else out,
             self.with_default,
         )
-        output = Output(self.layout, self.bits, self.max_height or None)
+        height = self.max_height or None
         with _extracting(console, out, part) as progress:
-            report = extract(photographs, out, segmenter, embedder, output, self.overwrite, part, progress)
+            report = extract(photographs, out, segmenter, embedder, height, self.overwrite, part, progress)
         seconds = time.perf_counter() - started
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}

@@ -3,7 +3,7 @@
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.masks import Masks, paint
 from scoup.extract.photographs import Photograph, find_photographs
-from scoup.extract.pipeline import ExtractReport, Output, extract
+from scoup.extract.pipeline import ExtractReport, extract
 from scoup.extract.registry import open_embedder, open_segmenter
 from scoup.extract.settings import MaskSettings, mask_settings
 
@@ -12,7 +12,6 @@ __all__ = [
     "ExtractReport",
     "MaskSettings",
     "Masks",
-    "Output",
     "Photograph",
     "Segmenter",
     "extract",

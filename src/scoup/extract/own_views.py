@@ -170,16 +170,17 @@ def save_views(
     # transforms.json comes last: where it is, the views are whole.
     with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
         for camera in reported(together, "views", len(together), progress):
-            (hidden / places[camera.name]).parent.mkdir(parents=True, exist_ok=True)
+            place = hidden / places[camera.name]
+            place.parent.mkdir(parents=True, exist_ok=True)
             projection = project(gaussians, camera)
             blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
             seen[region_sums(projection, blank).gaussian.unique()] += 1
             if camera.image_path is not None:
-                shutil.copyfile(camera.image_path, hidden / places[camera.name])
-                continue
-            picture = as_picture(render_colors(gaussians, camera, projection))
-            save_png(picture, hidden / places[camera.name])
-            tiles.append(sheet_tile(picture, len(cameras)))
+                shutil.copyfile(camera.image_path, place)
+            else:
+                picture = as_picture(render_colors(gaussians, camera, projection))
+                save_png(picture, place)
+                tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
         write_transforms(
             Cameras(replace(camera, image_path=None) for camera in together), hidden / TRANSFORMS

@@ -22,23 +22,12 @@ from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
 from scoup.extract.photographs import Photograph, Pixels, read_ahead
-from scoup.io.regions.manifest import Layout, RegionManifest
+from scoup.io.regions.manifest import RegionManifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import ViewRegions, check_stems
 
 MAX_HEIGHT = 1080  # LangSplat's
-
-
-@dataclass(frozen=True)
-class Output:
-    """Settings of the stored regions, whatever the models."""
-
-    layout: Layout = "compact"
-    """"compact", or "langsplat" for LangSplat's files."""
-    bits: int = 16
-    """Of a stored embedding number, 16 or 32; LangSplat's files always have 32."""
-    max_height: int | None = MAX_HEIGHT
-    """Higher photographs are reduced to it; None for no limit."""
+BITS = 16  # of a stored embedding number
 
 
 @dataclass
@@ -70,7 +59,7 @@ def extract(
     folder: str | Path,
     segmenter: Segmenter,
     embedder: Embedder,
-    output: Output = Output(),
+    max_height: int | None = MAX_HEIGHT,
     overwrite: bool = False,
     part: Part = Part(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
@@ -79,6 +68,7 @@ def extract(
 
     Args:
         folder: of the results; ``load_regions`` reads it.
+        max_height: higher photographs are reduced to it; None for no limit.
         overwrite: make existing views again.
         part: of the photographs to extract; several processes may write the parts of one folder.
 
@@ -87,8 +77,8 @@ def extract(
     """
     folder = Path(folder)
     check_stems(folder, (item.name for item in photographs))
-    settings = {**segmenter.record(), **embedder.record(), "max_height": output.max_height}
-    manifest = RegionManifest.of(output.layout, embedder.name, settings, output.bits)
+    settings = {**segmenter.record(), **embedder.record(), "max_height": max_height}
+    manifest = RegionManifest.of("compact", embedder.name, settings, BITS)
     store = RegionStore.create(folder, manifest, overwrite)
     mine = part.of(photographs)
     report = ExtractReport()
@@ -96,7 +86,7 @@ def extract(
     report.kept = done = len(mine) - len(waiting)
     progress("regions", done, len(mine))
     moment = time.perf_counter()
-    for item, pixels in read_ahead(waiting, output.max_height):
+    for item, pixels in read_ahead(waiting, max_height):
         moment = report.add_time("decode", moment)
         if isinstance(pixels, ScoupError):
             report.skipped[item.name] = str(pixels)

@@ -29,7 +29,9 @@ from scoup.raster.triton.kernels.projection import (
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 
-Precision = Literal["fp16x3", "ieee", "tf32x3", "tf32"]
+# Of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores, where numbers are
+# known to fit; "tf32x3" does the same with tf32; "ieee" is plain float32.
+Precision = Literal["fp16x3", "tf32x3", "ieee"]
 
 # Products may be added unrounded: which Triton lets them by default depends on its version.
 FUSED: dict[str, Any] = {"enable_fp_fusion": True}
@@ -51,10 +53,6 @@ class TritonProjection:
     # rows at the end.
     records: Tensor
     starts: Tensor  # [tiles + 1] int64, where each tile begins in these
-    # Of matrix products. "fp16x3" splits float32 into two float16 and multiplies these on tensor cores, where numbers
-    # are known to fit, and is "tf32x3" elsewhere; "tf32x3" does the same with tf32; "ieee" is plain float32; "tf32"
-    # keeps 11 bits.
-    precision: Precision = "fp16x3"
 
     backend = "triton"
 
@@ -81,18 +79,18 @@ class TritonProjection:
     def n_tiles(self) -> int:
         return len(self.starts) - 1
 
-    def products(self, wide: bool = False) -> Precision:
-        """Return the precision of products on this GPU; ``wide`` where numbers may be beyond float16.
 
-        AMD's matrix units have no products of split tf32: they multiply float32 as it is.
-        """
-        chosen = "tf32x3" if wide and self.precision == "fp16x3" else self.precision
-        return "ieee" if torch.version.hip and chosen != "fp16x3" else chosen
+def product_precision(wide: bool) -> Precision:
+    """Return the precision of products on this GPU; ``wide`` where numbers may be beyond float16.
+
+    AMD's matrix units have no products of split tf32: they multiply float32 as it is.
+    """
+    if not wide:
+        return "fp16x3"
+    return "ieee" if torch.version.hip else "tf32x3"
 
 
-def project(
-    gaussians: Gaussians, camera: Camera, preset: RasterPreset, precision: Precision = "fp16x3"
-) -> TritonProjection:
+def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> TritonProjection:
     """See ``raster.project``; more pairs of Gaussians and tiles than 31 bits can number raise InputError."""
     device = gaussians.device
     with torch.cuda.device_of(gaussians.means):
@@ -108,14 +106,13 @@ def project(
             grid = (triton.cdiv(count, _BLOCK),)
             sieve_kernel[grid](means, scales, opacities, table, keep, count, BLOCK=_BLOCK, **FUSED)
         ids = torch.nonzero(keep).squeeze(1)
-        return _bin(gaussians, camera, preset, precision, scene, ids, table)
+        return _bin(gaussians, camera, preset, scene, ids, table)
 
 
 def _bin(
     gaussians: Gaussians,
     camera: Camera,
     preset: RasterPreset,
-    precision: Precision,
     scene: list[Tensor],
     ids: Tensor,  # [M]
     table: Tensor,
@@ -162,15 +159,7 @@ def _bin(
         by_tile, in_order, ranks, order, ids, geometry, table, records, records.view(torch.int32),
         n_candidates, n_records, across, down, TILE=TILE, BLOCK=_BLOCK, **FUSED,
     )  # fmt: skip
-    return TritonProjection(
-        len(gaussians),
-        camera.width,
-        camera.height,
-        preset,
-        records,
-        starts,
-        precision,
-    )
+    return TritonProjection(len(gaussians), camera.width, camera.height, preset, records, starts)
 
 
 def camera_table(camera: Camera, preset: RasterPreset, device: torch.device) -> Tensor:

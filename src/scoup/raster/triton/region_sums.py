@@ -111,6 +111,6 @@ def _sums_of(
         projection.records, projection.starts, columns.of_pixel, columns.counts, bases, values, projection.width,
         projection.height, projection.across, first, preset.alpha_max, preset.stop,
         STOP_INCLUSIVE=preset.stop_inclusive,
-        TILE=TILE, CHUNK=CHUNK, COLUMNS=COLUMNS, PRECISION=projection.products(), num_warps=WARPS, **FUSED,
+        TILE=TILE, CHUNK=CHUNK, COLUMNS=COLUMNS, num_warps=WARPS, **FUSED,
     )  # fmt: skip
     return TileSums(values, bases)

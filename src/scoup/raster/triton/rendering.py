@@ -21,14 +21,14 @@ from scoup.raster.triton.kernels.blending import LOW_SCALE
 from scoup.raster.triton.kernels.channels import channels_kernel
 from scoup.raster.triton.kernels.codes import SLOTS, codes_kernel, pack_kernel
 from scoup.raster.triton.kernels.products import products_kernel
-from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection
+from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection, product_precision
 from scoup.raster.triton.projection import project as project
 from scoup.raster.triton.region_sums import region_sums as sum_regions
 from scoup.scene.codes import cosines_from_products, float32_products
 
 PREPARES = False  # rows in another order have not been seen to pay here
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.
-MOST_ATOMS: dict[Precision, int] = {"fp16x3": 256, "tf32x3": 128, "tf32": 128, "ieee": 64}
+MOST_ATOMS: dict[Precision, int] = {"fp16x3": 256, "tf32x3": 128, "ieee": 64}
 # Of a program that renders codes: Hopper's matrix products are made by four warps, and among eight Triton spreads sums
 # that two products are added to in two ways, and moves them in between.
 WARPS = 4
@@ -56,7 +56,7 @@ def render_channels(projection: TritonProjection, values: Tensor) -> tuple[Tenso
         channels_kernel[(projection.n_tiles, max(1, triton.cdiv(channels, blocks.channels)))](
             *_lists(projection), values, image, alpha, *_size(projection), channels, *_bounds(projection),
             **_constants(projection), CHUNK=blocks.chunk, CHANNELS=blocks.channels,
-            PRECISION=projection.products(wide=True), num_warps=blocks.warps,
+            PRECISION=product_precision(wide=True), num_warps=blocks.warps,
         )  # fmt: skip
     return image, alpha
 
@@ -85,7 +85,7 @@ class PackedCodes:
     """Codes as the kernels read them, see ``kernels.codes.pack_kernel``."""
 
     words: Tensor  # [N, S, GROUPS * SLOTS] int32, or int64 where ``wide``
-    wide: bool  # weights are float32, as they came or because of another precision
+    wide: bool  # weights are float32
 
     @property
     def groups(self) -> int:
@@ -93,15 +93,15 @@ class PackedCodes:
         return self.words.shape[2] // SLOTS.value
 
 
-def is_wide(projection: TritonProjection, weights: Tensor, n_atoms: int) -> bool:
+def is_wide(weights: Tensor, n_atoms: int) -> bool:
     """Return whether codes are multiplied as float32: numbers of float32 may be beyond what float16 can hold."""
-    return weights.dtype != torch.float16 or projection.products() != "fp16x3" or n_atoms > 2**16
+    return weights.dtype != torch.float16 or n_atoms > 2**16
 
 
 def pack(projection: TritonProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> PackedCodes:
     """[N, S, K] sparse codes, packed."""
     count, levels, k = indices.shape
-    wide = is_wide(projection, weights, n_atoms)
+    wide = is_wide(weights, n_atoms)
     indices, weights = indices.to(projection.device).contiguous(), weights.to(projection.device).contiguous()
     groups = triton.cdiv(k, SLOTS.value)
     shape = count, levels, groups * SLOTS.value
@@ -121,11 +121,11 @@ def render_codes(projection: TritonProjection, indices: Tensor, weights: Tensor,
     out = torch.empty(shape, device=projection.device)  # every number is written
     with torch.cuda.device_of(out):
         codes = pack(projection, indices, weights, n_atoms)
-        blocks = code_blocks(levels, n_atoms, projection.products(codes.wide))
+        blocks = code_blocks(levels, n_atoms, product_precision(codes.wide))
         for first in range(0, levels, blocks.levels):
             codes_kernel[(projection.n_tiles, triton.cdiv(n_atoms, blocks.atoms))](
                 *_lists(projection), codes.words, out, *_size(projection), levels, n_atoms, first, *_bounds(projection),
-                **_constants(projection), **_of_codes(projection, codes, blocks, levels - first), num_warps=WARPS,
+                **_constants(projection), **_of_codes(codes, blocks, levels - first), num_warps=WARPS,
             )  # fmt: skip
     return out
 
@@ -185,24 +185,20 @@ def _render_products(
         return torch.zeros(shape, device=projection.device)
     out = torch.empty(shape, device=projection.device)  # every number is written
     grams = float32_products(codebook, codebook)
-    of_codes = projection.products(wide=is_wide(projection, weights, n_atoms))
+    of_codes = product_precision(is_wide(weights, n_atoms))
     if n_atoms > most_atoms_of_products(of_codes):
         return _products_by_level(projection, indices, weights, grams, table, out, pixels_last)
     # The quotient stays the same, and entries are within float16.
     scale = grams.amax((1, 2), keepdim=True).clamp(min=torch.finfo(torch.float32).tiny)
-    precision = "fp16x3" if projection.precision == "tf32x3" else projection.products()
-    tables = [grams / scale, table / scale.sqrt()]
-    if precision == "fp16x3":
-        tables = [halves(part) for part in tables]
+    tables = halves(grams / scale), halves(table / scale.sqrt())
     blocks = code_blocks(levels, n_atoms, of_codes)
     with torch.cuda.device_of(out):
         codes = pack(projection, indices, weights, n_atoms)
         for first in range(0, levels, blocks.levels):
             products_kernel[(projection.n_tiles,)](
                 *_lists(projection), codes.words, *tables, out, *_size(projection), levels, n_atoms, columns, first,
-                *_bounds(projection), **_constants(projection), **_of_codes(projection, codes, blocks, levels - first),
-                COLUMNS=COLUMNS, PIXELS_LAST=pixels_last, TABLE_PRECISION=precision,
-                num_warps=WARPS,
+                *_bounds(projection), **_constants(projection), **_of_codes(codes, blocks, levels - first),
+                COLUMNS=COLUMNS, PIXELS_LAST=pixels_last, num_warps=WARPS,
             )  # fmt: skip
     return out
 
@@ -278,9 +274,7 @@ def _constants(projection: TritonProjection) -> dict[str, object]:
     return {**FUSED, "STOP_INCLUSIVE": projection.preset.stop_inclusive, "TILE": TILE}
 
 
-def _of_codes(
-    projection: TritonProjection, codes: PackedCodes, blocks: CodeBlocks, levels_left: int
-) -> dict[str, object]:
+def _of_codes(codes: PackedCodes, blocks: CodeBlocks, levels_left: int) -> dict[str, object]:
     """Return the constants of a kernel that renders codes."""
     return {
         "CHUNK": blocks.chunk,
@@ -288,5 +282,5 @@ def _of_codes(
         "GROUPS": codes.groups,
         "ATOMS": blocks.atoms,
         "WIDE": codes.wide,
-        "PRECISION": projection.products(wide=codes.wide),
+        "PRECISION": product_precision(codes.wide),
     }

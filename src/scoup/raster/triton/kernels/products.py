@@ -22,8 +22,8 @@ def products_kernel(
     numbers,  # the same memory as int32
     starts,  # [tiles + 1] int64
     words,  # [N, S, GROUPS * SLOTS], see ``pack_kernel``
-    grams,  # [S, L, L] float32, or [2, S, L, L] float16, see TABLE_PRECISION
-    tables,  # [S, L, C] float32, or [2, S, L, C] float16: what the coefficients are multiplied with
+    grams,  # [2, S, L, L] float16, as ``halves``
+    tables,  # [2, S, L, C] float16, as ``halves``: what the coefficients are multiplied with
     out,  # [S, C, H, W] float32 for cosines; [S, H, W, C] for features
     width,
     height,
@@ -44,11 +44,9 @@ def products_kernel(
     COLUMNS: tl.constexpr,
     PIXELS_LAST: tl.constexpr,
     PRECISION: tl.constexpr,
-    TABLE_PRECISION: tl.constexpr,
 ):
     """W B / sqrt(W G W^T) of the coefficients W of each pixel, all atoms at once: cosines with queries where B is the
     codebook times the queries, features of unit norm where B is the codebook. The coefficients never leave the chip.
-    With TABLE_PRECISION "fp16x3" Gram matrices and B come as ``halves``, elsewhere as they are.
     """
     tile = tl.program_id(0)
     x, y, pixel, inside = pixels_of(tile, across, width, height, TILE)
@@ -60,22 +58,22 @@ def products_kernel(
     pixels = height.to(tl.int64) * width
     store_products(
         sums_0, grams, tables, out, first_level, pixel, pixels, inside, n_levels, n_atoms, n_columns, COLUMNS,
-        PIXELS_LAST, TABLE_PRECISION,
+        PIXELS_LAST,
     )  # fmt: skip
     if LEVELS > 1:
         store_products(
             sums_1, grams, tables, out, first_level + 1, pixel, pixels, inside, n_levels, n_atoms, n_columns,
-            COLUMNS, PIXELS_LAST, TABLE_PRECISION,
+            COLUMNS, PIXELS_LAST,
         )  # fmt: skip
     if LEVELS > 2:
         store_products(
             sums_2, grams, tables, out, first_level + 2, pixel, pixels, inside, n_levels, n_atoms, n_columns,
-            COLUMNS, PIXELS_LAST, TABLE_PRECISION,
+            COLUMNS, PIXELS_LAST,
         )  # fmt: skip
     if LEVELS > 3:
         store_products(
             sums_3, grams, tables, out, first_level + 3, pixel, pixels, inside, n_levels, n_atoms, n_columns,
-            COLUMNS, PIXELS_LAST, TABLE_PRECISION,
+            COLUMNS, PIXELS_LAST,
         )  # fmt: skip
 
 
@@ -94,7 +92,6 @@ def store_products(
     n_columns,
     COLUMNS: tl.constexpr,
     PIXELS_LAST: tl.constexpr,
-    PRECISION: tl.constexpr,
 ):
     """One level of ``products_kernel``; pixels without coefficients get 0. Tables have entries of about 1 at most."""
     PIXELS: tl.constexpr = coefficients.shape[0]
@@ -105,19 +102,15 @@ def store_products(
     OTHERS: tl.constexpr = ATOMS if ATOMS <= 64 else 4096 // ATOMS
     squared = tl.zeros([PIXELS], tl.float32)
     for first in range(0, ATOMS, OTHERS):
-        products = times_table(
-            coefficients, grams, level, n_levels, n_atoms, n_atoms, first, OTHERS, PRECISION
-        )
+        products = times_table(coefficients, grams, level, n_levels, n_atoms, n_atoms, first, OTHERS)
         if OTHERS < ATOMS:  # columns of a tensor in registers can be had as a product only
             one_hot = tl.arange(0, ATOMS)[:, None] == first + tl.arange(0, OTHERS)[None, :]
-            squared += tl.sum(products * times_ones(coefficients, one_hot, PRECISION), axis=1)
+            squared += tl.sum(products * times_ones(coefficients, one_hot), axis=1)
         else:
             squared += tl.sum(products * coefficients, axis=1)
     inverse = tl.where(squared > 0, 1.0 / tl.sqrt(tl.maximum(squared, TINY)), 0.0)
     for first in range(0, n_columns, COLUMNS):
-        found = times_table(
-            coefficients, tables, level, n_levels, n_atoms, n_columns, first, COLUMNS, PRECISION
-        )
+        found = times_table(coefficients, tables, level, n_levels, n_atoms, n_columns, first, COLUMNS)
         found *= inverse[:, None]
         column = first + tl.arange(0, COLUMNS)
         if PIXELS_LAST:
@@ -130,40 +123,30 @@ def store_products(
 @triton.jit
 def times_table(
     coefficients,  # [P, L]
-    table,  # [S, L, C] float32 or [2, S, L, C] float16
+    table,  # [2, S, L, C] float16
     level,
     n_levels,
     n_atoms,
     n_columns,
     first,
     COLUMNS: tl.constexpr,
-    PRECISION: tl.constexpr,
 ):
     """[P, COLUMNS] coefficients times the columns from ``first`` on of a level of a table."""
     nothing = tl.zeros([coefficients.shape[0], COLUMNS], tl.float32)
     atom, column = tl.arange(0, coefficients.shape[1]), first + tl.arange(0, COLUMNS)
     there = (atom < n_atoms)[:, None] & (column < n_columns)[None, :]
     part = table + (level.to(tl.int64) * n_atoms + atom[:, None]) * n_columns + column[None, :]
-    if PRECISION == "fp16x3":
-        high, low = halves(coefficients)
-        other_high = tl.load(part, mask=there, other=0.0)
-        other_low = tl.load(part + n_levels.to(tl.int64) * n_atoms * n_columns, mask=there, other=0.0)
-        small = tl.dot(high, other_low, nothing)
-        small = tl.dot(low, other_high, small)
-        found = tl.dot(high, other_high, small * (1.0 / LOW_SCALE))
-    else:
-        other = tl.load(part, mask=there, other=0.0)
-        found = tl.dot(coefficients, other, nothing, input_precision=PRECISION)
-    return found
+    high, low = halves(coefficients)
+    other_high = tl.load(part, mask=there, other=0.0)
+    other_low = tl.load(part + n_levels.to(tl.int64) * n_atoms * n_columns, mask=there, other=0.0)
+    small = tl.dot(high, other_low, nothing)
+    small = tl.dot(low, other_high, small)
+    return tl.dot(high, other_high, small * (1.0 / LOW_SCALE))
 
 
 @triton.jit
-def times_ones(coefficients, ones, PRECISION: tl.constexpr):
+def times_ones(coefficients, ones):
     """Coefficients times zeros and ones: no digit of these is lost."""
-    if PRECISION == "fp16x3":
-        high, low = halves(coefficients)
-        small = tl.dot(low, ones.to(tl.float16))
-        found = tl.dot(high, ones.to(tl.float16), small * (1.0 / LOW_SCALE))
-    else:
-        found = tl.dot(coefficients, ones.to(tl.float32), input_precision=PRECISION)
-    return found
+    high, low = halves(coefficients)
+    small = tl.dot(low, ones.to(tl.float16))
+    return tl.dot(high, ones.to(tl.float16), small * (1.0 / LOW_SCALE))

@@ -40,7 +40,6 @@ def region_sums_kernel(
     TILE: tl.constexpr,
     CHUNK: tl.constexpr,
     COLUMNS: tl.constexpr,
-    PRECISION: tl.constexpr,
 ):
     """One program a tile. Few tiles have more than COLUMNS columns: they are walked over once more for each so many."""
     tile = first_tile + tl.program_id(0)
@@ -59,11 +58,8 @@ def region_sums_kernel(
                 records, start, end, x, y, transmittance, alpha_max, stop, STOP_INCLUSIVE, CHUNK, WEIGHT_SCALE
             )
             found = tl.zeros([CHUNK, COLUMNS], tl.float32)
-            if PRECISION == "fp16x3":
-                high, low = halves_of_weights(weights)
-                found = add_product(high, low, one_hot.to(tl.float16), found)
-            else:
-                found = tl.dot(weights, one_hot.to(tl.float32), found, input_precision=PRECISION)
+            high, low = halves_of_weights(weights)
+            found = add_product(high, low, one_hot.to(tl.float16), found)
             row = start - first + tl.arange(0, CHUNK)
             stored = (row < end - first)[:, None] & (column < count)[None, :]
             # A power of two: exact.
