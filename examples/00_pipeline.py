@@ -13,8 +13,6 @@ import torch
 
 import scoup
 from scoup.extract import extract, find_photographs, open_embedder, open_segmenter
-from scoup.scene.field_info import FieldInfo
-from scoup.uplift.things import find_things
 
 scene, segmenter, embedder, text, out, *words = sys.argv[1:]
 gaussians = scoup.load_gaussians(scene)
@@ -35,10 +33,10 @@ sums = scoup.region_sums(gaussians, cameras, regions)
 
 # 4. Lift the codes of the regions onto the Gaussians, and merge regions of many views into things.
 codes = scoup.vote(sums, [book.codes for book in books], codebook, rounds=2)
-things = find_things(sums, embeddings).table
+things = scoup.find_things(sums, embeddings).table
 
 # 5. The field, as a file.
-info = FieldInfo(regions.levels, embedder, sums.fingerprint, len(gaussians))
+info = scoup.FieldInfo(regions.levels, embedder, sums.fingerprint, len(gaussians))
 parts = codes.indices, codes.weights, codebook
 field = scoup.LanguageField(*parts, info, gaussians, cameras=cameras, thing_table=things)
 field.save(out, overwrite=True)

@@ -33,6 +33,7 @@ _HOMES = {
     "find_things": "scoup.uplift.things",
     "vote": "scoup.uplift.vote",
     "LanguageField": "scoup.field.language_field",
+    "FieldInfo": "scoup.scene.field_info",
     "build": "scoup.uplift.build",
     "BuildSettings": "scoup.uplift.build_settings",
     "transfer": "scoup.uplift.transfer",
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
     from scoup.scene.cameras import Camera as Camera
     from scoup.scene.cameras import Cameras as Cameras
     from scoup.scene.codes import SparseCodes as SparseCodes
+    from scoup.scene.field_info import FieldInfo as FieldInfo
     from scoup.scene.gaussians import Gaussians as Gaussians
     from scoup.scene.regions import RegionMap as RegionMap
     from scoup.scene.regions import Regions as Regions

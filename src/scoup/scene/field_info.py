@@ -17,16 +17,28 @@ from scoup.scene.things import ThingTable
 
 @dataclass(frozen=True)
 class FieldInfo:
-    """The description of a field, without its tensors."""
+    """The description of a field, without its tensors.
 
-    levels: tuple[str, ...]  # level names, fine to coarse
-    embedding_model: str  # id of the model whose embeddings were coded; queries must come from the same model
-    fingerprint: str  # of the geometry the field belongs to (``Gaussians.fingerprint``)
-    n_gaussians: int  # N of that geometry
-    raster_preset: str = "inria"  # rasteriser constants the field was built with and is rendered with
-    # software version, settings, source hashes, coding reports; plain JSON values
+    Example:
+        >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
+        >>> scoup.FieldInfo(("s", "m"), "my/model", gaussians.fingerprint(), len(gaussians)).raster_preset
+        'inria'
+    """
+
+    levels: tuple[str, ...]
+    """Level names, fine to coarse."""
+    embedding_model: str
+    """Id of the model whose embeddings were coded; queries must come from the same model."""
+    fingerprint: str
+    """Of the geometry that the field belongs to (``Gaussians.fingerprint``)."""
+    n_gaussians: int
+    """N of that geometry."""
+    raster_preset: str = "inria"
+    """Rasteriser constants for building and rendering."""
     provenance: dict[str, Any] = field(default_factory=dict)
-    words: Path | None = None  # the word table that encodes texts; None: ``embedding_model`` does
+    """Software version, settings, digests of inputs, coding reports, as plain JSON values."""
+    words: Path | None = None
+    """The word table that encodes texts; None: ``embedding_model`` does."""
 
 
 def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.counts import spread
+from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
@@ -47,8 +48,23 @@ def find_things(
         sums: of the views, with the rows of their regions among the embeddings (``RegionSums.select``).
         embeddings: per level [R, D], of the regions of all views. They do not decide what is merged.
         progress: called for the stage "things".
+
+    Returns:
+        The table of things, and per level how many Gaussians lay apart from the thing they would belong to.
+
+    Raises:
+        InputError: the sums do not know the rows of their regions.
+
+    Example:
+        >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
+        >>> regions = scoup.load_regions("scene", cameras)
+        >>> sums = scoup.region_sums(gaussians, cameras, regions)
+        >>> found = scoup.find_things(sums, [regions.embeddings(level)[0] for level in regions.levels])
+        >>> found.table.owners.shape == (len(gaussians), len(regions.levels))
+        True
     """
-    assert sums.rows is not None
+    if sums.rows is None:
+        raise InputError("the rows of each view are not known; use sums of `region_sums`, or select views")
     names = spread(sorted(sums.rows[0]), MOST_VIEWS)
     entries = _keep_large_gaussians(_strong_entries(sums, names))
     found: list[_LevelThings] = []
