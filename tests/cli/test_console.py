@@ -99,7 +99,7 @@ def test_a_warning_is_told_once(capsys):
     [
         ("a: exists; pass `overwrite=True`", "a: exists; pass --overwrite"),
         ("to continue anyway, pass `check_fit=False`", "to continue anyway, pass --no-check-fit"),
-        ("add atoms (`new_atoms=8`)", "add atoms (--new-atoms 8)"),
+        ("learn more (`n_atoms=8`)", "learn more (--n-atoms 8)"),
         ("name it with `gaussians`; or `distorted='undistort'`", "name it with --gaussians; or --undistort"),
         ("pass `segmenter='felzenszwalb'`", "pass --segmenter felzenszwalb"),
         ("run `scoup view`; a`b.ply", "run `scoup view`; a`b.ply"),

@@ -1,4 +1,4 @@
-"""What scoup build, update and info say of splats and cameras that do not fit."""
+"""What scoup build and info say of splats and cameras that do not fit."""
 
 from __future__ import annotations
 

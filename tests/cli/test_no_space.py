@@ -141,7 +141,7 @@ def remove(names: set[str]) -> None:
 
 
 SLOW = ("demo", "synthetic")
-LIKE_OTHERS = ("build with geometry", "build with sums", "extract, LangSplat", "animation, WebP")  # fmt: skip
+LIKE_OTHERS = ("build with geometry", "build with sums", "animation, WebP")
 TIMED = ("bench", "demo", "synthetic")  # what these write holds times, or takes long
 ALL = [pytest.param(verb, marks=pytest.mark.slow if verb in SLOW + LIKE_OTHERS else ()) for verb in VERBS]
 
