@@ -53,13 +53,12 @@ api: Any = scoup  # the calls below are wrong on purpose
 
 SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
     (lambda t: api.build(t.cameras, t.gaussians, t.regions), "build: the argument gaussians is of type Cameras, "
-     "expected Gaussians (the order is gaussians, cameras, regions); get one from scoup.load_gaussians(path)"),
+     "expected Gaussians (the order is gaussians, cameras, regions, codebook); get one from scoup.load_gaussians"),
     (lambda t: api.build(t.gaussians, t.regions, t.cameras), "build: the argument cameras is of type Regions"),
     (lambda t: api.build(t.gaussians, t.cameras, t.path), "build: the argument regions is of type str"),
     (lambda t: api.build(t.gaussians, t.cameras, t.regions, 3), "the argument settings is of type int"),
     (lambda t: api.region_sums(t.cameras, t.gaussians, t.regions), "region_sums: the argument gaussians is of"),
     (lambda t: api.region_sums(t.gaussians, t.path, t.regions), "region_sums: the argument cameras is of type str"),
-    (lambda t: api.update(t.field, t.field), "update: the argument sums is of type LanguageField"),
     (lambda t: api.LanguageField.load(t.path + "/f.scoup", t.path), "LanguageField.load: the argument gaussians is "
      "of type str, expected Gaussians (the order is path, gaussians); get one from scoup.load_gaussians(path)"),
     (lambda t: api.LanguageField.load(t.gaussians), "LanguageField.load: the argument path is of type Gaussians"),

@@ -16,8 +16,6 @@ from scoup.io.splats.ply import read_ply
 from scoup.raster import render_colors
 from scoup.scene.gaussians import Gaussians
 
-RANDOM = pytest.mark.filterwarnings("ignore:.*badly explained")  # the regions are random
-
 
 def photograph(scene: Path, splat: Path) -> None:
     """Renders of a splat as the photographs of a scene."""

@@ -133,7 +133,8 @@ def reserved_part(folder: Path, part: Part) -> Iterator[None]:
     """Keep other processes from making the same part of a folder; the folder is made if it is missing."""
     if folder.is_file():
         raise InputError(f"{folder}: is a file, not a folder; choose another output")
-    with folder_made(folder, folder), locked(folder / f"part-{part}"):
+    output = check_output(folder / f"part-{part}")
+    with folder_made(folder, folder), locked(output):
         yield
 
 
