@@ -13,7 +13,7 @@ from torch import Tensor
 
 import scoup
 from benchmarks.real_scenes import REAL_SCENES, RealScene
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions

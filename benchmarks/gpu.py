@@ -14,7 +14,7 @@ from torch import Tensor
 from benchmarks.study import Record, Study, report
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup_lab.bench import Task, Workload, markdown, random_workload, time_tasks
 from scoup_lab.bench.report import milliseconds
 from scoup_lab.bench.stages import region_sums_of_a_view, vote_of_a_view

@@ -12,8 +12,8 @@ from torch import Tensor
 import scoup
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study
-from scoup.query.asking import Encoder
-from scoup.query.thing_shapes import ThingPoints
+from scoup.field.language_field import Encoder
+from scoup.query.boxes import PointSets
 from scoup.scene.up import estimate_up
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
@@ -81,7 +81,8 @@ def in_space(scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> 
     for truth, place in zip(things.values(), located, strict=True):
         middle, diagonal = middle_and_diagonal(scene, truth)
         found = torch.zeros_like(truth)
-        found[place.gaussians] = True
+        if place.thing is not None:
+            found[place.thing.gaussians] = True
         distance = torch.inf if place.position is None else float((place.position - middle).norm()) / diagonal
         ratio = middle_and_diagonal(scene, found)[1] / diagonal if found.any() else 0.0
         errors.append(distance)
@@ -104,7 +105,7 @@ def in_views(scene: DemoScene, field: scoup.LanguageField, encoder: Encoder) -> 
     for camera in scene.held_out:
         frame = scene.labelled_frame(camera.name, ("m", "l"))
         names = [label for label in frame.labels if len(frame.boxes[label]) == 1]
-        answers = field.answer(field.question(names, encoder=encoder, always=True), camera)
+        answers = field.at(camera).answer(field.question(names, encoder=encoder, always=True))
         for label, answer in zip(names, answers, strict=True):
             x0, y0, x1, y1 = map(int, frame.boxes[label][0].tolist())
             truth = (x0, y0, x1 + 1, y1 + 1)
@@ -134,7 +135,7 @@ def true_things(scene: DemoScene) -> dict[str, Tensor]:
 def middle_and_diagonal(scene: DemoScene, mask: Tensor) -> tuple[Tensor, float]:
     """Return the middle [3] of some Gaussians [N], and the diagonal of the box around them, in world units."""
     means, opacities = scene.gaussians.means[mask].double(), scene.gaussians.opacities[mask].double()
-    box = ThingPoints.of_one_thing(means, opacities).boxes(estimate_up(()))[0]
+    box = PointSets.of_one_thing(means, opacities).boxes(estimate_up(()))[0]
     assert box is not None
     return means.median(0).values, float(box.extent.norm())
 

@@ -17,7 +17,7 @@ from benchmarks.study import Record
 from scoup import raster
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.view.shown import Shown, cover, shown_gaussians
+from scoup.view.decimation import PageGaussians, cover, decimate
 from scoup_lab.synthetic.scene import LABELLED_LEVELS
 
 TUNED = ("kitchen-21", "desk")
@@ -32,14 +32,14 @@ def of_scene(name: str, data: Path) -> Record:
     """Return decibels of the pictures and IoU of the selections for each of ``PARTS``; no selections of guitar."""
     gaussians, cameras, masks, owners = _scene(name, data)
     views = list(cameras)[:: max(1, len(cameras) // VIEWS)][:VIEWS]
-    everything = Shown(gaussians, torch.arange(len(gaussians)))
+    everything = PageGaussians(gaussians, torch.arange(len(gaussians)))
     wanted = [_pictures(everything, masks, view) for view in views]
     rows = []
     for part in PARTS:
         most = max(1, len(gaussians) // part)
         row: Record = {"part": part}
         for way, shown in (
-            ("merged", shown_gaussians(gaussians, most, owners)),
+            ("merged", decimate(gaussians, most, owners)),
             ("largest", largest(gaussians, most)),
         ):
             found = [_pictures(shown, masks, view) for view in views]
@@ -53,11 +53,11 @@ def of_scene(name: str, data: Path) -> Record:
     return {"gaussians": len(gaussians), "texts": masks.shape[1], "rows": rows}
 
 
-def largest(gaussians: Gaussians, most: int) -> Shown:
+def largest(gaussians: Gaussians, most: int) -> PageGaussians:
     """Return the Gaussians of the largest opacity times area instead."""
     covers = cover(gaussians.scales.numpy(), gaussians.opacities.numpy())
     rows = torch.from_numpy((-covers).argsort(kind="stable")[:most]).sort().values
-    return Shown(gaussians.select(rows), rows)
+    return PageGaussians(gaussians.select(rows), rows)
 
 
 def _scene(name: str, data: Path) -> tuple[Gaussians, Cameras, Tensor, Tensor | None]:
@@ -90,7 +90,7 @@ def _scene(name: str, data: Path) -> tuple[Gaussians, Cameras, Tensor, Tensor | 
     return field.gaussians, Cameras(camera for _, camera in frames), torch.stack(chosen, 1).float(), owners
 
 
-def _pictures(shown: Shown, masks: Tensor, view: Camera) -> tuple[Tensor, Tensor]:
+def _pictures(shown: PageGaussians, masks: Tensor, view: Camera) -> tuple[Tensor, Tensor]:
     """Return colours [H, W, 3], and [H, W, T] where each selection is seen."""
     projection = raster.project(shown.gaussians, view)
     plain = replace(shown.gaussians, sh=shown.gaussians.sh[:, :1])

@@ -52,7 +52,7 @@ def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path
     overlaps: dict[str, list[float]] = {name: [] for name in NAMES}
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         frame = frame.resized(camera.width, camera.height)
-        for name, answer in zip(NAMES, field.answer(question, camera), strict=True):
+        for name, answer in zip(NAMES, field.at(camera).answer(question), strict=True):
             assert answer.mask is not None
             truth = frame.masks[name]
             overlaps[name].append(float((answer.mask & truth).sum() / (answer.mask | truth).sum()))

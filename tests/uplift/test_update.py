@@ -17,8 +17,8 @@ from scoup.coding.encode import encode
 from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_picture
 from scoup.query.question import Question
-from scoup.query.select import select_each
-from scoup.query.view_masks import most_relevant_pixel
+from scoup.query.view_answer import most_relevant_pixel
+from scoup.query.votes import select_each
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings

@@ -123,7 +123,7 @@ def test_the_scene_and_the_answers_fit_together(client: TestClient, viewed: View
         name: metadata[name] for name in client.get("/api/scene").json()
     }
     answers = client.post("/api/query", json={"texts": ["thing 1", "thing 2"]}).json()["answers"]
-    assert answers == [answer.record() for answer in viewed.answers(["thing 1", "thing 2"])]
+    assert answers == [answer.to_dict() for answer in viewed.answers(["thing 1", "thing 2"])]
     vocabulary = client.get("/api/vocabulary").json()
     assert vocabulary == {"names": list(WORDS), "closed": True}
     assert tensors["code_indices"].shape[2] == tensors["opacities"].shape[0]

@@ -17,7 +17,7 @@ from scoup.cli.query_options import CameraOptions, TextOptions, check_texts
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.query.label import GaussianLabels
+    from scoup.query.labels import GaussianLabels
     from scoup.scene.cameras import Camera
 
 Output = Literal["sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet"]

@@ -31,11 +31,11 @@ from scoup.cli.query_options import (
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.query.answer import ViewAnswer
     from scoup.query.answer_files import AnswerFiles
+    from scoup.query.field_view import FieldView
     from scoup.query.place import Place
-    from scoup.query.question import Question
-    from scoup.raster import Projection
+    from scoup.query.question import Question, Several
+    from scoup.query.view_answer import ViewAnswer
     from scoup.scene.cameras import Camera
 
 RECORD = "query.json"
@@ -120,7 +120,7 @@ class Query(TextOptions, CameraOptions):
                 "sheets": [(out / name).as_posix() for name in files.sheet_names],
                 "answers": records,
                 "places": [
-                    {"text": place.answer.text, **place.record(self.metres_per_unit)} for place in places
+                    {"text": place.answer.text, **place.to_dict(self.metres_per_unit)} for place in places
                 ],
             }
             if self.video != "none":
@@ -145,25 +145,23 @@ class Query(TextOptions, CameraOptions):
     def _write_views(
         self,
         field: LanguageField,
-        question: Question,
+        question: Question[Several],
         cameras: Iterable[Camera],
         files: AnswerFiles,
         hidden: Path,
     ) -> list[dict[str, Any]]:
         """Answer in each view and write what belongs to it; the answers as JSON values."""
-        from scoup.raster import render_colors
-
         records: list[dict[str, Any]] = []
         blind: list[Camera] = []
         for camera in cameras:
-            projection = field.project(camera)
-            answers = field.answer(question, camera, projection=projection)
-            if _sees_nothing(field, projection, answers):
+            view = field.at(camera)
+            answers = view.answer(question)
+            if _sees_nothing(view, answers):
                 blind.append(camera)
-            rgb = render_colors(field.gaussians, camera, projection).cpu() if files.needs_colors else None
+            rgb = view.renders.colors().cpu() if files.needs_colors else None
             files.add(camera, answers, rgb, hidden)
             for answer, places in zip(answers, files.of_view(camera, self._out()), strict=True):
-                record = {"camera": camera.name, "text": answer.text, **answer.record()}
+                record = {"camera": camera.name, "text": answer.text, **answer.to_dict()}
                 records.append({**record, "files": places} if places else record)
         self.check_seen(blind, files.n_views)
         return records
@@ -176,14 +174,14 @@ class Query(TextOptions, CameraOptions):
     def _save_videos(
         self,
         field: LanguageField,
-        question: Question,
+        question: Question[Several],
         places: list[Place],
         hidden: Path,
         progress: Progress,
     ) -> list[str]:
         """Write the videos that are wanted; their names."""
         from scoup.pictures.video import save_video
-        from scoup.query.videos import heat_frames, moving_cameras
+        from scoup.query.drawing import heat_frames, moving_cameras
         from scoup.scene.cameras import Cameras
 
         if self.video == "none":
@@ -213,17 +211,17 @@ class Query(TextOptions, CameraOptions):
                 console.say(_sentence(record))
         for place in places:
             at = "at " if place.presence else ""
-            console.say(f"in the scene  {place.answer.text}: {at}{place.said(self.metres_per_unit)}")
+            console.say(f"in the scene  {place.answer.text}: {at}{place.describe(self.metres_per_unit)}")
         for path in (*result["sheets"], *result.get("videos", ())):
             console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
         console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")
         console.result({"out": self._out(), **result})
 
 
-def _sees_nothing(field: LanguageField, projection: Projection, answers: list[ViewAnswer]) -> bool:
+def _sees_nothing(view: FieldView, answers: list[ViewAnswer]) -> bool:
     """True if nothing of the field is visible."""
     # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
-    return all((each.heat == 0.5).all() for each in answers) and not field.is_visible(projection)
+    return all((each.heat == 0.5).all() for each in answers) and not view.is_visible()
 
 
 def _sentence(record: dict[str, Any]) -> str:

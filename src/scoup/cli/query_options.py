@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import tyro
 
@@ -19,9 +18,10 @@ if TYPE_CHECKING:
     from scoup.models.text import TextEncoder
     from scoup.query.expression import Expression
     from scoup.query.frame import Frame
-    from scoup.query.question import Question
+    from scoup.query.question import Question, Several
     from scoup.scene.cameras import Camera, Cameras
 
+Asked = TypeVar("Asked", bound="str | Several | Expression")
 LONGEST_SIDE = 16384  # of a picture, in pixels
 
 _SAME_FRAME = "check that cameras and splat are in the same frame"
@@ -170,7 +170,7 @@ class TextOptions(FieldOptions):
             raise MissingFileError(error.path, error.problem, "pass its new path with --text") from error
         return field.text_encoder(encoder)
 
-    def question(self, field: LanguageField, texts: Sequence[str] | Expression, **options: Any) -> Question:
+    def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
         """The question that ``field.question`` makes of texts and options.
 
         Raises:

@@ -88,7 +88,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         """Choose, change and write."""
         from scoup.base.errors import InputError
         from scoup.query.expression import parse_expression
-        from scoup.query.reshape import Reshaping
+        from scoup.query.select import Reshaping
 
         check_texts(self.texts)
         expression = parse_expression(self.texts)
@@ -179,8 +179,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     def _write(self, field: LanguageField, whole: Answer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
-        from scoup.query.edits import edited
-        from scoup.query.splat_table import SplatTable
+        from scoup.query.edits import SplatTable, edited
 
         if self.edit == "ids":
             table = SplatTable.of(field, self.gaussians).with_ids([part.mask for part in whole.parts])
@@ -205,7 +204,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         from dataclasses import replace
 
         from scoup.io import save_png
-        from scoup.query.edit_picture import best_camera, edit_picture
+        from scoup.query.edits import best_camera, edit_picture
 
         if self.picture is None:
             return
@@ -225,7 +224,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         elif selected != counts[whole.text]:
             console.say(f"{whole.text}, reshaped: {selected:,}")
         if place.position is not None:
-            console.say(f"at {place.said(self.metres_per_unit)}")
+            console.say(f"at {place.describe(self.metres_per_unit)}")
         console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
         if self.picture is not None and self.edit != "ids":
             console.say(f"{self.picture}: before, selection, after")
@@ -234,10 +233,10 @@ class Select(TextOptions, CameraOptions, FrameOptions):
                 "out": self.out,
                 "written": written,
                 "chosen": counts,
-                "texts": {part.text: part.record() for part in whole.parts},
+                "texts": {part.text: part.to_dict() for part in whole.parts},
                 "gaussians": len(whole.mask),
                 "expression": whole.text,
                 "selected": selected,
-                "place": place.record(self.metres_per_unit),
+                "place": place.to_dict(self.metres_per_unit),
             }
         )

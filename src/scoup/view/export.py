@@ -35,7 +35,7 @@ class ExportReport:
     words_bytes: int  # the vocabulary, compressed
     words: int  # how many can be asked
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {
             "out": str(self.path),

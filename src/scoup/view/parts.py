@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.raster import morton_codes
 from scoup.scene.gaussians import Gaussians
-from scoup.view.shown import Shown, cover, drawable, shown_gaussians
+from scoup.view.decimation import PageGaussians, cover, decimate, drawable
 
 PART_GAUSSIANS = 250_000
 """A part is about so many Gaussians of the scene, before they are merged."""
@@ -46,7 +46,7 @@ class Parts:
     def __len__(self) -> int:
         return len(self._ends) + 1
 
-    def coarse(self) -> tuple[Shown, list[int]]:
+    def coarse(self) -> tuple[PageGaussians, list[int]]:
         """Return Gaussians that stand for all, part by part, and how many each part has.
 
         Of a very large scene they are made of a sample, and of all that cover more than most.
@@ -64,9 +64,9 @@ class Parts:
         for part in range(len(self)):
             chosen = number == part
             most = max(1, COARSE_GAUSSIANS * int(chosen.sum()) // max(1, len(rows)))
-            found.append(self._shown(rows[chosen], most, copies[chosen]))
+            found.append(self._decimated(rows[chosen], most, copies[chosen]))
         joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in found), strict=True)]
-        return Shown(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in found]
+        return PageGaussians(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in found]
 
     def _covers(self) -> NDArray[np.float32]:
         """Return [N] what each Gaussian covers."""
@@ -82,17 +82,19 @@ class Parts:
         """Return whether parts have fewer Gaussians than the scene, unless they are asked for whole."""
         return len(self._gaussians) > self._most
 
-    def part(self, number: int, whole: bool = False) -> Shown:
+    def part(self, number: int, whole: bool = False) -> PageGaussians:
         """Return the Gaussians of a part, counted from 0; ``whole`` without merging any."""
         rows = self._rows[number]
         merges = self.merges and not whole
-        return self._shown(rows, self._most * len(rows) // len(self._gaussians) if merges else len(rows))
+        return self._decimated(rows, self._most * len(rows) // len(self._gaussians) if merges else len(rows))
 
-    def _shown(self, rows: NDArray[np.integer], most: int, copies: NDArray[np.int64] | None = None) -> Shown:
+    def _decimated(
+        self, rows: NDArray[np.integer], most: int, copies: NDArray[np.int64] | None = None
+    ) -> PageGaussians:
         chosen = torch.from_numpy(rows)
         owners = None if self._owners is None else self._owners[chosen]
-        found = shown_gaussians(self._gaussians.select(chosen), max(1, most), owners, copies)
-        return Shown(found.gaussians, chosen[found.rows].long())
+        found = decimate(self._gaussians.select(chosen), max(1, most), owners, copies)
+        return PageGaussians(found.gaussians, chosen[found.rows].long())
 
     @cached_property
     def _rows(self) -> list[NDArray[np.int32]]:
@@ -111,6 +113,6 @@ class Parts:
         )
 
 
-def _tensors(shown: Shown) -> tuple[Tensor, ...]:
+def _tensors(shown: PageGaussians) -> tuple[Tensor, ...]:
     gaussians = shown.gaussians
     return shown.rows, gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh

@@ -155,7 +155,7 @@ class _Answers:
     async def query(self, message: Message, visitor: str) -> Response:
         texts, always = message.texts(), message.flag("always")
         answers = await self.work.run(lambda: self.viewed.answers(texts, always))
-        return JSONResponse({"answers": [answer.record() for answer in answers]})
+        return JSONResponse({"answers": [answer.to_dict() for answer in answers]})
 
     async def render(self, message: Message, visitor: str) -> Response:
         mode: Any = message.fields.get("mode", "color")

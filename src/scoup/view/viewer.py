@@ -13,11 +13,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from scoup.base.errors import InputError, ScoupError
-from scoup.query.asking import Encoder
-from scoup.query.methods import FieldQueries
+from scoup.field.language_field import Encoder, LanguageField
+from scoup.view.decimation import MOST_GAUSSIANS
 from scoup.view.guard import Guard
 from scoup.view.page import page_files
-from scoup.view.shown import MOST_GAUSSIANS
 from scoup.view.viewed_field import ViewedField
 
 if TYPE_CHECKING:
@@ -143,7 +142,7 @@ class Viewer:
 
 
 def open_viewer(
-    field: FieldQueries,
+    field: LanguageField,
     encoder: Encoder | None = None,
     words: Sequence[str] | None = None,
     most: int = MOST_GAUSSIANS,

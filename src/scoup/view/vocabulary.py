@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
 from scoup.io.reading import existing_file, read_text
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.coded_scene import CodedScene
 from scoup.query.presence import Certainty
 from scoup.query.question import Question
 from scoup.view.packing import packed
@@ -46,7 +46,7 @@ def read_words(path: Path) -> tuple[str, ...]:
     return words
 
 
-def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: LanguageField, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
     """Return the file of words in an exported page (docs/formats.md, "Words of a page").
 
     Args:
@@ -89,7 +89,7 @@ def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
 
 
 def vocabulary_answers(
-    field: CodedScene, question: Question, progress: Progress = no_progress
+    field: LanguageField, question: Question, progress: Progress = no_progress
 ) -> list[PageAnswer]:
     """Return the answers to all words; arguments as for ``scene_answers``."""
     answers = []

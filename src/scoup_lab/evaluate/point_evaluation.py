@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.io import load_gaussians, load_regions
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import Method, MethodSettings

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, looked_up
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labelled_points import LabelledPoints

@@ -1,4 +1,4 @@
-"""Positions, boxes and spans of many things at once, from the Gaussians of each."""
+"""Where things are and how large: positions, boxes and spans of many at once, from the Gaussians of each."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class OrientedBox:
 
     __repr__ = brief
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the box as plain JSON values, rounded."""
         axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
         return {
@@ -61,7 +61,7 @@ class OrientedBox:
 
 
 @dataclass(frozen=True, eq=False)
-class ThingPoints:
+class PointSets:
     """The Gaussians of T things without strays, one thing after the other. M of them in all."""
 
     means: Array  # [M, 3]
@@ -69,7 +69,7 @@ class ThingPoints:
     starts: NDArray[np.int64]  # [T + 1], where each thing starts
 
     @classmethod
-    def of(cls, gaussians: Gaussians, members: Sequence[Tensor]) -> ThingPoints:
+    def of(cls, gaussians: Gaussians, members: Sequence[Tensor]) -> PointSets:
         """Make shapes of the Gaussians of each thing, by their numbers; weights are opacities."""
         rows = torch.cat([*members, torch.empty(0, dtype=torch.int64)]).cpu()
         chosen = gaussians.select(rows.to(gaussians.device)).to("cpu")
@@ -86,7 +86,7 @@ class ThingPoints:
         return cls(means[near], weights[near], kept)
 
     @classmethod
-    def of_one_thing(cls, points: Tensor, weights: Tensor) -> ThingPoints:
+    def of_one_thing(cls, points: Tensor, weights: Tensor) -> PointSets:
         """Make the shape of one thing from points [M, 3] and their weights [M], some above 0; no point is a stray."""
         return cls(points.numpy(), weights.numpy(), np.array([0, len(points)]))
 
@@ -172,12 +172,12 @@ class ThingPoints:
         ends = self.quantiles([(1 - INSIDE) / 2, (1 + INSIDE) / 2], axes)
         return ends[..., 1] - ends[..., 0]
 
-    def _sample(self, most: int) -> ThingPoints:
+    def _sample(self, most: int) -> PointSets:
         """Return every n-th Gaussian of each thing, about ``most`` of each."""
         counts = np.diff(self.starts)
         place = np.arange(len(self.means)) - np.repeat(self.starts[:-1], counts)
         some = place % np.repeat(np.maximum(1, counts // most), counts) == 0
-        return ThingPoints(self.means[some], self.weights[some], np.append(0, np.cumsum(some))[self.starts])
+        return PointSets(self.means[some], self.weights[some], np.append(0, np.cumsum(some))[self.starts])
 
     def _sums(self, values: Array) -> Array:
         return np.bincount(self.owners, values, len(self)).astype(np.float64)

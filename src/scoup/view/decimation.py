@@ -25,19 +25,19 @@ _PAIRS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class PageGaussians:
     """The M Gaussians of a page, in an order in which neighbours are near, so that what is packed compresses well."""
 
     gaussians: Gaussians
     rows: Tensor  # [M] int64, of the field's Gaussian whose codes and things each has
 
 
-def shown_gaussians(
+def decimate(
     gaussians: Gaussians,
     most: int = MOST_GAUSSIANS,
     owners: Tensor | None = None,
     copies: NDArray[np.int64] | None = None,
-) -> Shown:
+) -> PageGaussians:
     """Return the Gaussians of a page, at most so many; without colours that depend on the direction.
 
     If more can be drawn, neighbours are merged: those in one cell of a grid that are small beside the cell, of a
@@ -59,7 +59,7 @@ def shown_gaussians(
         drawn, members = _merged(drawn, weight, group, most)
         rows = rows[members]
     order = morton_codes(torch.from_numpy(drawn.means))[0].numpy().argsort(kind="stable")
-    return Shown(drawn.select(order).gaussians(), torch.from_numpy(rows[order]))
+    return PageGaussians(drawn.select(order).gaussians(), torch.from_numpy(rows[order]))
 
 
 def drawable(gaussians: Gaussians) -> NDArray[np.bool_]:
