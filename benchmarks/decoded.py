@@ -30,8 +30,8 @@ class Decoded:
         self.images_encoded = 0  # by the model
         self.whole: EncodedImage | None = None
 
-    def record(self) -> dict[str, Any]:
-        return self.model.record()
+    def to_dict(self) -> dict[str, Any]:
+        return self.model.to_dict()
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
         self.encoded += 1

@@ -263,7 +263,7 @@ def test_a_picture_shows_before_and_after():
         (["--out", "a.ply", "--edit", "ids", "--grow", "1"], "numbers texts"),
         (["-", "mug", "--out", "a.ply", "--edit", "ids"], "numbers texts"),
         (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
-        (["--out", "a.ply", "--threshold", "nan"], "--threshold must be 0 to 1"),
+        (["--out", "a.ply", "--threshold", "nan"], "threshold must be 0 to 1"),
         (["--out", "a.ply", "--presence", "1.5"], "presence must be 0 to 1, got 1.5"),
         (["--out", "a.ply", "--presence", "0.5"], "presence is judged against 16 or more"),
         (["--out", "a.ply", "--level", "xl"], "'xl'"),

@@ -115,8 +115,6 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         from scoup.base.errors import InputError
         from scoup.io import check_output, check_splat_name
 
-        if self.threshold is not None and not 0 <= self.threshold <= 1:
-            raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
         if not 0 <= self.opacity <= 1:
             raise InputError(f"--opacity must be 0 to 1, got {self.opacity}")
         check_metres(self.metres_per_unit)

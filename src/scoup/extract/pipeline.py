@@ -88,7 +88,7 @@ def extract(
     """
     folder = Path(folder)
     check_stems(folder, (item.name for item in photographs))
-    settings = {**segmenter.record(), **embedder.record(), "max_height": output.max_height}
+    settings = {**segmenter.to_dict(), **embedder.to_dict(), "max_height": output.max_height}
     manifest = RegionManifest.of(output.layout, embedder.name, settings, output.bits)
     store = RegionStore.create(folder, manifest, overwrite)
     mine = share.of(photographs)

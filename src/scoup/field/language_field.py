@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypeVar, overload
@@ -14,13 +13,14 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted
-from scoup.base.errors import GeometryMismatchError, InputError, MissingFileError
+from scoup.base.errors import InputError
 from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache
 from scoup.field.container import field_damage_named
+from scoup.field.derived import field_on, moved_field
 from scoup.field.relevancy import FieldCodes
+from scoup.field.sources import camera_of, check_geometry, encoder_of, geometry_of
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import rows_of
 from scoup.scene.field_info import FieldInfo, check_codes, check_things
@@ -54,6 +54,9 @@ class LanguageField:
     """Sparse codes of every Gaussian at every level, their codebook, and the geometry they belong to, as one file.
 
     ``load`` reads one and ``scoup.build`` makes one. ``cache`` is what it keeps between questions.
+
+    Methods that ask take a text, or what ``question`` made of texts, and raise the errors of ``question``. One text gives
+    one result, a list of texts or vectors a list.
 
     Args:
         code_indices: [N, S, K] uint8 (uint16 beyond 256 atoms).
@@ -189,14 +192,7 @@ class LanguageField:
             InputError: the field does not say where its geometry is.
         """
         if self._gaussians is None:
-            if self.geometry_path is None:
-                which = self.path or "this field"
-                raise InputError(
-                    f"{which}: does not say where its Gaussians are; pass them: LanguageField.load(path, gaussians)"
-                )
-            from scoup.io import load_gaussians
-
-            self.attach(load_gaussians(self.geometry_path).to(self.codebook.device), str(self.geometry_path))
+            self.attach(*geometry_of(self))
         assert self._gaussians is not None
         return self._gaussians
 
@@ -212,15 +208,7 @@ class LanguageField:
             GeometryMismatchError: the field was built on other Gaussians.
         """
         check_arguments("LanguageField.attach", gaussians=(gaussians, Gaussians))
-        as_many = len(gaussians) == self.info.n_gaussians
-        if not as_many or (not known and gaussians.fingerprint() != self.info.fingerprint):
-            difference = "as many Gaussians, but others"
-            if not as_many:
-                difference = f"{counted(len(gaussians), 'Gaussian')}, the field has {self.info.n_gaussians:,}"
-            raise GeometryMismatchError(
-                f"{source}: not the geometry this field was built on ({difference}); "
-                "pass the original splat, or build the field again"
-            )
+        check_geometry(gaussians, self.info, source, known)
         self._gaussians = gaussians
 
     def camera(self, camera: Camera | str | int) -> Camera:
@@ -231,16 +219,7 @@ class LanguageField:
             InputError: there are no cameras, or fewer.
         """
         check_arguments("LanguageField.camera", camera=(camera, (Camera, str, Integral)))
-        if isinstance(camera, Camera):
-            return camera
-        if self.cameras is None or not len(self.cameras):
-            raise InputError(
-                "this field contains no cameras; pass a Camera (scoup.load_cameras reads those of a scene)"
-            )
-        try:
-            return self.cameras[camera]
-        except IndexError:
-            raise InputError(f"there is no camera {camera}; this field has {len(self.cameras)}") from None
+        return camera if isinstance(camera, Camera) else camera_of(self.cameras, camera)
 
     def project(self, camera: Camera | str | int, backend: str | None = None) -> raster.Projection:
         """Project the scene to a camera."""
@@ -300,18 +279,7 @@ class LanguageField:
             InputError: the field names none.
             MissingFileError: the table is missing.
         """
-        words = self.info.words
-        if words is not None:
-            if not words.is_file():
-                problem = "is missing, and the field names it as its word table"
-                raise MissingFileError(words, problem, "pass encoder=..., the place where it is now")
-            return str(words)
-        if not self.embedding_model:
-            raise InputError(
-                f"{self.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
-                "or a dict of name -> vector"
-            )
-        return self.embedding_model
+        return encoder_of(self)
 
     def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
         """Return the encoder of this field's texts; opened at its first use and kept.
@@ -385,15 +353,6 @@ class LanguageField:
     def answer(self, question: str | Several | Question[str] | Question[Several]) -> Answer | list[Answer]:
         """Return what answers a text, decided once in the scene. ``at(camera).answer`` shows it in a view.
 
-        Args:
-            question: from ``question``, or texts.
-
-        Returns:
-            An answer for one text; a list of them for a list of texts or vectors.
-
-        Raises:
-            InputError, UnknownNameError: as ``question``.
-
         Example:
             >>> field.answer(field.question("kettle", always=True)).presence
             True
@@ -433,15 +392,7 @@ class LanguageField:
     ) -> Place | list[Place]:
         """Return where something is in the world: the position, oriented box and Gaussians of the best thing.
 
-        Args:
-            question: from ``question``, or texts; or an answer of ``answer``.
-
-        Returns:
-            A place for one text; a list of them for a list of texts or vectors; ``position`` is None for what is not
-            there.
-
-        Raises:
-            InputError, UnknownNameError: as ``question``.
+        It also takes an answer of ``answer``. Its ``position`` is None for what is not there.
 
         Example:
             >>> field.location(field.question("kettle", always=True)).position.shape
@@ -458,16 +409,12 @@ class LanguageField:
 
         Args:
             question: a text ("mug"), a phrase ("mug left of the laptop", "largest box", "second chair from the left",
-                "how many cups": ``scoup.query.phrases``), several of them combined with `or`, or what ``question``
-                made of them. None: every thing, finer levels first.
+                "how many cups": ``scoup.query.phrases``), or several combined with `or`; None: every thing, finer
+                levels first.
             frame: what left, front and up mean in phrases; by default ``field.frame()``.
 
         Returns:
-            Things of the field's table; in a field without it, and where a threshold of choice says how the votes are
-            read, the connected parts of the selection. Empty where the text is not in the scene.
-
-        Raises:
-            InputError, UnknownNameError: as ``question``, or a relation is not known.
+            Things of the field's table; without one, and with a threshold, the connected parts of the selection.
 
         Example:
             >>> field.things(field.question("kettle", always=True))[0].text
@@ -480,12 +427,7 @@ class LanguageField:
     def catalog(self, question: Question | str | Several, frame: Frame | None = None) -> Catalog:
         """Name every thing of the scene with the best of several words: an object map, or scene graph.
 
-        Args:
-            question: from ``question``, or words.
-            frame: what up means; by default ``field.frame()``.
-
-        Raises:
-            InputError, UnknownNameError: as ``question``, or the field has no things.
+        ``frame`` says what up means. A field without things raises InputError.
 
         Example:
             >>> catalog = field.catalog(["kettle", "wooden table"])
@@ -504,9 +446,6 @@ class LanguageField:
                 default the camera that sees the most Gaussians.
             up: world direction; by default estimated from the cameras, which people hold level.
 
-        Raises:
-            InputError, UnknownNameError: there is no such camera, or ``up`` is not a direction.
-
         Example:
             >>> field.frame("view_00.png").seen_from
             'view_00.png'
@@ -523,17 +462,12 @@ class LanguageField:
     ) -> Answer:
         """Return the Gaussians that answer an expression, such as "mug and not handle" or "mug left of the laptop".
 
+        Texts without an operator are combined with `or`. The ``parts`` of the answer are the answers to its texts.
+
         Args:
-            question: an expression (``scoup.parse_expression``), or what ``question`` made of one. Texts without an
-                operator are combined with `or`.
+            question: an expression (``scoup.parse_expression``).
             reshaping: changes the selection afterwards.
             frame: what left, front and up mean in phrases; by default ``field.frame()``.
-
-        Returns:
-            One answer; its ``parts`` are the answers to its texts.
-
-        Raises:
-            InputError, UnknownNameError: as ``question``, or it is not an expression.
 
         Example:
             >>> found = field.select("kettle and not wooden table")
@@ -545,13 +479,7 @@ class LanguageField:
         return select(self, question, reshaping, frame)
 
     def label(self, question: Question | str | Several) -> GaussianLabels:
-        """Return the word that fits each Gaussian best, or "none".
-
-        Args:
-            question: from ``question``, or words: names of things.
-
-        Raises:
-            InputError, UnknownNameError: as ``question``, or a word is given twice or is "none".
+        """Return the word that fits each Gaussian best, or "none". Words must differ from each other and from "none".
 
         Example:
             >>> sorted(field.label(["kettle", "wooden table"]).counts())
@@ -580,10 +508,6 @@ class LanguageField:
 
         Returns:
             A viewer, open until its ``close`` or the end of the process; its ``address`` is that of the page.
-
-        Raises:
-            ScoupError: a package or the page is missing, or an encoder was given and cannot be opened.
-            InputError: there is no geometry, or a number is out of range.
         """
         from scoup.view.viewer import open_viewer
 
@@ -593,24 +517,7 @@ class LanguageField:
 
     def to(self, device: torch.device | str) -> LanguageField:
         """Return the field with its tensors, and its geometry if loaded, on a device; itself if it is there already."""
-        place = torch.empty(0, device=device).device
-        parts = [self.code_indices, self.code_weights, self.codebook]
-        parts += [] if self._gaussians is None else [self._gaussians.means]
-        if all(part.device == place for part in parts):
-            return self
-        moved = LanguageField(
-            self.code_indices.to(device),
-            self.code_weights.to(device),
-            self.codebook.to(device),
-            self.info,
-            geometry_path=self.geometry_path,
-            cameras=self.cameras,
-            thing_table=None if self.thing_table is None else self.thing_table.to(device),
-        )
-        moved.path = self.path
-        moved.keep_encoder_of(self)
-        moved._gaussians = None if self._gaussians is None else self._gaussians.to(device)
-        return moved
+        return moved_field(self, device)
 
     def __getitem__(self, chosen: Tensor | ArrayLike | slice) -> LanguageField:
         """Return the field of some of the Gaussians, to be queried and saved as any other.
@@ -628,7 +535,9 @@ class LanguageField:
         rows = chosen_rows(chosen, len(self)).to(self.codebook.device)
         thing_table = None if self.thing_table is None else self.thing_table.rows(rows)
         gaussians = self.gaussians.select(chosen)
-        return self._of(gaussians, rows_of(self.code_indices, rows), self.code_weights[rows], thing_table)
+        return field_on(
+            self, gaussians, rows_of(self.code_indices, rows), self.code_weights[rows], thing_table
+        )
 
     def with_gaussians(self, gaussians: Gaussians) -> LanguageField:
         """Return a field with these codes on other Gaussians, one for one: after a move, new colours or fading.
@@ -644,23 +553,8 @@ class LanguageField:
         """
         if len(gaussians) != len(self):
             raise InputError(f"{len(gaussians):,} Gaussians, but the field has codes of {len(self):,}")
-        codes = self.code_indices, self.code_weights
-        return self._of(gaussians.to(self.codebook.device), *codes, self.thing_table)
-
-    def _of(
-        self, gaussians: Gaussians, indices: Tensor, weights: Tensor, thing_table: ThingTable | None
-    ) -> LanguageField:
-        """Return a field of these Gaussians and their codes, made from this one."""
-        provenance = {**self.info.provenance, "selected_from": self.fingerprint}
-        info = replace(
-            self.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
-        )
-        made = LanguageField(
-            indices, weights, self.codebook, info, cameras=self.cameras, thing_table=thing_table
-        )
-        made.attach(gaussians, known=True)
-        made.keep_encoder_of(self)
-        return made
+        gaussians = gaussians.to(self.codebook.device)
+        return field_on(self, gaussians, self.code_indices, self.code_weights, self.thing_table)
 
     # ---- its file
 

@@ -17,13 +17,13 @@ from scoup.io.regions.store import RegionStore
 from scoup.io.scenes import camera_photographs, find_gaussians, load_cameras, load_gaussians
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.oddities import oddities
+from scoup.scene.sanity_checks import sanity_problems
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
     """Return the number, extent, medians and fingerprint of Gaussians."""
-    for oddity in oddities(gaussians):
-        warnings.warn(oddity, ScoupWarning, stacklevel=2)
+    for problem in sanity_problems(gaussians):
+        warnings.warn(problem, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
     if len(gaussians):
         record |= {

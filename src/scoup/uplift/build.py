@@ -18,8 +18,8 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
+from scoup.scene.sanity_checks import sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
@@ -68,7 +68,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit or are of wrong types.
 
     Warns:
-        ScoupWarning: Gaussians are implausible (``scoup.scene.oddities``), or splat and cameras may not fit.
+        ScoupWarning: Gaussians are implausible (``scoup.scene.sanity_checks``), or splat and cameras may not fit.
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
@@ -85,8 +85,8 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
             folder = stack.enter_context(temporary_folder())
             sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
         check_sums(sums, gaussians, regions, settings.raster_preset)
-        for oddity in oddities(gaussians):
-            warnings.warn(oddity, ScoupWarning, stacklevel=2)
+        for problem in sanity_problems(gaussians):
+            warnings.warn(problem, ScoupWarning, stacklevel=2)
         views = cameras_with_regions(cameras, regions)
         regions = regions.select([camera.name for camera in views])
         embeddings = RegionEmbeddings.load(regions)

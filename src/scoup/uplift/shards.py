@@ -28,8 +28,8 @@ from scoup.field.container import place_of, relative_place
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.oddities import oddities
 from scoup.scene.regions import Regions
+from scoup.scene.sanity_checks import sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.build import Sources, thing_table, vote_field
 from scoup.uplift.build_settings import BuildSettings, build_settings
@@ -135,8 +135,8 @@ def add_shard(  # noqa: PLR0913  the public face: each keyword is one choice of 
     check_arguments(
         "add_shard", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
-    for oddity in oddities(gaussians):
-        warnings.warn(oddity, ScoupWarning, stacklevel=2)
+    for problem in sanity_problems(gaussians):
+        warnings.warn(problem, ScoupWarning, stacklevel=2)
     check_sums(sums, gaussians, regions, sums.raster_preset)
     everything = cameras_with_regions(cameras, regions)
     views = share.of(everything)

@@ -1,4 +1,4 @@
-"""Gaussians that no training makes: damaged numbers that are finite and so pass every other check."""
+"""Sanity checks of Gaussians: damaged numbers that are finite, and so pass every other check."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _SAMPLE = 100_000  # Gaussians that tell the extent
 _REMEDY = "export or train the splat again, or remove them (in the SuperSplat editor)"
 
 
-def oddities(gaussians: Gaussians) -> list[str]:
-    """Return what is absurd about Gaussians, one sentence each, with counts and remedies; empty for a sound scene.
+def sanity_problems(gaussians: Gaussians) -> list[str]:
+    """Return what is implausible about Gaussians, one sentence each, with counts and remedies; empty for a sound scene.
 
     The extent is that of the middle 90 % along each axis, so that some stray Gaussians do not hide themselves.
     """

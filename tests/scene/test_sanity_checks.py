@@ -9,21 +9,21 @@ import torch
 
 from scoup.io import load_gaussians
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.oddities import oddities
+from scoup.scene.sanity_checks import sanity_problems
 from support import random_gaussians
 
 
 def test_sound_scenes_have_none() -> None:
-    assert oddities(random_gaussians(0, 0)) == []
-    assert oddities(random_gaussians(1, 0)) == []
-    assert oddities(random_gaussians(500, 0, ("plain", "behind", "needle", "tiny", "opacity inf"))) == []
+    assert sanity_problems(random_gaussians(0, 0)) == []
+    assert sanity_problems(random_gaussians(1, 0)) == []
+    assert sanity_problems(random_gaussians(500, 0, ("plain", "behind", "needle", "tiny", "opacity inf"))) == []
 
 
 def test_one_splat_is_not_hidden_by_another() -> None:
     gaussians = random_gaussians(400, 0)
     gaussians.means[:15] *= 1e30  # were they counted, the scene would be as large as they are
     gaussians.scales[20] = 1e30
-    far, large = sorted(oddities(gaussians), reverse=True)
+    far, large = sorted(sanity_problems(gaussians), reverse=True)
     assert large.startswith("1 of 400 Gaussians is over 100 times larger")
     assert far.startswith("15 of 400 Gaussians are over 10,000 times")
 
@@ -32,14 +32,14 @@ def test_values_that_are_not_finite_do_not_hide_the_rest() -> None:
     gaussians = random_gaussians(400, 0, ("plain", "nan"))
     gaussians.opacities[:] = 0
     gaussians.opacities[3] = torch.nan
-    (found,) = oddities(gaussians)
+    (found,) = sanity_problems(gaussians)
     assert found.startswith("all 400 Gaussians are transparent")
 
 
 def test_an_only_gaussian_is_singular() -> None:
     gaussians = random_gaussians(1, 0)
     gaussians.opacities[:] = 0
-    (found,) = oddities(gaussians)
+    (found,) = sanity_problems(gaussians)
     assert found.startswith("the only Gaussian is transparent")
 
 
@@ -50,4 +50,4 @@ def test_an_only_gaussian_is_singular() -> None:
 def test_real_scenes_have_none(data_folder: Path, name: str) -> None:
     path = data_folder / name
     gaussians: Gaussians = load_gaussians(path / "scene" / "model.splat" if path.is_dir() else path)
-    assert oddities(gaussians) == []
+    assert sanity_problems(gaussians) == []
