@@ -22,8 +22,8 @@ from scoup.cli.options import (
     Texts,
 )
 from scoup.cli.query_options import (
+    AnswerOptions,
     CameraOptions,
-    TextOptions,
     check_frame_rate,
     check_metres,
     check_texts,
@@ -43,7 +43,7 @@ MOST_FRAMES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Query(TextOptions, CameraOptions):
+class Query(AnswerOptions, CameraOptions):
     """Find things in the views of a field's cameras, and in the world.
 
     A text is answered once, in the scene; each view shows that answer. Writes a contact sheet: the relevancy as a heat
@@ -52,7 +52,7 @@ class Query(TextOptions, CameraOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "answer": "threshold level presence always",
+        "answer": "level",
         "output": "out pictures npz coco metres_per_unit",
         "video": "video frames frames_per_second",
     }
@@ -61,16 +61,8 @@ class Query(TextOptions, CameraOptions):
     """What to look for, for example "kettle" "wooden table"."""
     out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
-    threshold: OptionalNumber = None
-    """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
-    in a field without things the Gaussians above the threshold at which the answer changes least."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
-    presence: OptionalNumber = None
-    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
-    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
-    """Answer every text, without judging presence."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
@@ -100,14 +92,7 @@ class Query(TextOptions, CameraOptions):
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
-        question = self.question(
-            field,
-            self.texts,
-            threshold=self.threshold,
-            present_from=self.presence,
-            always=self.always,
-            level=self.level,
-        )
+        question = self.question(field, self.texts, level=self.level)
         files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
         names = [RECORD, *files.names, *self._video_names()]
         with staged(out, names, self.overwrite) as hidden, console.progress() as progress:

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 import tyro
 
 from scoup.base.counts import listed, share_of, verb
-from scoup.cli.options import FieldFile, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.options import (
+    FieldFile,
+    Flag,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+    WritesCommon,
+)
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -180,6 +188,27 @@ class TextOptions(FieldOptions):
         question = field.question(texts, **options)
         field.text_encoder().close()  # models are large
         return question
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerOptions(TextOptions):
+    """Options of verbs that answer texts."""
+
+    option_groups: ClassVar[OptionGroups] = {"answer": "threshold presence always"}
+
+    threshold: OptionalNumber = None
+    """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
+    in a field without things the Gaussians above the threshold at which the answer changes least."""
+    presence: OptionalNumber = None
+    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
+    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
+    always: Flag = False
+    """Answer every text, without judging presence."""
+
+    def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
+        """The question, with these options."""
+        rules = {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
+        return super().question(field, texts, **rules, **options)
 
 
 @dataclass(frozen=True, kw_only=True)

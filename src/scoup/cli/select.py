@@ -13,9 +13,9 @@ from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import (
+    AnswerOptions,
     CameraOptions,
     FrameOptions,
-    TextOptions,
     check_metres,
     check_texts,
 )
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Select(TextOptions, CameraOptions, FrameOptions):
+class Select(AnswerOptions, CameraOptions, FrameOptions):
     """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
     left.
 
@@ -37,7 +37,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "choice": "threshold level presence always",
+        "answer": "level",
         "shape": "largest shrink grow within",
         "output": "out edit color opacity picture metres_per_unit",
     }
@@ -73,16 +73,8 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     """Of --picture: name of a camera. Default: the one that sees most of the selection."""
     metres_per_unit: OptionalNumber = None
     """Length of the scene's unit in metres, to print positions and sizes in metres, too."""
-    threshold: OptionalNumber = None
-    """Select all Gaussians above this relevancy, 0 to 1 once it is rescaled over the scene. Default: things answer; in
-    a field without things the Gaussians above the threshold at which the answer changes least."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
-    presence: OptionalNumber = None
-    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
-    lower. Below it, nothing is selected. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
-    """Answer every text without judging presence."""
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
@@ -98,14 +90,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             raise InputError("--edit ids numbers texts: pass them without and, or, not, and without a shape")
         field = self.open_field()
         self._check_out(field)
-        question = self.question(
-            field,
-            expression,
-            threshold=self.threshold,
-            present_from=self.presence,
-            always=self.always,
-            level=self.level,
-        )
+        question = self.question(field, expression, level=self.level)
         whole = field.select(question, shape, self.open_frame(field))
         self._check_found(whole)
         written = self._write(field, whole)

@@ -55,8 +55,8 @@ class LanguageField:
 
     ``load`` reads one and ``scoup.build`` makes one. ``cache`` is what it keeps between questions.
 
-    Methods that ask take a text, or what ``question`` made of texts, and raise the errors of ``question``. One text gives
-    one result, a list of texts or vectors a list.
+    Methods that ask take a text, or what ``question`` made of texts, and raise the errors of ``question``. One text
+    gives one result, a list of texts or vectors a list.
 
     Args:
         code_indices: [N, S, K] uint8 (uint16 beyond 256 atoms).

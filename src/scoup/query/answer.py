@@ -75,10 +75,10 @@ class Answer:
     """That was asked. Pickling drops it."""
 
     def __repr__(self) -> str:
-        found = (
+        facts = (
             f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, {self.remark()}"
         )
-        return f"Answer({self.text!r}: {found if self.presence else self.remark()})"
+        return f"Answer({self.text!r}: {facts if self.presence else self.remark()})"
 
     def _repr_html_(self) -> str:
         return card(f"{self.text!r} in the scene", {**self.to_dict(), "of": f"{len(self.mask):,} Gaussians"})

@@ -232,14 +232,14 @@ class AnswerSheets:
         return stacked([sheet, heat_legend(width, *span)])
 
     def _heading(self, columns: range) -> str:
-        shown = len(self._rows)
+        n_shown = len(self._rows)
         texts = f'"{self.texts[0]}"' if len(self.texts) == 1 else f"{len(self.texts)} texts"
         if len(self) > 1:
             texts = f"texts {columns[0] + 1} to {columns[-1] + 1} of {len(self.texts)}"
-        if shown == self.views:
-            return f"{texts} in {counted(shown, 'view')}"
+        if n_shown == self.views:
+            return f"{texts} in {counted(n_shown, 'view')}"
         turns = ", the texts choosing in turn" if len(self.texts) > 1 else ""
-        return f"{texts} in {shown} of {counted(self.views, 'view')}: those that show most{turns}"
+        return f"{texts} in {n_shown} of {counted(self.views, 'view')}: those that show most{turns}"
 
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:

@@ -41,15 +41,15 @@ def answer_scene(field: LanguageField, question: Question[Any]) -> list[Answer]:
     """
     check_arguments("answer_scene", field=(field, LanguageField), question=(question, Question))
     answers = _by_things if question.threshold is None and field.thing_table is not None else _by_votes
-    found = []
+    judged = []
     for number, answer in enumerate(answers(field, question)):
         presence = is_present(answer.score, int(answer.mask.sum()), question.present_from)
         asked = (AskedText(question.one(number), field.level_index(answer.level)),)
         answer = replace(answer, presence=presence, asked=asked, field=field)
         if not presence:
             answer = replace(answer, mask=torch.zeros_like(answer.mask), things=(), instances=())
-        found.append(answer)
-    return found
+        judged.append(answer)
+    return judged
 
 
 def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer]:
@@ -59,21 +59,21 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
         return
     fits = known.fits(question.queries.float().cpu())
     scores = null_scores(question, known.best_fits)
-    for number, found in enumerate(choose_things(known, fits, question.level)):
+    for number, choice in enumerate(choose_things(known, fits, question.level)):
         text, score = question.texts[number], scores[number]
-        if found is None:
+        if choice is None:
             nothing, level = torch.zeros(len(field), dtype=torch.bool), field.levels[question.level or 0]
             yield Answer(text, nothing, level, 0.0 if question.can_judge_presence else None)
             continue
-        level = int(known.things.levels[found.things[0]])
-        rival = found.runner_up
+        level = int(known.things.levels[choice.things[0]])
+        rival = choice.runner_up
         yield Answer(
             text=text,
-            mask=known.things.members(found.things).cpu(),
+            mask=known.things.members(choice.things).cpu(),
             level=field.levels[level],
-            score=score(found.fit),
-            things=tuple(found.things.tolist()),
-            instances=tuple(find_instances(known, fits[:, number], found.things).tolist()),
+            score=score(choice.fit),
+            things=tuple(choice.things.tolist()),
+            instances=tuple(find_instances(known, fits[:, number], choice.things).tolist()),
             runner_up=None if rival is None else RunnerUp(rival, score(float(fits[rival, number]))),
         )
 
@@ -84,9 +84,9 @@ def _by_votes(field: LanguageField, question: Question[Any]) -> Iterator[Answer]
         votes = sampled_votes(field, question)
         null = null_scores(question, votes.best_fits)
         scores = [score(fit) for score, fit in zip(null, votes.fits(question.queries).tolist(), strict=True)]
-    for number, (found, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
-        text, level = question.texts[number], field.levels[found.level]
-        yield Answer(text, found.mask.cpu(), level, score, threshold=found.threshold)
+    for number, (selection, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
+        text, level = question.texts[number], field.levels[selection.level]
+        yield Answer(text, selection.mask.cpu(), level, score, threshold=selection.threshold)
 
 
 def null_scores(question: Question[Any], best_fits: Tensor) -> list[NullScores]:

@@ -111,15 +111,15 @@ class PointSets:
         values = self.means
         if axes is not None:
             values = np.einsum("mad,md->ma", axes[self.owners], values)
-        found = np.full((len(self), values.shape[1], len(shares)), np.nan)
+        ends = np.full((len(self), values.shape[1], len(shares)), np.nan)
         filled = np.flatnonzero(np.diff(self.starts))
         if len(filled):
             firsts, rows = self.starts[filled], np.searchsorted(filled, self.owners)
             for axis in range(values.shape[1]):
-                found[filled, axis] = _quantiles(
+                ends[filled, axis] = _quantiles(
                     np.ascontiguousarray(values[:, axis]), self.weights, firsts, rows, shares
                 )
-        return found
+        return ends
 
     def spans(self) -> Array:
         """[T, 3, 2] lower and upper end along each axis; NaN without Gaussians."""
@@ -208,7 +208,7 @@ def _quantiles(
     bins = np.minimum((values - low[rows]) / span[rows] * BINS, BINS - 1).astype(np.int64) + rows * BINS
     sums = np.zeros((len(firsts), BINS + 1))  # of all bins before
     sums[:, 1:] = np.bincount(bins, weights, len(firsts) * BINS).reshape(-1, BINS).cumsum(1)
-    found = np.empty((len(firsts), len(shares)))
+    quantiles = np.empty((len(firsts), len(shares)))
     for place, share in enumerate(shares):
         wanted = share * sums[:, -1]
         chosen = (sums[:, 1:-1] < wanted[:, None]).sum(1)
@@ -218,5 +218,5 @@ def _quantiles(
         starts = np.searchsorted(rows[members], np.arange(len(firsts) + 1))
         within = np.concatenate([[0.0], np.cumsum(weights[members])])
         at = np.searchsorted(within[1:], within[starts[:-1]] + wanted - below)
-        found[:, place] = values[members[np.clip(at, starts[:-1], starts[1:] - 1)]]
-    return found
+        quantiles[:, place] = values[members[np.clip(at, starts[:-1], starts[1:] - 1)]]
+    return quantiles

@@ -90,7 +90,8 @@ def make_catalog(
     sure = [scores[word](float(fits[row, word])) for row, word in enumerate(best[:, 0].tolist())]
     names = tuple(tuple(question.texts[word] for word in row) for row in best.tolist())
     named = tuple(
-        replace(thing, text=own[0], score=score) for thing, own, score in zip(every, names, sure, strict=True)
+        replace(thing, text=best[0], score=score)
+        for thing, best, score in zip(every, names, sure, strict=True)
     )
     return Catalog(named, names, tuple(related_pairs(field, named, frame)), frame)
 

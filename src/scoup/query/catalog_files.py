@@ -77,12 +77,12 @@ def _save_pictures(
     drawn: set[int | None] = set()
     for number, camera in enumerate(cameras):
         progress("pictures", number, len(cameras))
-        mine = [thing for thing, view in zip(catalog.things, best, strict=True) if view == number]
-        if not mine:
+        largest_here = [thing for thing, view in zip(catalog.things, best, strict=True) if view == number]
+        if not largest_here:
             continue
         view = field.at(camera)
         colors = as_picture(view.renders.colors().cpu())
-        for thing in mine:
+        for thing in largest_here:
             picture = _crop(thing_mask(view, thing), colors)
             if picture is not None:
                 Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)

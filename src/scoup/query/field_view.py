@@ -65,15 +65,15 @@ class FieldView:
         masks = self.masks(answers)
         asked = [one for answer in answers for one in answer.asked]
         heats = iter(self._heats(asked))
-        found = []
+        views = []
         for answer, mask in zip(answers, masks, strict=True):
             heat = torch.stack([next(heats) for _ in answer.asked]).amax(0)
             parts, largest = main_parts(mask)
             point = most_relevant_pixel(heat, largest)
-            found.append(
+            views.append(
                 ViewAnswer(answer, self.camera.name, mask, heat, parts, mask_box(parts), point, self.renders)
             )
-        return found
+        return views
 
     def masks(self, answers: Sequence[Answer]) -> list[Tensor]:
         """Return the pixels [H, W] boolean of each answer, on the CPU (``ViewAnswer.mask``)."""
@@ -128,9 +128,11 @@ class FieldView:
         """Return the relevancy [H, W] of each text at its level, on the CPU; texts of one question in one pass."""
         heats: list[Tensor] = [torch.empty(0)] * len(asked)
         for canonical in {id(one.question.canonical): one.question.canonical for one in asked}.values():
-            mine = [number for number, one in enumerate(asked) if one.question.canonical is canonical]
-            maps = self.relevancy(torch.cat([asked[number].question.queries for number in mine]), canonical)
-            for place, number in enumerate(mine):
+            numbers = [number for number, one in enumerate(asked) if one.question.canonical is canonical]
+            maps = self.relevancy(
+                torch.cat([asked[number].question.queries for number in numbers]), canonical
+            )
+            for place, number in enumerate(numbers):
                 # A copy, so that the other levels can be freed.
                 heats[number] = maps[asked[number].level, place].clone().cpu()
         return heats

@@ -107,8 +107,8 @@ def save_label_views(
         The cameras that see no coded Gaussian.
     """
     maps, colors = "maps" in outputs, label_colors(len(labels.names))
-    shown = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
-    wanted = [name for name in cameras if maps or name in shown]
+    on_sheet = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
+    wanted = [name for name in cameras if maps or name in on_sheet]
     coco, sheet, blind = CocoAnnotations(labels.names), LabelSheet(labels), []
     for done, name in enumerate(wanted, start=1):
         camera = cameras[name]
@@ -120,12 +120,12 @@ def save_label_views(
             save_label_png(numbers, colors, folder / MAPS / f"{name}.png")
             masks = [(numbers == number).numpy() for number in range(len(labels.names))]
             coco.add(camera.name, (camera.width, camera.height), masks)
-        if name in shown:
+        if name in on_sheet:
             sheet.add(camera.name, numbers, view.renders.colors().cpu())
         progress("label maps", done, len(wanted))
     if maps:
         coco.write(folder / COCO)
-    if shown:
+    if on_sheet:
         save_png(sheet.picture(), folder / SHEET)
     return blind
 
@@ -153,10 +153,10 @@ def label_record(labels: GaussianLabels) -> dict[str, Any]:
 def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:
     """Return the Gaussians in the colours of their words, grey without a word, with their own light and shade."""
     colors = torch.from_numpy(label_colors(len(labels.names)).copy()).double() / 255
-    shown = edited(gaussians, labels.ids == NONE, "recolor", (GREY, GREY, GREY))
+    colored = edited(gaussians, labels.ids == NONE, "recolor", (GREY, GREY, GREY))
     for number, color in enumerate(colors.tolist()):
-        shown = edited(shown, labels.ids == number, "recolor", (color[0], color[1], color[2]))
-    return shown
+        colored = edited(colored, labels.ids == number, "recolor", (color[0], color[1], color[2]))
+    return colored
 
 
 def point_cloud(gaussians: Gaussians) -> PlyTable:

@@ -75,8 +75,8 @@ class GaussianLabels:
 
     def counts(self) -> dict[str, int]:
         """Return the number of Gaussians per word, and of "none"."""
-        found = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
-        return {**dict(zip(self.names, found[1:], strict=True)), NONE_NAME: found[0]}
+        counts = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
+        return {**dict(zip(self.names, counts[1:], strict=True)), NONE_NAME: counts[0]}
 
 
 def label(field: LanguageField, question: Question[Any] | str | Several) -> GaussianLabels:
@@ -127,9 +127,9 @@ def label_map(view: FieldView, labels: GaussianLabels) -> Tensor:
     given = torch.full(shape, NONE, device=ids.device, dtype=ids.dtype)
     for part in numbers.split(AT_A_TIME):
         image, painted = raster.render_channels(view.projection, (ids[:, None] == part).float())
-        found, places = image.max(2)
-        given = torch.where(found > most, part[places], given)
-        most = torch.maximum(found, most)
+        largest, places = image.max(2)
+        given = torch.where(largest > most, part[places], given)
+        most = torch.maximum(largest, most)
     return torch.where(painted >= LEAST_ALPHA, given, NONE).int().cpu()
 
 
@@ -151,13 +151,13 @@ class LabelSheet:
         sheet = contact_sheet(self._tiles, self._names, COLUMNS, SHEET_WIDTH)
         counts = self._labels.counts()
         order = sorted(range(len(self._labels.names)), key=lambda number: -counts[self._labels.names[number]])
-        shown = [number for number in order if counts[self._labels.names[number]]]
+        used = [number for number in order if counts[self._labels.names[number]]]
         colors = label_colors(len(self._labels.names))
         legend = swatch_legend(
             sheet.shape[1],
             f"Labels of {len(self._labels.ids):,} Gaussians; grey: {NONE_NAME} of the words ({counts[NONE_NAME]:,}).",
             "words",
-            [tuple(colors[number].tolist()) for number in shown],
-            [self._labels.names[number] for number in shown],
+            [tuple(colors[number].tolist()) for number in used],
+            [self._labels.names[number] for number in used],
         )
         return stacked([sheet, legend])

@@ -193,10 +193,10 @@ def choose_things(
         (known.usable & (known.things.levels.cpu() == each)).nonzero()[:, 0]
         for each in range(known.things.owners.shape[1])
     ]
-    found: list[Choice | None] = []
+    choices: list[Choice | None] = []
     for part in fits.T.split(TEXTS_AT_A_TIME):
-        found += _choose(known, part, levels, level, rule)
-    return found
+        choices += _choose(known, part, levels, level, rule)
+    return choices
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,14 +270,14 @@ def _choose(
         for number in wanted
     ]
     ends = torch.tensor([each.shape[1] for each in scores]).cumsum(0)
-    found: list[Choice | None] = []
+    choices: list[Choice | None] = []
     for query, best in enumerate(torch.cat(scores, 1).argmax(1).tolist()):
         which = int((ends <= best).sum())
-        own, place = sets[wanted[which]], best - int(ends[which]) + scores[which].shape[1]
-        rival = int(own.rivals[query, place])
-        things = own.order[query, : place + 1]
-        found.append(Choice(things, float(fits[query, things].max()), None if rival < 0 else rival))
-    return found
+        chosen_sets, place = sets[wanted[which]], best - int(ends[which]) + scores[which].shape[1]
+        rival = int(chosen_sets.rivals[query, place])
+        things = chosen_sets.order[query, : place + 1]
+        choices.append(Choice(things, float(fits[query, things].max()), None if rival < 0 else rival))
+    return choices
 
 
 def find_instances(known: ComparedTable, fits: Tensor, chosen: Tensor) -> Tensor:
@@ -293,7 +293,7 @@ def find_instances(known: ComparedTable, fits: Tensor, chosen: Tensor) -> Tensor
     looks = torch.nn.functional.normalize(known.embeddings - known.embeddings.mean(0), dim=1)
     near = fits[best] - fits <= FIT_SHARE * (fits[best] - fits.quantile(0.5))
     alike = near & (looks @ looks[best] >= LEAST_LIKENESS) & known.usable
-    found = (alike & (levels == levels[chosen[0]])).nonzero()[:, 0]
-    if not len(found):
+    instances = (alike & (levels == levels[chosen[0]])).nonzero()[:, 0]
+    if not len(instances):
         return chosen[:1]
-    return found[fits[found].argsort(descending=True, stable=True)]
+    return instances[fits[instances].argsort(descending=True, stable=True)]

@@ -152,13 +152,13 @@ def _near(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
 
 def _between(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     start, end = shapes.middle(others[0]), shapes.middle(others[1])
-    line, own = end - start, shapes.middle(one) - start
+    line, offset = end - start, shapes.middle(one) - start
     length = float(np.linalg.norm(line))
     if length <= 0:
         return False
-    place = float(own @ line) / length**2
+    place = float(offset @ line) / length**2
     low, high, aside = BETWEEN
-    return bool(low <= place <= high and np.linalg.norm(own - place * line) <= aside * length)
+    return bool(low <= place <= high and np.linalg.norm(offset - place * line) <= aside * length)
 
 
 CONDITIONS: Mapping[str, Condition] = {

@@ -69,11 +69,11 @@ def resolve(
     """
     if isinstance(target, str) or frame is None:
         return list(of_texts[texts_of(target)[0]])
-    found = list(of_texts[target.text])
+    things = list(of_texts[target.text])
     if target.relation:
         anchors = [resolve(field, anchor, of_texts, frame) for anchor in target.anchors]
-        found = _related(field, target.relation, found, anchors, frame)
-    return _ordered(field, target, found, frame)
+        things = _related(field, target.relation, things, anchors, frame)
+    return _ordered(field, target, things, frame)
 
 
 def things_of_question(
@@ -93,11 +93,11 @@ def things_of_question(
         counted: return the things that are one instance each, to be counted.
     """
     expression = question.expression or Expression.of(question.texts)
-    found = [
+    things = [
         thing for each in _resolved(field, expression.targets, answers, frame, counted) for thing in each
     ]
     first: dict[int, Thing] = {}
-    for thing in found:
+    for thing in things:
         first.setdefault(id(thing) if thing.number is None else thing.number, thing)
     return list(first.values())
 

@@ -179,8 +179,8 @@ def _parts(field: LanguageField, members: Sequence[Tensor], level: str) -> list[
     points = PointSets.of(field.gaussians, members)
     shapes = zip(points.medians(), points.boxes(estimate_up(field.cameras or ())), members, strict=True)
     return [
-        box and Thing(None, level, None, "", None, torch.from_numpy(position.copy()), box, own, None)
-        for position, box, own in shapes
+        box and Thing(None, level, None, "", None, torch.from_numpy(position.copy()), box, rows, None)
+        for position, box, rows in shapes
     ]
 
 
@@ -221,9 +221,9 @@ def rough_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
     )
     cells = torch.empty_like(order)
     cells[order] = torch.nn.functional.pad(differing >> 3 * coarser > 0, (1, 0)).cumsum(0)
-    own = cells.numpy()
-    middles = np.stack([np.bincount(own, axis) for axis in points.T], 1) / np.bincount(own)[:, None]
-    return connected_parts(middles)[own]
+    cell_of = cells.numpy()
+    middles = np.stack([np.bincount(cell_of, axis) for axis in points.T], 1) / np.bincount(cell_of)[:, None]
+    return connected_parts(middles)[cell_of]
 
 
 def metres_record(

@@ -124,8 +124,8 @@ class ViewAnswer:
         )
 
     def __repr__(self) -> str:
-        found = f"point {self.point}, box {self.box}, {self.remark()}"
-        return f"ViewAnswer({self.text!r} in {self.view!r}: {found if self.visible else self.remark()})"
+        facts = f"point {self.point}, box {self.box}, {self.remark()}"
+        return f"ViewAnswer({self.text!r} in {self.view!r}: {facts if self.visible else self.remark()})"
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "source": None}  # which holds the scene

@@ -69,8 +69,8 @@ def select_each(field: LanguageField, question: Question) -> Iterator[Selection]
     at_a_time = min(MOST_TEXTS, max(1, MOST_BYTES // max(4 * coded.numel(), 1)))
     for some in question.queries.split(at_a_time):
         for relevancy in field.gaussian_relevancy(some, question.canonical)[rows].unbind(1):
-            found = select_by_relevancy(relevancy, coded, threshold)
-            yield replace(found, level=found.level + (level or 0))
+            selection = select_by_relevancy(relevancy, coded, threshold)
+            yield replace(selection, level=selection.level + (level or 0))
 
 
 def select_by_relevancy(
@@ -131,11 +131,11 @@ class SampledVotes:
 
     def fits(self, queries: Tensor) -> Tensor:
         """Return the fit [Q] of each text [Q, D] (``Selection.fit``)."""
-        found = []
+        fits = []
         for some in queries.to(self._cosines.codes.codebook).split(MOST_TEXTS):
             relevancy = self._cosines.relevancy(some)
-            found += [select_by_relevancy(each, self._coded).fit for each in relevancy.unbind(1)]
-        return torch.tensor(found)
+            fits += [select_by_relevancy(each, self._coded).fit for each in relevancy.unbind(1)]
+        return torch.tensor(fits)
 
 
 @dataclass(frozen=True)
@@ -197,21 +197,25 @@ def stretched_counts(values: Tensor, included: Tensor | None, share: float) -> t
     core = _core_for(values)
     if core is None:
         return plain_stretched_counts(values, included, share)
-    found = core.count_stretched(_rows(values), _bytes(included), share, torch.get_num_threads())
-    return torch.from_numpy(found[0]), torch.from_numpy(found[1])
+    counted = core.count_stretched(_rows(values), _bytes(included), share, torch.get_num_threads())
+    return torch.from_numpy(counted[0]), torch.from_numpy(counted[1])
 
 
 def plain_stretched_counts(values: Tensor, included: Tensor | None, share: float) -> tuple[Tensor, Tensor]:
     """``stretched_counts`` in torch."""
     spans, counts = [], []
     for number, row in enumerate(values):
-        own = row if included is None else row[included[number]]
-        ends = torch.stack(own.aminmax()) if own.numel() else own.new_tensor([torch.inf, -torch.inf])
+        values_of_row = row if included is None else row[included[number]]
+        ends = (
+            torch.stack(values_of_row.aminmax())
+            if values_of_row.numel()
+            else values_of_row.new_tensor([torch.inf, -torch.inf])
+        )
         low, high = ends
         bins = torch.zeros(BINS, dtype=torch.float64)
         if ends.isfinite().all():
             # A little lower than needed, for rounding.
-            counted = own[own >= low + (high - low) * share - 1e-6]
+            counted = values_of_row[values_of_row >= low + (high - low) * share - 1e-6]
             bins = torch.histc(rescale(counted, low, high).float(), BINS, 0, 1).double().cpu()
         spans.append(ends.cpu())
         counts.append(bins.long())
@@ -237,10 +241,10 @@ def above_thresholds(
     core = _core_for(values)
     if core is None:
         return plain_above_thresholds(values, included, spans, thresholds)
-    found = core.above_thresholds(
+    result = core.above_thresholds(
         _rows(values), _bytes(included), spans.numpy(), thresholds.numpy(), torch.get_num_threads()
     )
-    masks, counts, sums = (torch.from_numpy(each) for each in found)
+    masks, counts, sums = (torch.from_numpy(each) for each in result)
     return masks.view(torch.bool), counts, sums
 
 

@@ -193,17 +193,17 @@ def _merged(
     xx, yy, zz, xy, xz, yz = (mean(spread) for spread in spreads)
 
     chosen = np.sort((-total).argsort(kind="stable")[:most])
-    found = drawn.select(members[chosen])
+    merged = drawn.select(members[chosen])
     many = np.flatnonzero(sizes[chosen] > 1)
     own = chosen[many]
     covariances = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1)[own].reshape(-1, 3, 3)
     variances, axes = np.linalg.eigh(covariances)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
     scales = np.sqrt(variances.clip(min=0))
-    found.means[many] = means[own]
-    found.quats[many] = quats_of_rotations(torch.from_numpy(axes)).numpy()
-    found.scales[many] = scales
+    merged.means[many] = means[own]
+    merged.quats[many] = quats_of_rotations(torch.from_numpy(axes)).numpy()
+    merged.scales[many] = scales
     with np.errstate(divide="ignore"):
-        found.opacities[many] = (total[own] / (scales[:, 1] * scales[:, 2])).clip(max=_MOST_ALPHA)
-    found.colors[many] = colors[own]
-    return found, members[chosen]
+        merged.opacities[many] = (total[own] / (scales[:, 1] * scales[:, 2])).clip(max=_MOST_ALPHA)
+    merged.colors[many] = colors[own]
+    return merged, members[chosen]

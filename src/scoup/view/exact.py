@@ -108,10 +108,12 @@ def what_is_at(
     for level, name in enumerate(field.levels):
         embedding = _mean_embedding(field, level, gaussians, weights)
         sure = confidence[gaussians.cpu(), level]
-        own = shares * (sure > 0)
-        found = float((own * sure).sum() / own.sum()) if float(own.sum()) > 0 else 0.0
-        nearest = [] if words is None or not found else _nearest_words(embedding, words)
-        levels.append({"level": name, "confidence": round(found, 4), "words": nearest})
+        coded_shares = shares * (sure > 0)
+        mean_confidence = (
+            float((coded_shares * sure).sum() / coded_shares.sum()) if float(coded_shares.sum()) > 0 else 0.0
+        )
+        nearest = [] if words is None or not mean_confidence else _nearest_words(embedding, words)
+        levels.append({"level": name, "confidence": round(mean_confidence, 4), "words": nearest})
     distance = float((position - camera.position).norm())
     return {"position": position.tolist(), "distance": distance, "levels": levels}
 
@@ -141,8 +143,8 @@ def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]
 def _mean_embedding(field: LanguageField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """Return the sum of the decoded codes of Gaussians [M] by weights [M] at one level, [D] on the CPU."""
     # On the CPU: sums by index on a GPU are not the same twice.
-    own = signed(field.code_indices)[:, level].index_select(0, gaussians)
-    atoms = own.view(field.code_indices.dtype).cpu().long()
+    indices = signed(field.code_indices)[:, level].index_select(0, gaussians)
+    atoms = indices.view(field.code_indices.dtype).cpu().long()
     shares = (field.code_weights[:, level].index_select(0, gaussians).float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
     return code.float() @ field.codebook[level].cpu()

@@ -21,11 +21,11 @@ def page_things(field: LanguageField, vocabulary: Question | None) -> list[dict[
     words: list[int] = []
     if vocabulary is not None and known is not None:
         words = best_words(known.embeddings @ vocabulary.queries.float().cpu().T)[:, 0].tolist()
-    found = []
+    rows = []
     for thing in field.things():
         record, number = thing.to_dict(), thing.number or 0
         named = None if vocabulary is None else vocabulary.texts[words[number]]
-        found.append(
+        rows.append(
             {
                 "number": number,
                 "level": field.level_index(thing.level),
@@ -35,4 +35,4 @@ def page_things(field: LanguageField, vocabulary: Question | None) -> list[dict[
                 "views": thing.n_regions,
             }
         )
-    return found
+    return rows

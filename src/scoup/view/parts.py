@@ -60,22 +60,22 @@ class Parts:
             rows = np.flatnonzero(chosen)
             copies = np.where(covers[rows] > most, 1, self._step)
         number = self._numbers(gaussians.means[torch.from_numpy(rows)])
-        found = []
+        parts = []
         for part in range(len(self)):
             chosen = number == part
             most = max(1, COARSE_GAUSSIANS * int(chosen.sum()) // max(1, len(rows)))
-            found.append(self._decimated(rows[chosen], most, copies[chosen]))
-        joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in found), strict=True)]
-        return PageGaussians(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in found]
+            parts.append(self._decimated(rows[chosen], most, copies[chosen]))
+        joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in parts), strict=True)]
+        return PageGaussians(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in parts]
 
     def _covers(self) -> NDArray[np.float32]:
         """Return [N] what each Gaussian covers."""
-        found = np.empty(len(self._gaussians), np.float32)
+        covers = np.empty(len(self._gaussians), np.float32)
         scales, opacities = self._gaussians.scales.numpy(), self._gaussians.opacities.numpy()
-        for start in range(0, len(found), _AT_A_TIME):
+        for start in range(0, len(covers), _AT_A_TIME):
             part = slice(start, start + _AT_A_TIME)
-            found[part] = cover(scales[part], opacities[part])
-        return found
+            covers[part] = cover(scales[part], opacities[part])
+        return covers
 
     @property
     def merges(self) -> bool:
@@ -93,8 +93,8 @@ class Parts:
     ) -> PageGaussians:
         chosen = torch.from_numpy(rows)
         owners = None if self._owners is None else self._owners[chosen]
-        found = decimate(self._gaussians.select(chosen), max(1, most), owners, copies)
-        return PageGaussians(found.gaussians, chosen[found.rows].long())
+        decimated = decimate(self._gaussians.select(chosen), max(1, most), owners, copies)
+        return PageGaussians(decimated.gaussians, chosen[decimated.rows].long())
 
     @cached_property
     def _rows(self) -> list[NDArray[np.int32]]:

@@ -105,8 +105,8 @@ def _rows(
         "confidence": fractions(codes.confidence.T.numpy(), 0.0, 1.0),
     }
     if field.thing_table is not None:
-        own = field.thing_table.owners.cpu()[shown.rows].T.numpy()
-        tensors["owners"] = np.where(own == NO_THING, NO_OWNER, own).astype(np.uint16)
+        owners = field.thing_table.owners.cpu()[shown.rows].T.numpy()
+        tensors["owners"] = np.where(owners == NO_THING, NO_OWNER, owners).astype(np.uint16)
     return tensors, {**ranges, "weights_scale": largest}
 
 

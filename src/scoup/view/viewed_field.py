@@ -154,13 +154,13 @@ class ViewedField:
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.question(self._probe).canonical)
         if self._parts is None:
-            shown = decimate(self.gaussians.to("cpu"), self.most, self._owners)
+            gaussians = decimate(self.gaussians.to("cpu"), self.most, self._owners)
         else:
-            shown, counts = self._parts.coarse()
+            gaussians, counts = self._parts.coarse()
             metadata = {**metadata, "parts": counts}
             if self._parts.merges and not exported:
                 metadata["most"] = self.most
-        return scene_data(self.field, shown, canonical, metadata, effort)
+        return scene_data(self.field, gaussians, canonical, metadata, effort)
 
     @property
     def n_parts(self) -> int:
@@ -237,7 +237,7 @@ class ViewedField:
         if threshold is None or level is not None:
             return self.field.answer(question)
         levels = [answer.asked[0].level for answer in self.field.answer(self.question(texts, always))]
-        return [self.field.answer(question.one(number, level=own))[0] for number, own in enumerate(levels)]
+        return [self.field.answer(question.one(number, level=best))[0] for number, best in enumerate(levels)]
 
     def things(self) -> list[dict[str, Any]]:
         """Return the things of the scene as the page lists them (``page_things``)."""

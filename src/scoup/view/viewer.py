@@ -67,8 +67,8 @@ class Viewer:
         guard = Guard.of(host)
         self.viewed, self.height = viewed, height
         self._socket = _bound(host, port)
-        shown = _shown_host(host)
-        self.address = f"http://{shown}:{self._socket.getsockname()[1]}{guard.prefix}/"
+        host_name = _shown_host(host)
+        self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
         config = uvicorn.Config(
             application(viewed, page, guard, remote),
             http=BoundedConnection,
@@ -185,15 +185,15 @@ def _bound(host: str, port: int | None) -> socket.socket:
     refusal = ""
     for wanted in dict.fromkeys([address[1], 0 if port is None else address[1]]):
         # Of a socket that names TCP, asyncio sends small answers at once (TCP_NODELAY), 40 ms earlier.
-        found = socket.socket(family, kind, protocol)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound = socket.socket(family, kind, protocol)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            found.bind((address[0], wanted, *address[2:]))
+            bound.bind((address[0], wanted, *address[2:]))
         except OSError as error:
-            found.close()
+            bound.close()
             refusal = error.strerror or str(error)
         else:
-            return found
+            return bound
     raise InputError(f"{host}, port {port}: {refusal}; pass another `port`, or 0 for any that is free")
 
 

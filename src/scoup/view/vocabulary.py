@@ -82,9 +82,9 @@ def words_data(field: LanguageField, answers: Sequence[PageAnswer], effort: int 
 def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
     """Return how many things answer each word, [V, 1 + S]: without and with a level of choice; and their numbers, one
     after the other."""
-    found = [[answer.chosen_things, *answer.things] for answer in answers]
-    counts = [[0 if each is None else len(each) for each in row] for row in found]
-    numbers = [number for row in found for each in row for number in each or ()]
+    choices = [[answer.chosen_things, *answer.things] for answer in answers]
+    counts = [[0 if each is None else len(each) for each in row] for row in choices]
+    numbers = [number for row in choices for each in row for number in each or ()]
     return {"thing_counts": np.array(counts, np.uint16), "things": np.array(numbers, np.uint16)}
 
 
