@@ -84,8 +84,10 @@ def test_merged_parts_are_sent_whole_too(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "most" not in unpacked(whole.scene())[1]
     assert "most" not in unpacked(merged.scene(exported=True))[1]
     assert unpacked(merged.scene())[1]["most"] == 40
+    monkeypatch.setattr(
+        "scoup.view.server._MOST_PACKED", len(whole.part(1)) + 600
+    )  # one part at a time is kept
     client = TestClient(application(merged, PAGE, Guard.of("127.0.0.1")), LOCAL)
-    monkeypatch.setattr("scoup.view.server._MOST_PACKED", 1)  # one part at a time is kept
     for address, data in (
         ("/part/1-of-2?whole", whole.part(1)),
         ("/part/1-of-2", merged.part(1)),

@@ -424,6 +424,19 @@ class LanguageField:
 
         return things(self, question, frame)
 
+    def relations(self, frame: Frame | None = None) -> list[tuple[int, str, int]]:
+        """Return which things are on or inside others of their level: (number, "on" or "inside", number of the other).
+
+        ``frame`` says what up means; by default ``field.frame()``.
+
+        Example:
+            >>> {what for _, what, _ in field.relations()} <= {"on", "inside"}
+            True
+        """
+        from scoup.query.relations import relations
+
+        return relations(self, frame)
+
     def catalog(self, question: Question | str | Several, frame: Frame | None = None) -> Catalog:
         """Name every thing of the scene with the best of several words: an object map, or scene graph.
 

@@ -16,7 +16,7 @@ from scoup.query.answer_scene import null_scores
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.matching import compare_things
 from scoup.query.question import Question, Several, as_question
-from scoup.query.relations import related_pairs, things
+from scoup.query.relations import relations, things
 from scoup.query.things import Thing
 
 NAMES = 3
@@ -93,7 +93,7 @@ def make_catalog(
         replace(thing, text=best[0], score=score)
         for thing, best, score in zip(every, names, sure, strict=True)
     )
-    return Catalog(named, names, tuple(related_pairs(field, named, frame)), frame)
+    return Catalog(named, names, tuple(relations(field, frame)), frame)
 
 
 def best_words(cosines: Tensor) -> Tensor:

@@ -179,6 +179,12 @@ def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: F
     return [things[order[phrase.rank - 1]]] if phrase.rank <= len(things) else []
 
 
+def relations(field: LanguageField, frame: Frame | None = None) -> list[tuple[int, str, int]]:
+    """Return how the things of a field stand to each other; ``field.relations`` documents it."""
+    frame = scene_frame(field) if frame is None else frame
+    return list(related_pairs(field, things(field, None, None), frame))
+
+
 def related_pairs(
     field: LanguageField, things: Sequence[Thing], frame: Frame
 ) -> Iterator[tuple[int, str, int]]:
