@@ -173,7 +173,7 @@ def views(study: Claims) -> Record:
 def timed(study: Claims, runs: Mapping[str, Callable[[], object]]) -> dict[str, Record]:
     """Return interleaved timings by name."""
     tasks = {name: Task(run, study.threads, study.repeats) for name, run in runs.items()}
-    return {name: timing.record() for name, timing in time_tasks(tasks, progress=report).items()}
+    return {name: timing.to_dict() for name, timing in time_tasks(tasks, progress=report).items()}
 
 
 def demo_scene(study: Claims, n_gaussians: int) -> DemoScene:

@@ -80,7 +80,7 @@ class Gpu(Study):
         if DIFFERENCE not in known and tasks.keys() >= {THEIRS, "RGB"}:
             yield DIFFERENCE, {"value": float((runs["RGB"]() - runs[THEIRS]()).abs().mean())}  # pyright: ignore[reportOperatorIssue]
         timings = time_tasks(tasks, self.device, report, LEAST_SECONDS)
-        yield from ((name, timing.record()) for name, timing in timings.items())
+        yield from ((name, timing.to_dict()) for name, timing in timings.items())
 
     def _require_device(self) -> None:
         try:

@@ -50,7 +50,7 @@ class Trial:
         if result.outcome in FAILURES:
             self.failures.append(result)
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the record, for JSON."""
         return {
             "reader": self.name,

@@ -63,7 +63,7 @@ class Hostile(Study):
                     {"reader": reader, "number": each.number, "outcome": each.outcome, "said": each.said}
                     for each in trial.failures
                 ]
-                return {**trial.record(), "allowed": str(READERS[reader].memory), "failures": found}
+                return {**trial.to_dict(), "allowed": str(READERS[reader].memory), "failures": found}
 
             yield from zip(names, pool.map(figures, names), strict=True)
 
