@@ -17,7 +17,7 @@ from scoup.scene.cameras import Camera
 def test_depth_is_the_mean_of_what_paints_a_pixel(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
     projection = field.project(camera)
-    found = render_depth(field, projection, camera)
+    found = render_depth(projection, field.gaussians, camera)
     means = field.gaussians.means.double()
     distances = (means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])[:, 2]
     total = torch.zeros(camera.height, camera.width, dtype=torch.float64)

@@ -19,8 +19,9 @@ from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache
 from scoup.field.container import field_damage_named
 from scoup.field.derived import field_on, moved_field
-from scoup.field.relevancy import FieldCodes
-from scoup.field.sources import camera_of, check_geometry, encoder_of, geometry_of
+from scoup.field.relevancy import FieldCodes, GaussianCosines
+from scoup.field.renders import Vectors
+from scoup.field.sources import camera_of, check_geometry, named_encoder, named_geometry
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import rows_of
 from scoup.scene.field_info import FieldInfo, check_codes, check_things
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 
 Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Path"
 """What turns texts into vectors: an encoder, a dict of name -> vector, a word table's file, or a model id."""
-Vectors: TypeAlias = "Tensor | ArrayLike"
 Value = TypeVar("Value")
 Asked = TypeVar("Asked", bound="str | Several | Expression")
 CACHE_BYTES, BYTES_PER_CODE = 64 << 20, 16
@@ -192,7 +192,8 @@ class LanguageField:
             InputError: the field does not say where its geometry is.
         """
         if self._gaussians is None:
-            self.attach(*geometry_of(self))
+            gaussians = named_geometry(self.geometry_path, str(self.path or "this field"))
+            self.attach(gaussians.to(self.codebook.device), str(self.geometry_path))
         assert self._gaussians is not None
         return self._gaussians
 
@@ -229,12 +230,12 @@ class LanguageField:
 
     def render_codes(self, camera: Camera | str | int) -> Tensor:
         """Render the coefficients of every level, [S, H, W, L] float32."""
-        return renders.render_codes(self, self.project(camera))
+        return renders.render_codes(self.project(camera), self.codes)
 
     def render_features(self, camera: Camera | str | int, level: str | int) -> Tensor:
         """Render decoded features of one level, [H, W, D] float32, unit norm or, where nothing is rendered, zero."""
-        self.level_index(level)
-        return renders.render_features(self, self.project(camera), level)
+        index = self.level_index(level)
+        return renders.render_features(self.project(camera), self.codes, index)
 
     def relevancy(self, camera: Camera | str | int, queries: Vectors, canonical: Vectors) -> Tensor:
         """Return the relevancy of every pixel to every query at every level (method.md, stage 3).
@@ -252,14 +253,18 @@ class LanguageField:
         Raises:
             InputError: there is no query or no phrase, or one is zero, not finite or not of the field's dimensions.
         """
-        return renders.fresh_relevancy(self, camera, queries, canonical)
+        vectors = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
+        return renders.fresh_relevancy(self.project(camera), self.codes, *vectors)
 
     def gaussian_relevancy(self, queries: Vectors, canonical: Vectors) -> Tensor:
         """Return the relevancy of every Gaussian's own code, without rendering: [S, Q, N] float32; 0.5 without a code.
 
         Arguments and errors are those of ``relevancy``.
         """
-        return renders.gaussian_relevancy(self, queries, canonical)
+        queries, canonical = renders.checked_vectors(self.codes, self.embedding_model, queries, canonical)
+        norms = self.kept("inverse norms", self.codes.inverse_norms)
+        key = "largest cosines", canonical.cpu().numpy().tobytes()
+        return self.kept(key, lambda: GaussianCosines.of(self.codes, norms, canonical)).relevancy(queries)
 
     def gaussian_features(self, level: str | int) -> Tensor:
         """Return the decoded codes of all Gaussians at one level: [N, D] float32, unit norm; zero without a code.
@@ -267,7 +272,7 @@ class LanguageField:
         Raises:
             InputError: there is no such level.
         """
-        return renders.gaussian_features(self, level)
+        return renders.gaussian_features(self.codes, self.level_index(level))
 
     # ---- questions
 
@@ -279,7 +284,7 @@ class LanguageField:
             InputError: the field names none.
             MissingFileError: the table is missing.
         """
-        return encoder_of(self)
+        return named_encoder(self.info, str(self.path or "this field"))
 
     def text_encoder(self, encoder: Encoder | None = None) -> TextEncoder:
         """Return the encoder of this field's texts; opened at its first use and kept.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from scoup.base.counts import counted
 from scoup.base.errors import GeometryMismatchError, InputError, MissingFileError
@@ -11,18 +11,14 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 
-if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
 
-
-def geometry_of(field: LanguageField) -> tuple[Gaussians, str]:
-    """Read the geometry that a field names, on its device; and its file."""
-    if field.geometry_path is None:
-        which = field.path or "this field"
+def named_geometry(path: Path | None, field: str) -> Gaussians:
+    """Read the geometry that a field names; ``field`` is its name in messages."""
+    if path is None:
         raise InputError(
-            f"{which}: does not say where its Gaussians are; pass them: LanguageField.load(path, gaussians)"
+            f"{field}: does not say where its Gaussians are; pass them: LanguageField.load(path, gaussians)"
         )
-    return load_gaussians(field.geometry_path).to(field.codebook.device), str(field.geometry_path)
+    return load_gaussians(path)
 
 
 def check_geometry(gaussians: Gaussians, info: FieldInfo, source: str, known: bool) -> None:
@@ -50,17 +46,17 @@ def camera_of(cameras: Cameras | None, camera: str | int) -> Camera:
         raise InputError(f"there is no camera {camera}; this field has {len(cameras)}") from None
 
 
-def encoder_of(field: LanguageField) -> str:
+def named_encoder(info: FieldInfo, field: str) -> str:
     """Return the word table or model that a field names; ``LanguageField.encoder_source`` documents the errors."""
-    words = field.info.words
+    words = info.words
     if words is not None:
         if not words.is_file():
             problem = "is missing, and the field names it as its word table"
             raise MissingFileError(words, problem, "pass encoder=..., the place where it is now")
         return str(words)
-    if not field.embedding_model:
+    if not info.embedding_model:
         raise InputError(
-            f"{field.path or 'this field'}: names no embedding model; pass encoder=..., a word table, a model id, "
+            f"{field}: names no embedding model; pass encoder=..., a word table, a model id, "
             "or a dict of name -> vector"
         )
-    return field.embedding_model
+    return info.embedding_model

@@ -98,10 +98,10 @@ class FieldView:
 
     def relevancy(self, queries: Vectors, canonical: Vectors) -> Tensor:
         """Return the relevancy of every pixel, [S, Q, H, W] float32; see ``field.relevancy``."""
-        queries, canonical = checked_vectors(self.field, queries, canonical)
-        parts = self.field.parts()
+        field, parts = self.field, self.field.parts()
+        queries, canonical = checked_vectors(field.codes, field.embedding_model, queries, canonical)
         known: PixelCosines | None = self.cache.get(PixelCosines, parts)
-        maps, known = pixel_relevancy(self.projection, self.field.codes, queries, canonical, known)
+        maps, known = pixel_relevancy(self.projection, field.codes, queries, canonical, known)
         self.cache.keep(PixelCosines, known, parts)
         return maps
 
@@ -112,7 +112,7 @@ class FieldView:
 
     def render_codes(self) -> Tensor:
         """Render the coefficients of every level, [S, H, W, L] float32."""
-        return render_codes(self.field, self.projection)
+        return render_codes(self.projection, self.field.codes)
 
     def shares(self, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Return what the Gaussians [N] boolean of a mask contribute to each pixel, and alpha, [H, W] each."""

@@ -76,7 +76,7 @@ class Question(TextVectors, Generic[Asked]):
     threshold: float | None = None
     """Gaussians with relevancy above this, 0 to 1 once it is rescaled over the scene, answer in place of things. None:
     things answer, or in a field without things the Gaussians above the threshold at which the answer changes least
-    (``scoup.query.stable_threshold``)."""
+    (``scoup.query.votes``)."""
     level: int | None = None
     """Position of the one that answers; ``field.question`` also takes its name. None: the best, for each text."""
     present_from: float | None = None

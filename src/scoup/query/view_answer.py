@@ -50,7 +50,7 @@ class ViewRenders:
     def depth(self) -> Tensor:
         """Render the depth once (``render_depth``)."""
         if self._depth is None:
-            self._depth = render_depth(self.field, self.projection(), self.camera)
+            self._depth = render_depth(self.projection(), self.field.gaussians, self.camera)
         return self._depth
 
 
