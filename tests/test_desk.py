@@ -17,7 +17,7 @@ from scoup.query.phrases import Phrase, parse_phrase
 from scoup.query.relation_rules import CONDITIONS, Shapes
 from scoup_lab.data.labels import match_frames, read_labels
 
-NAMES = ("kettle", "laptop computer", "penguin")
+NAMES: tuple[str, ...] = ("kettle", "laptop computer", "penguin")
 CONVERSES = {
     "left of": "right of",
     "right of": "left of",
@@ -70,7 +70,7 @@ def test_the_best_thing_is_the_labelled_object(desk: Path, built: Path, name: st
     overlaps = []
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         truth = frame.resized(camera.width, camera.height).masks[name]
-        found = thing_mask(field, field.project(camera), best)
+        found = thing_mask(field.at(camera), best)
         overlaps.append(float((found & truth).sum() / (found | truth).sum()))
     assert np.mean(overlaps) > 0.5, overlaps
 

@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup import raster
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.native import native_core
 from scoup.coding.encode import encode
@@ -290,9 +289,7 @@ def test_places_without_an_atom_do_no_harm(wall: Wall, grown: LanguageField) -> 
     camera = wall.late[1]
     relevancy = grown.relevancy(camera, wall.things, wall.canonical)
     if native_core() is not None:
-        reference = grown.relevancy(
-            camera, wall.things, wall.canonical, raster.project(grown.gaussians, camera, backend="reference")
-        )
+        reference = grown.at(camera, backend="reference").relevancy(wall.things, wall.canonical)
         torch.testing.assert_close(relevancy, reference, atol=1e-4, rtol=0)
     assert torch.isfinite(relevancy).all()
     assert torch.isfinite(grown.gaussian_relevancy(wall.things, wall.canonical)).all()
