@@ -16,7 +16,9 @@ from support import random_gaussians
 def test_sound_scenes_have_none() -> None:
     assert sanity_problems(random_gaussians(0, 0)) == []
     assert sanity_problems(random_gaussians(1, 0)) == []
-    assert sanity_problems(random_gaussians(500, 0, ("plain", "behind", "needle", "tiny", "opacity inf"))) == []
+    assert (
+        sanity_problems(random_gaussians(500, 0, ("plain", "behind", "needle", "tiny", "opacity inf"))) == []
+    )
 
 
 def test_one_splat_is_not_hidden_by_another() -> None:
