@@ -69,7 +69,7 @@ def test_weights_find_their_places(model, weights, tmp_path: Path) -> None:
     logits, iou = opened.encode(smooth_image(48, 80)).predict(POINTS)
     assert logits.shape == (2, 3, 256, 256)
     assert iou.shape == (2, 3)
-    record = opened.record()
+    record = opened.to_dict()
     assert record["segmenter"] == "mobile-sam"
     assert len(record["segmenter_sha256"]) == 64
 
