@@ -14,8 +14,7 @@ from benchmarks.drawn import DrawnAnswer, drawn_masks, question_of
 from benchmarks.real_scenes import place_of
 from benchmarks.study import Record
 from scoup.models.words import with_everyday
-from scoup.query.known_things import ComparedThings
-from scoup.query.things import ChoiceRule, choose_things
+from scoup.query.matching import ChoiceRule, ComparedTable, choose_things
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import iou
@@ -33,7 +32,7 @@ def fit_row(scene: AnswerScene, fitted: FittedMethod) -> dict[str, float]:
     chosen: dict[tuple[str, tuple[int, ...]], list[float]] = {}
     by_constants: dict[str, list[tuple[str, tuple[int, ...]]]] = {}
     for hub_share in HUB_SHARES:
-        known = ComparedThings.of(table, question.everyday.float(), hub_share)
+        known = ComparedTable.of(table, question.everyday.float(), hub_share)
         fits = known.fits(question.queries.float())
         for rival, agreement in product(RIVALS, AGREEMENTS):
             found = choose_things(known, fits, None, ChoiceRule(rival, agreement))

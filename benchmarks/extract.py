@@ -122,8 +122,8 @@ class Timed:
     points: int = 0
     seconds: dict[str, float] = field(default_factory=lambda: {"encoder": 0.0, "decoder": 0.0})
 
-    def record(self) -> dict[str, Any]:
-        return self.model.record()
+    def to_dict(self) -> dict[str, Any]:
+        return self.model.to_dict()
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
         start = time.process_time()

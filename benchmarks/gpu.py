@@ -14,7 +14,7 @@ from torch import Tensor
 from benchmarks.study import Record, Study, report
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup_lab.bench import Task, Workload, markdown, random_workload, time_tasks
 from scoup_lab.bench.report import milliseconds
 from scoup_lab.bench.stages import region_sums_of_a_view, vote_of_a_view
@@ -80,7 +80,7 @@ class Gpu(Study):
         if DIFFERENCE not in known and tasks.keys() >= {THEIRS, "RGB"}:
             yield DIFFERENCE, {"value": float((runs["RGB"]() - runs[THEIRS]()).abs().mean())}  # pyright: ignore[reportOperatorIssue]
         timings = time_tasks(tasks, self.device, report, LEAST_SECONDS)
-        yield from ((name, timing.record()) for name, timing in timings.items())
+        yield from ((name, timing.to_dict()) for name, timing in timings.items())
 
     def _require_device(self) -> None:
         try:

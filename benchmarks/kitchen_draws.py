@@ -36,7 +36,7 @@ import scoup
 from benchmarks.embedding_kinds import EmbeddingKind, RegionErrors, draw_hosts, draw_prototypes
 from scoup import raster
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.view_masks import mask_box
+from scoup.query.view_answer import mask_box
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions

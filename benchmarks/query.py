@@ -75,21 +75,24 @@ class Query(Study):
         with torch_threads(self.threads):
             for number in range(count):
                 query, other = queries[number][None], queries[number - 1][None]
-                view = clock("project", field.project, camera, self.backend)
-                clock("first relevancy", field.relevancy, camera, other, canonical, view)
-                clock("further relevancy", field.relevancy, camera, query, canonical, view)
+                view = clock("project", field.at, camera, 1.0, self.backend)
+                clock("first relevancy", view.relevancy, other, canonical)
+                clock("further relevancy", view.relevancy, query, canonical)
                 fresh = field.with_gaussians(field.gaussians)
                 fresh.text_encoder(words)
                 clock("first location", fresh.location, asked[2 * number])
                 for stage in ("further location", "same location"):
                     clock(stage, fresh.location, asked[2 * number + 1])
                 answer = fresh.answer(asked[2 * number + 1])
-                unseen = field.project(camera, self.backend)
+                unseen = field.at(camera, backend=self.backend)
                 for stage in ("drawn, new camera", "drawn, same camera"):
-                    clock(stage, answer.in_view, camera, unseen)
+                    clock(stage, unseen.show, [answer])
                 clock("ten locations", fresh.location, batch)
                 clock("ten things", fresh.location, self._things(fresh, number))
-                clock("quarter", fresh.answer, asked[2 * number + 1], camera, scale=0.25)
+                clock(
+                    "quarter",
+                    lambda fresh=fresh, text=asked[2 * number + 1]: fresh.at(camera, 0.25).answer(text),
+                )
         least = {stage: min(times[1:]) for stage, times in clock.seconds.items()}
         least["query, new camera"] = least["project"] + least.pop("drawn, new camera")
         least["query, same camera"] = least.pop("drawn, same camera")

@@ -18,7 +18,7 @@ regions = scoup.load_regions(scene, cameras)
 field = scoup.build(gaussians, cameras, regions, words=words)
 
 for camera in cameras[:3]:
-    answer = field.answer(thing, camera)
+    answer = field.at(camera).answer(thing)
     print(f"{camera.name}: pixel {answer.point}, box {answer.box}, level {answer.level}")
 place = field.location(thing)
 print(f"in the world: {place}")

@@ -14,7 +14,7 @@ path, words, thing, metres_per_unit = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
 field.text_encoder(words)
 place = field.location(thing)
-print(f"{thing}: {place.said(float(metres_per_unit))}")
+print(f"{thing}: {place.describe(float(metres_per_unit))}")
 
 views = [place.answer.in_view(camera) for camera in field.cameras or ()]
 best = max(views, key=lambda view: view.coverage, default=None)

@@ -41,7 +41,7 @@ class Wall:
     thing: Tensor
     is_upper: Tensor
     vectors: Tensor
-    texts: Question
+    texts: Question[list[str]]
 
     def shows(self, camera: Camera) -> Tensor:
         """[H, W] int64: the thing of each pixel, -1 beside the wall."""

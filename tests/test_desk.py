@@ -17,7 +17,7 @@ from scoup.query.phrases import Phrase, parse_phrase
 from scoup.query.relation_rules import CONDITIONS, Shapes
 from scoup_lab.data.labels import match_frames, read_labels
 
-NAMES = ("kettle", "laptop computer", "penguin")
+NAMES: tuple[str, ...] = ("kettle", "laptop computer", "penguin")
 CONVERSES = {
     "left of": "right of",
     "right of": "left of",
@@ -52,7 +52,7 @@ def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path
     overlaps: dict[str, list[float]] = {name: [] for name in NAMES}
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         frame = frame.resized(camera.width, camera.height)
-        for name, answer in zip(NAMES, field.answer(question, camera), strict=True):
+        for name, answer in zip(NAMES, field.at(camera).answer(question), strict=True):
             assert answer.mask is not None
             truth = frame.masks[name]
             overlaps[name].append(float((answer.mask & truth).sum() / (answer.mask | truth).sum()))
@@ -70,7 +70,7 @@ def test_the_best_thing_is_the_labelled_object(desk: Path, built: Path, name: st
     overlaps = []
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         truth = frame.resized(camera.width, camera.height).masks[name]
-        found = thing_mask(field, field.project(camera), best)
+        found = thing_mask(field.at(camera), best)
         overlaps.append(float((found & truth).sum() / (found | truth).sum()))
     assert np.mean(overlaps) > 0.5, overlaps
 

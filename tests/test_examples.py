@@ -114,7 +114,7 @@ def test_robot(scene, field):
     printed = example("06_robot.py", field, scene / "words.npz", "kettle", 0.5)
     loaded = scoup.LanguageField.load(field)
     place = loaded.location(loaded.question("kettle", encoder=scene / "words.npz"))
-    assert printed.startswith(f"kettle: {place.said(0.5)}")
+    assert printed.startswith(f"kettle: {place.describe(0.5)}")
     assert "m ahead" in printed
 
 

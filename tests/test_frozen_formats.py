@@ -51,7 +51,7 @@ def test_a_field_answers_as_it_did(path: Path) -> None:
     assert kept["relevancy"].std() > 0.1  # there is something to be compared
     asked = LanguageField.load(path, gaussians_of_formats())
     assert asked.thing_table is not None
-    assert asked.answer("kettle", "view_00.png").heat.shape == (24, 32)  # by the table that it names
+    assert asked.at("view_00.png").answer("kettle").heat.shape == (24, 32)  # by the table that it names
 
 
 @pytest.mark.parametrize("path", FIELDS, ids=lambda path: path.stem)

@@ -46,7 +46,8 @@ def test_a_field_from_arrays_is_the_same_field(made):
     assert mask.equal(field.select(field.question(queries, encoder=phrases)).mask)
     assert len(field[mask.numpy()]) == int(mask.sum())
     seen, same = (
-        field.answer(field.question(one, encoder=phrases), cameras[0]) for one in (queries.numpy(), queries)
+        field.at(cameras[0]).answer(field.question(one, encoder=phrases))
+        for one in (queries.numpy(), queries)
     )
     assert all(one.mask.equal(other.mask) for one, other in zip(seen, same, strict=True))
 

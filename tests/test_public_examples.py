@@ -11,13 +11,26 @@ import torch
 import scoup
 from cli.conftest import here as here
 from cli.conftest import original as original
+from scoup.field.cache import Cache
+from scoup.query.field_view import FieldView
 
-ANSWERS = ("question", "answer", "location", "things", "catalog", "frame", "select", "label")
+ANSWERS = (
+    "question",
+    "answer",
+    "at",
+    "location",
+    "things",
+    "relations",
+    "catalog",
+    "frame",
+    "select",
+    "label",
+)
 NAMES = [name for name in scoup.__all__ if name != "__version__"]
 
 
 def methods_of_fields() -> list[object]:
-    return [getattr(scoup.LanguageField, name) for name in ANSWERS]
+    return [*(getattr(scoup.LanguageField, name) for name in ANSWERS), FieldView, Cache]
 
 
 @pytest.mark.usefixtures("few_candidates")
@@ -26,7 +39,7 @@ def test_an_example_runs(here: Path, name: str) -> None:
     """In a folder with a scene and its field, as the examples have it."""
     field = scoup.LanguageField.load("f.scoup")
     field.text_encoder("scene/words.npz")
-    given = {"scoup": scoup, "torch": torch, "field": field}
+    given = {"scoup": scoup, "torch": torch, "field": field, "Cache": Cache}
     public = [getattr(scoup, name), *(methods_of_fields() if name == "LanguageField" else ())]
     finder = doctest.DocTestFinder(recurse=False)
     found = [each for item in public for each in finder.find(item, name, globs=given)]

@@ -12,8 +12,8 @@ import scoup
 from scoup.io import save_regions
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.answering import answer_scene, draw_answers
-from scoup.query.text_vectors import encode_texts
+from scoup.query.answer_scene import answer_scene
+from scoup.query.question import encode_texts
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -70,12 +70,11 @@ SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
     (lambda t: api.load_regions(t.path, t.gaussians), "load_regions: the argument cameras is of type Gaussians"),
     (lambda t: api.load_regions(t.path, ["view_00.png"]), "load_regions: the argument cameras is of type list"),
     (lambda t: api.save_gaussians("a.ply", t.gaussians), "save_gaussians: the argument gaussians is of type str"),
-    (lambda t: t.field.answer("kettle", t.cameras), "the argument camera is of type Cameras"),
+    (lambda t: t.field.at(t.cameras).answer("kettle"), "the argument camera is of type Cameras"),
     (lambda t: t.field.project(t.gaussians), "LanguageField.camera: the argument camera is of type Gaussians"),
-    (lambda t: t.field.answer(t.cameras[0], "kettle"), "expected a text, a list of texts, or vectors"),
+    (lambda t: t.field.answer(t.cameras[0]), "expected a text, a list of texts, or vectors"),
     (lambda t: t.field.select(t.path, t.texts), "select: the argument reshaping is of type Question"),
     (lambda t: t.field.select(t.gaussians.opacities > 0.5), "got Tensor; a part of a field is field[mask]"),
-    (lambda t: draw_answers(t.field, [], t.cameras), "draw_answers: the argument camera is of type Cameras"),
     (lambda t: answer_scene(t.field, ["kettle"]), "question is of type list, expected Question (the order is "  # type: ignore
      "field, question); get one from field.question(texts)"),
     (lambda t: answer_scene(t.texts, t.field), "answer_scene: the argument field is of type Question"),

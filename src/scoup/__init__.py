@@ -40,10 +40,10 @@ _HOMES = {
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
     "Question": "scoup.query.question",
-    "ViewAnswer": "scoup.query.answer",
+    "ViewAnswer": "scoup.query.view_answer",
     "Place": "scoup.query.place",
-    "Reshaping": "scoup.query.reshape",
-    "GaussianLabels": "scoup.query.label",
+    "Reshaping": "scoup.query.select",
+    "GaussianLabels": "scoup.query.labels",
     "parse_expression": "scoup.query.expression",
 }
 
@@ -64,12 +64,12 @@ if TYPE_CHECKING:
     from scoup.io import save_gaussians as save_gaussians
     from scoup.models.text import TextEncoder as TextEncoder
     from scoup.query.answer import Answer as Answer
-    from scoup.query.answer import ViewAnswer as ViewAnswer
     from scoup.query.expression import parse_expression as parse_expression
-    from scoup.query.label import GaussianLabels as GaussianLabels
+    from scoup.query.labels import GaussianLabels as GaussianLabels
     from scoup.query.place import Place as Place
     from scoup.query.question import Question as Question
-    from scoup.query.reshape import Reshaping as Reshaping
+    from scoup.query.select import Reshaping as Reshaping
+    from scoup.query.view_answer import ViewAnswer as ViewAnswer
     from scoup.raster import project as project
     from scoup.scene.cameras import Camera as Camera
     from scoup.scene.cameras import Cameras as Cameras

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 import scoup
-from scoup.query.select import Selection
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
+from scoup.query.votes import Selection
 
 
 def test_tensors_are_said_by_type_and_shape():

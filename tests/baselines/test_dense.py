@@ -6,7 +6,7 @@ import torch
 
 from scoup import raster
 from scoup.field.language_field import LanguageField
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.scene.field_info import FieldInfo
 from scoup.uplift.rasterise import region_sums

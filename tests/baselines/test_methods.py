@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import UnknownNameError
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build

@@ -45,7 +45,7 @@ def test_threads_are_restored_after_an_error():
 def test_medians():
     timing = Timing((3.0, 1.0, 2.0, 9.0))
     assert timing.median == 2.5
-    assert timing.record() == {"median_s": 2.5, "min_s": 1.0, "max_s": 9.0, "repeats": 4}
+    assert timing.to_dict() == {"median_s": 2.5, "min_s": 1.0, "max_s": 9.0, "repeats": 4}
 
 
 def test_nothing_to_measure():

@@ -58,7 +58,7 @@ def test_ratios_are_of_the_same_scene_stage_and_threads():
     ]
     assert ratios(rows) == {rows[0]: 0.25}
     found = comparison(rows)
-    assert found["rows"] == [item.record() for item in rows]
+    assert found["rows"] == [item.to_dict() for item in rows]
     assert found["ratios"] == [
         {
             "scene": "room",
@@ -90,7 +90,7 @@ def test_milliseconds(seconds, text):
 
 def test_json_is_written_once(tmp_path: Path):
     path = tmp_path / "new" / "a.json"
-    write_json(path, {"rows": [row("project", "native", 1, 2).record()]})
+    write_json(path, {"rows": [row("project", "native", 1, 2).to_dict()]})
     assert set(json.loads(path.read_text())["rows"][0]) == {
         "scene", "gaussians", "stage", "backend", "threads", "median_s", "min_s", "max_s", "repeats",
     }  # fmt: skip

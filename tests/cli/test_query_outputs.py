@@ -28,7 +28,7 @@ def test_arrays_and_coco_hold_the_answers():
     )
     areas = {(one["image_id"], one["category_id"]): one["area"] for one in coco["annotations"]}
     for number, camera in enumerate(field.cameras or ()):
-        answers = field.answer(list(TEXTS), camera)
+        answers = field.at(camera).answer(list(TEXTS))
         with np.load(f"a/{camera.stem}/relevancy.npz", allow_pickle=False) as arrays:
             assert arrays["texts"].tolist() == list(TEXTS)
             assert arrays["levels"].tolist() == [answer.level for answer in answers]
@@ -53,12 +53,12 @@ def test_python_says_what_the_command_line_says():
         zip(field.answer(list(TEXTS)), field.location(list(TEXTS)), strict=True)
     ):
         assert answer.text == TEXTS[number]
-        assert {"text": answer.text, **place.record()} == record["places"][number]
-        assert field.location(answer).record() == field.location(answer.text).record() == place.record()
+        assert {"text": answer.text, **place.to_dict()} == record["places"][number]
+        assert field.location(answer).to_dict() == field.location(answer.text).to_dict() == place.to_dict()
         entries = [entry for entry in record["answers"] if entry["text"] == answer.text]
         for camera, entry in zip(field.cameras or (), entries, strict=True):
             seen = answer.in_view(camera)
-            assert {"camera": seen.view, "text": seen.text, **seen.record()} == entry
+            assert {"camera": seen.view, "text": seen.text, **seen.to_dict()} == entry
             assert (seen.position is None) == (entry["position"] is None)
 
 

@@ -21,7 +21,7 @@ def test_the_main_path():
     things = field.things()
     folder = Path("f_catalog")
     graph = json.loads((folder / "catalog.json").read_text())
-    assert graph == field.catalog(field.question(WORDS, always=True)).record()
+    assert graph == field.catalog(field.question(WORDS, always=True)).to_dict()
     assert [one["thing"] for one in graph["things"]] == [thing.number for thing in things]
     assert f"{len(things)} things" in out
     rows = list(csv.reader((folder / "catalog.csv").read_text().splitlines()))

@@ -251,7 +251,7 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
             raise error
         return overlay(*arguments)
 
-    monkeypatch.setattr("scoup.query.answer.mask_overlay", failing)
+    monkeypatch.setattr("scoup.query.view_answer.mask_overlay", failing)
     code, out, err = run(
         "query", "f.scoup", "mug", "kettle", "--camera", "all", "--overwrite", "--pictures", "all"
     )

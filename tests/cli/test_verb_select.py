@@ -12,7 +12,7 @@ from PIL import Image
 from cli_support import QUICK, add_words, refused, run, run_json
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, read_ply_table, save_gaussians, write_ply_table
-from scoup.query.reshape import Reshaping
+from scoup.query.select import Reshaping
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -129,7 +129,7 @@ def test_things_answer_and_votes_above_a_threshold():
     ask = ("select", "f.scoup", "kettle", "mug", "--out", "a.ply", "--overwrite")
     texts = lambda *options: run_json(*ask, *options)["texts"]  # noqa: E731
     field = LanguageField.load("f.scoup")
-    assert texts() == {text: field.answer(text).record() for text in ("kettle", "mug")}
+    assert texts() == {text: field.answer(text).to_dict() for text in ("kettle", "mug")}
     assert all(one["things"] and "threshold" not in one for one in texts().values())
     for one in texts("--threshold", "0.55").values():
         assert (one["threshold"], one["things"]) == (0.55, [])
@@ -263,7 +263,7 @@ def test_a_picture_shows_before_and_after():
         (["--out", "a.ply", "--edit", "ids", "--grow", "1"], "numbers texts"),
         (["-", "mug", "--out", "a.ply", "--edit", "ids"], "numbers texts"),
         (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
-        (["--out", "a.ply", "--threshold", "nan"], "--threshold must be 0 to 1"),
+        (["--out", "a.ply", "--threshold", "nan"], "threshold must be 0 to 1"),
         (["--out", "a.ply", "--presence", "1.5"], "presence must be 0 to 1, got 1.5"),
         (["--out", "a.ply", "--presence", "0.5"], "presence is judged against 16 or more"),
         (["--out", "a.ply", "--level", "xl"], "'xl'"),

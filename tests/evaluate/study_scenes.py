@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup.scene.regions import Regions
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame

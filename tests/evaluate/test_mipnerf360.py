@@ -7,7 +7,7 @@ import torch
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings

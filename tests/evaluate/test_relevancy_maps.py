@@ -11,7 +11,7 @@ from torch import Tensor
 
 from evaluate import literal
 from scoup.base.errors import InputError
-from scoup.query.view_masks import mask_box
+from scoup.query.view_answer import mask_box
 from scoup_lab.evaluate.relevancy_maps import (
     averaged_relevancy,
     box_mean,

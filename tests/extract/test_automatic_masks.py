@@ -38,7 +38,7 @@ class MadeUp:
         self.seed = seed
         self.small = small
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return {"segmenter": "made up", "seed": self.seed}
 
     def encode(self, image: np.ndarray) -> MadeUpImage:
@@ -248,10 +248,10 @@ def test_settings_and_records() -> None:
             mask_settings("fast", **changes)
     with pytest.raises(InputError, match="no preset"):
         mask_settings("best")  # pyright: ignore[reportArgumentType]
-    one = SamSegmenter(MadeUp(1), faithful).record()
+    one = SamSegmenter(MadeUp(1), faithful).to_dict()
     assert one["seed"] == 1
     assert (
-        one == SamSegmenter(MadeUp(1), replace(faithful, points_per_batch=9)).record()
+        one == SamSegmenter(MadeUp(1), replace(faithful, points_per_batch=9)).to_dict()
     )  # decides only memory
-    assert one != SamSegmenter(MadeUp(1), mask_settings("fast")).record()
+    assert one != SamSegmenter(MadeUp(1), mask_settings("fast")).to_dict()
     assert isinstance(automatic_masks(smooth_image(20, 20), MadeUp(1), LIVELY)["s"], Masks)

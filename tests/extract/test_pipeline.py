@@ -46,7 +46,7 @@ class Blocks:
         self.side = side
         self.calls = 0
 
-    def record(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, object]:
         return {"segmenter": "blocks", "side": self.side}
 
     def segment(self, image: np.ndarray) -> dict[str, Masks]:

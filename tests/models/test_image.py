@@ -45,7 +45,7 @@ def test_sizes_and_normalisation_come_with_the_model(tmp_path: Path) -> None:
     assert (plain.side, named.side) == (48, 48)
     crops = torch.from_numpy(smooth_image(48, 48))[None]
     assert float((plain.embed(crops) * named.embed(crops)).sum()) < 0.9999
-    assert plain.record()["embedder"] == str(tmp_path / "a")
+    assert plain.to_dict()["embedder"] == str(tmp_path / "a")
 
 
 def test_what_cannot_be_loaded_is_told(tmp_path: Path, monkeypatch) -> None:

@@ -81,7 +81,7 @@ def test_weights_find_their_places(model, opened: Sam, encoded: SamImage) -> Non
     logits, iou = encoded.predict(POINTS)
     assert logits.shape == (2, 3, 256, 256)
     assert iou.shape == (2, 3)
-    record = opened.record()
+    record = opened.to_dict()
     assert record["segmenter"] == "mobile-sam"
     assert len(record["segmenter_sha256"]) == 64
 

@@ -128,7 +128,7 @@ def test_a_pair_segments_an_image_and_its_files_are_in_the_record(tmp_path: Path
     small = masks["s"].dense()
     assert len(small) == 16
     assert np.mean(small.sum((1, 2))) == pytest.approx(np.pi * 8**2, rel=0.1)
-    first, second = segmenter.record()["segmenter_sha256"]
+    first, second = segmenter.to_dict()["segmenter_sha256"]
     assert len(first) == len(second) == 64
     assert first != second
 

@@ -27,7 +27,7 @@ class Queried:
 
     field: LanguageField
     camera: Camera
-    texts: Question
+    texts: Question[list[str]]
 
 
 @pytest.fixture(scope="session")

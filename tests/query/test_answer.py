@@ -12,10 +12,11 @@ from PIL import Image
 
 from query.conftest import Queried
 from scoup.base.errors import InputError
-from scoup.query.answer import Answer, RunnerUp, ViewAnswer
-from scoup.query.answering import answer_scene
+from scoup.query.answer import Answer, RunnerUp
+from scoup.query.answer_scene import answer_scene
 from scoup.query.presence import LEAST_GAUSSIANS
-from scoup.query.select import select_each
+from scoup.query.view_answer import ViewAnswer
+from scoup.query.votes import select_each
 
 
 @pytest.mark.parametrize("threshold", [0.5, None])
@@ -34,7 +35,7 @@ def test_answers_of_the_votes(voted: Queried, threshold: float | None) -> None:
         is_there = (answer.score or 0) >= bound and int(each.mask.sum()) >= LEAST_GAUSSIANS
         assert (other.presence, other.score, other.level) == (is_there, answer.score, answer.level)
         assert other.mask.equal(each.mask & is_there)
-        record = json.loads(json.dumps(other.record(), allow_nan=False))
+        record = json.loads(json.dumps(other.to_dict(), allow_nan=False))
         assert (record["present"], record["gaussians"]) == (is_there, int(other.mask.sum()))
         assert record["threshold"] == pytest.approx(each.threshold, abs=1e-3)
         assert record["certainty"] == other.certainty
@@ -42,8 +43,7 @@ def test_answers_of_the_votes(voted: Queried, threshold: float | None) -> None:
 
 
 def test_what_is_absent_has_neither_mask_nor_point(queried: Queried) -> None:
-    question = replace(queried.texts, present_from=1.0, is_single=True).one(0)
-    answer = queried.field.answer(question)
+    (answer,) = queried.field.answer(replace(queried.texts, present_from=1.0).one(0))
     assert (answer.presence, answer.certainty, answer.things) == (False, "not here", ())
     assert "not in this scene" in repr(answer)
     shown = answer.in_view(queried.camera)
@@ -57,7 +57,7 @@ def test_what_is_absent_has_neither_mask_nor_point(queried: Queried) -> None:
 def test_records_contain_no_infinity() -> None:
     mask = torch.arange(40) < 12
     answer = Answer("mug", mask, "s", 0.61234567, True, (3, 1), (3, 4, 5), RunnerUp(2, None))
-    assert answer.record() == {
+    assert answer.to_dict() == {
         "gaussians": 12,
         "things": [3, 1],
         "count": 3,
@@ -69,7 +69,7 @@ def test_records_contain_no_infinity() -> None:
     }
     nothing = torch.zeros(2, 3, dtype=torch.bool)
     shown = ViewAnswer(replace(answer, score=None), "a.png", nothing, nothing.float(), nothing, None, None)
-    assert shown.record() == {
+    assert shown.to_dict() == {
         "level": "s",
         "score": None,
         "certainty": None,

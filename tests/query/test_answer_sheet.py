@@ -13,8 +13,9 @@ from scipy import ndimage
 from scoup.base.errors import InputError
 from scoup.pictures.colors import Picture
 from scoup.pictures.lettering import PAPER
-from scoup.query.answer import Answer, ViewAnswer
-from scoup.query.answer_sheet import MOST_VIEWS, AnswerSheets
+from scoup.query.answer import Answer
+from scoup.query.answer_files import MOST_VIEWS, AnswerSheets
+from scoup.query.view_answer import ViewAnswer
 
 RGB = torch.full((30, 40, 3), 0.5)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import gc
 import weakref
 
@@ -15,7 +14,6 @@ from torch import Tensor
 from raster.parity import BACKENDS
 from scoup import raster
 from scoup.field.language_field import LanguageField
-from scoup.query.cosines import FieldCodes
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
@@ -63,7 +61,7 @@ def test_further_queries_are_those_of_a_fresh_projection(backend, scene, seed, n
     gaussians, camera = scene
     field = field_of(gaussians, seed)
     canonical, others = vectors(4, seed + 1), vectors(2, seed + 2)
-    projection = field.project(camera, backend)
+    view = field.at(camera, backend=backend)
     rounds = [
         (vectors(n_queries, seed + 3), canonical),
         (vectors(n_queries, seed + 4), canonical),
@@ -72,8 +70,8 @@ def test_further_queries_are_those_of_a_fresh_projection(backend, scene, seed, n
         (vectors(1, seed + 7), canonical),
     ]
     for queries, phrases in rounds:
-        found = field.relevancy(camera, queries, phrases, projection)
-        expected = field.relevancy(camera, queries, phrases, field.project(camera, backend))
+        found = view.relevancy(queries, phrases)
+        expected = field.at(camera, backend=backend).relevancy(queries, phrases)
         assert found.shape == expected.shape == (3, len(queries), camera.height, camera.width)
         assert found.is_contiguous()
         assert_close(found, expected)
@@ -85,8 +83,8 @@ def test_every_ugly_kind_and_a_scene_of_nothing(backend) -> None:
     queries, canonical = vectors(2, 0), vectors(4, 1)
     for scene in (gaussians, gaussians.select(torch.zeros(60, dtype=torch.bool))):
         field = field_of(scene, 5)
-        projection = field.project(camera, backend)
-        first, again = (field.relevancy(camera, queries, canonical, projection) for _ in range(2))
+        view = field.at(camera, backend=backend)
+        first, again = (view.relevancy(queries, canonical) for _ in range(2))
         assert_close(again, first)
         assert torch.isfinite(again).all()
     assert (again == 0.5).all()
@@ -97,66 +95,51 @@ def test_what_is_known_is_rendered_once(backend, monkeypatch) -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field, canonical = field_of(gaussians, 1), vectors(4, 1)
     calls = count_first(monkeypatch)
-    projection = field.project(camera, backend)
+    view = field.at(camera, backend=backend)
     for seed in range(3):
-        field.relevancy(camera, vectors(2, seed), canonical, projection)
-    field.relevancy(camera, vectors(1, 9), vectors(3, 9), projection)
+        view.relevancy(vectors(2, seed), canonical)
+    view.relevancy(vectors(1, 9), vectors(3, 9))
     assert len(calls) == 1
-    field.relevancy(camera, vectors(1, 9), canonical, field.project(camera, backend))
+    assert 0 < view.cache.bytes <= view.cache.most_bytes
+    field.at(camera, backend=backend).relevancy(vectors(1, 9), canonical)
     assert len(calls) == 2
 
 
-def test_two_fields_through_one_projection_and_changed_codes() -> None:
+def test_changed_codes() -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
-    fields, canonical, queries = [field_of(gaussians, seed) for seed in (1, 2)], vectors(4, 1), vectors(2, 2)
-    projection = fields[0].project(camera)
+    field, other = (field_of(gaussians, seed) for seed in (1, 2))
+    view, canonical, queries = field.at(camera), vectors(4, 1), vectors(2, 2)
 
-    def check(field: LanguageField) -> Tensor:
+    def check() -> Tensor:
         expected = field.relevancy(camera, queries, canonical)
-        found = field.relevancy(camera, queries, canonical, projection)
+        found = view.relevancy(queries, canonical)
         assert_close(found, expected)
         return found
 
-    for field in (*fields, *fields):
-        check(field)
-    before = check(fields[0])
-    fields[0].codebook[:] = fields[0].codebook.flip(1)  # written to
-    changed = check(fields[0])
-    fields[0].code_indices = fields[1].code_indices  # put in its place
+    check()
+    before = check()
+    field.codebook[:] = field.codebook.flip(1)  # written to
+    changed = check()
+    field.code_indices = other.code_indices  # put in its place
     assert not before.equal(changed)
-    assert not changed.equal(check(fields[0]))
+    assert not changed.equal(check())
 
 
 def test_phrases_written_to_are_other_phrases() -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field, canonical, queries = field_of(gaussians, 1), vectors(4, 1), vectors(2, 2)
-    projection = field.project(camera)
-    field.relevancy(camera, queries, canonical, projection)
+    view = field.at(camera)
+    view.relevancy(queries, canonical)
     canonical[:] = vectors(4, 5)
-    found = field.relevancy(camera, queries, canonical, projection)
+    found = view.relevancy(queries, canonical)
     assert_close(found, field.relevancy(camera, queries, canonical))
 
 
-def test_a_field_keeps_no_projection_alive_and_its_copy_starts_afresh(monkeypatch) -> None:
+def test_a_field_keeps_no_view_alive() -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
-    field = field_of(gaussians, 1)
-    projection = field.project(camera)
-    found = field.relevancy(camera, vectors(1, 2), vectors(4, 1), projection)
-    calls = count_first(monkeypatch)
-    assert_close(copy.deepcopy(field).relevancy(camera, vectors(1, 2), vectors(4, 1), projection), found)
-    assert len(calls) == 1
-    kept = weakref.ref(projection)
-    del projection
+    view = field_of(gaussians, 1).at(camera)
+    view.relevancy(vectors(1, 2), vectors(4, 1))
+    projection = weakref.ref(view.projection)
+    del view
     gc.collect()
-    assert kept() is None
-    assert len(field._cosines) == 0
-
-
-def test_codes_know_when_they_were_written_to() -> None:
-    with torch.inference_mode():
-        codes = FieldCodes(torch.zeros(1), torch.zeros(1), torch.zeros(1))
-        assert codes.versions() == codes.versions()  # such tensors count no versions
-    codes = FieldCodes(torch.zeros(1), torch.zeros(1), torch.zeros(1))
-    before = codes.versions()
-    codes.weights.add_(1)
-    assert codes.versions() != before
+    assert projection() is None

@@ -16,7 +16,7 @@ from scoup.query.drawing import code_drawing, color_drawing, relevancy_drawing
 
 
 def test_pictures_of_an_answer(queried: Queried) -> None:
-    answer = queried.field.answer(queried.texts, queried.camera)[0]
+    answer = queried.field.at(queried.camera).answer(queried.texts)[0]
     rgb = raster.render_colors(queried.field.gaussians, queried.camera)
     drawn = answer.pictures(rgb)
     assert list(drawn) == ["heat", "mask", "overlay"]
@@ -28,25 +28,24 @@ def test_pictures_of_an_answer(queried: Queried) -> None:
 
 def test_drawings_of_a_view(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
-    projection = field.project(camera)
-    rgb = raster.render_colors(field.gaussians, camera, projection)
-    assert np.array_equal(color_drawing(field, plain=True)(camera, projection), as_picture(rgb))
-    answer = field.answer(queried.texts, camera, projection=projection)[0]
+    rgb = raster.render_colors(field.gaussians, camera, field.project(camera))
+    assert np.array_equal(color_drawing(plain=True)(field.at(camera)), as_picture(rgb))
+    answer = field.at(camera).answer(queried.texts)[0]
     expected = heat_map(answer.heat, rgb, "word 0", answer.level, float(answer.heat.max()), camera.name)
-    assert np.array_equal(relevancy_drawing(field, queried.texts)(camera, projection), expected)
-    plain = relevancy_drawing(field, queried.texts, plain=True)(camera, projection)
+    assert np.array_equal(relevancy_drawing(field, queried.texts)(field.at(camera)), expected)
+    plain = relevancy_drawing(field, queried.texts, plain=True)(field.at(camera))
     assert np.array_equal(plain, heat_overlay(answer.heat, rgb))
 
 
 def test_the_same_code_has_the_same_colour_in_every_view(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
     draw = code_drawing(field, "m", plain=True)
-    whole = draw(camera, field.project(camera))
+    whole = draw(field.at(camera))
     assert whole.shape == (camera.height, camera.width, 3)
     painted = field.render_codes(camera)[1].any(-1)
     assert (whole[~painted.numpy()] == 0).all()
     half = replace(camera, width=camera.width // 2)
-    same = np.abs(draw(half, field.project(half)).astype(int) - whole[:, : half.width]) <= 1
+    same = np.abs(draw(field.at(half)).astype(int) - whole[:, : half.width]) <= 1
     # A narrower view clips Gaussians at its edge, so some pixels differ.
     assert same.mean() > 0.95
     with pytest.raises(InputError, match="no level"):
@@ -55,9 +54,9 @@ def test_the_same_code_has_the_same_colour_in_every_view(queried: Queried) -> No
 
 def test_swatches_have_the_colours_of_the_picture(queried: Queried) -> None:
     field, camera = queried.field, replace(queried.camera, width=200)
-    projection = field.project(camera)
-    plain = code_drawing(field, "m", plain=True)(camera, projection)
-    titled = code_drawing(field, "m")(camera, projection)
+    view = field.at(camera)
+    plain = code_drawing(field, "m", plain=True)(view)
+    titled = code_drawing(field, "m")(view)
     assert titled.shape[1] == 200
     top = next(y for y in range(len(titled)) if (titled[y : y + len(plain)] == plain).all())
     legend = titled[top + len(plain) :].reshape(-1, 3)
@@ -71,11 +70,11 @@ def test_swatches_have_the_colours_of_the_picture(queried: Queried) -> None:
 
 def test_a_field_knows_whether_it_is_visible(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
-    assert field.is_visible(field.project(camera))
+    assert field.at(camera).is_visible()
     away = camera.viewmat.clone()
     away[2, 3] = -1000
-    assert not field.is_visible(field.project(replace(camera, viewmat=away)))
+    assert not field.at(replace(camera, viewmat=away)).is_visible()
     bare = type(field)(
         field.code_indices, torch.zeros_like(field.code_weights), field.codebook, field.info, field.gaussians
     )
-    assert not bare.is_visible(bare.project(camera))
+    assert not bare.at(camera).is_visible()

@@ -9,11 +9,11 @@ import torch
 
 from query.conftest import Queried
 from scoup.base.errors import InputError
-from scoup.query.answering import answer_scene
-from scoup.query.edit_picture import best_camera, edit_picture
-from scoup.query.edits import combined_answer, edited
+from scoup.query.answer_scene import answer_scene
+from scoup.query.drawing import moving_cameras
+from scoup.query.edits import best_camera, edit_picture, edited
 from scoup.query.expression import parse_expression
-from scoup.query.videos import moving_cameras
+from scoup.query.select import combined_answer
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import SH_C0
 from support import random_gaussians
@@ -64,7 +64,7 @@ def test_an_expression_is_answered_by_its_texts(queried: Queried) -> None:
     assert (found.level, found.score, found.text) == (two[0].level, two[0].score, "word 1 and not word 2")
     assert found.parts == tuple(two)
     alone = combined_answer(field, parse_expression(["word 1"]), two[:1])
-    assert alone.record() == two[0].record()
+    assert alone.to_dict() == two[0].to_dict()
     assert alone.text == "word 1"
     both = combined_answer(field, parse_expression(["word 1", "word 2"]), two)
     assert both.relevancy().equal(torch.maximum(two[0].relevancy(), two[1].relevancy()))

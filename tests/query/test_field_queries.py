@@ -18,20 +18,19 @@ from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.answer import ViewAnswer
-from scoup.query.answering import answer_scene
-from scoup.query.label import label
+from scoup.query.answer_scene import answer_scene
+from scoup.query.labels import label
 from scoup.query.place import place_of
 from scoup.query.presence import PRESENT_FROM
-from scoup.query.question import Question
-from scoup.query.text_vectors import encode_texts
+from scoup.query.question import Question, encode_texts
+from scoup.query.view_answer import ViewAnswer
 
 
 def assert_same_answer(first: ViewAnswer, second: ViewAnswer) -> None:
     assert first.mask.equal(second.mask)
     assert first.main_parts.equal(second.main_parts)
     assert first.heat.equal(second.heat)
-    assert first.record() == second.record()
+    assert first.to_dict() == second.to_dict()
 
 
 def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[str, Tensor]) -> None:
@@ -39,44 +38,44 @@ def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[
     texts = encode_texts(TextEncoder.open(table), field, ["word 3", "word 7"]).with_everyday()
     question = Question.from_vectors(texts, present_from=PRESENT_FROM)
     expected = [answer.in_view(camera) for answer in answer_scene(field, question)]
-    found = field.answer(field.question(["word 3", "word 7"], encoder=table), camera.name)
+    found = field.at(camera.name).answer(field.question(["word 3", "word 7"], encoder=table))
     assert isinstance(found, list)
     for one, other in zip(found, expected, strict=True):
         assert_same_answer(one, other)
         assert one.score is not None
-    alone = field.answer("word 3", 0)  # the encoder is kept
+    alone = field.at(0).answer("word 3")  # the encoder is kept
     torch.testing.assert_close(alone.heat, expected[0].heat, atol=1e-5, rtol=0)
-    again = field.answer("word 3", camera, projection=field.project(camera))
+    again = field.at(camera).answer("word 3")
     torch.testing.assert_close(again.heat, alone.heat, atol=1e-5, rtol=0)
     assert (alone.text, alone.view) == ("word 3", camera.name)
-    assert alone.render is not None
-    assert alone.render().shape == (*alone.mask.shape, 3)
+    assert alone.source is not None
+    assert alone.source.colors().shape == (*alone.mask.shape, 3)
 
 
 def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
-    expected = field.answer(field.question("word 3", encoder=table), camera)
+    expected = field.at(camera).answer(field.question("word 3", encoder=table))
     vector = table["word 3"]
     for same in (vector, vector.numpy(), 10 * vector, (vector * 0.01).double(), vector[None]):
-        found = field.answer(same, camera)
-        found = found[0] if isinstance(found, list) else found
+        (found,) = field.at(camera).answer(same)
         assert found.mask.equal(expected.mask)
         torch.testing.assert_close(found.heat, expected.heat, atol=1e-5, rtol=0)
-    several = field.answer(torch.stack([vector, table["word 4"]]), camera)
+    several = field.at(camera).answer(torch.stack([vector, table["word 4"]]))
     assert isinstance(several, list)
     assert [answer.text for answer in several] == ["query 1", "query 2"]
     phrases = {name: table[name].numpy() for name in CANONICAL_PHRASES}
-    only = field.answer(field.question(vector, encoder=phrases), camera)
-    assert (only.score, only.presence) == (None, True)  # four phrases are no words to judge presence by
+    only = field.at(camera).answer(field.question(vector, encoder=phrases))
+    assert (only[0].score, only[0].presence) == (None, True)  # four phrases are no words to judge presence by
 
 
 def test_presence(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
-    forced = field.answer(field.question("word 3", encoder=table, always=True), camera)
+    forced = field.at(camera).answer(field.question("word 3", encoder=table, always=True))
     assert forced.presence
+    assert forced.score is not None
     assert 0 < forced.score < 1
     for bound in (forced.score, min(1.0, forced.score + 0.01)):
-        judged = field.answer(field.question("word 3", present_from=bound), camera)
+        judged = field.at(camera).answer(field.question("word 3", present_from=bound))
         assert judged.presence == (bound == forced.score)
         assert bool(judged.answer.mask.any()) == judged.presence
         assert judged.score == forced.score
@@ -93,9 +92,9 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
     with pytest.raises(UnknownNameError, match="word 1"):
         field.answer(field.question("wird 1", encoder=table))
     with pytest.raises(UnknownNameError, match=r"view_00\.png"):
-        field.answer("word 1", "view_09.png")
+        field.at("view_09.png").answer("word 1")
     with pytest.raises(InputError, match="has 3"):
-        field.answer("word 1", 7)
+        field.at(7).answer("word 1")
     assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="must be vectors"):
         field.gaussian_relevancy("word 1", ["object"])  # pyright: ignore[reportArgumentType]
@@ -107,9 +106,9 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
     other = replace(field.info, embedding_model="")
     nameless = LanguageField(field.code_indices, field.code_weights, field.codebook, other, field.gaussians)
     with pytest.raises(InputError, match="names no embedding model"):
-        nameless.answer("word 1", queried.camera)
+        nameless.at(queried.camera).answer("word 1")
     with pytest.raises(InputError, match="contains no cameras"):
-        nameless.answer(nameless.question("word 1", encoder=table), 0)
+        nameless.at(0).answer(nameless.question("word 1", encoder=table))
 
 
 @pytest.mark.parametrize(
@@ -134,8 +133,8 @@ def test_what_is_no_query(
 
 def test_a_list_of_numbers_is_one_vector(queried: Queried, table: dict[str, Tensor]) -> None:
     question = queried.field.question(table["word 3"].tolist(), encoder=table)  # pyright: ignore
-    assert question.is_single
-    assert queried.field.answer(question).text == "query 1"
+    (answer,) = queried.field.answer(question)
+    assert answer.text == "query 1"
 
 
 def test_thresholds_are_shares(queried: Queried, table: dict[str, Tensor]) -> None:
@@ -152,13 +151,13 @@ def test_answers_are_drawn_by_the_field_s_rasteriser_and_pickled_without_it(
         field.code_indices, field.code_weights, field.codebook,
         replace(field.info, raster_preset="gsplat"), field.gaussians, cameras=field.cameras,
     )  # fmt: skip
-    answer = other.answer(other.question("word 3", encoder=table, always=True), 0)
-    assert answer.render is not None
+    answer = other.at(0).answer(other.question("word 3", encoder=table, always=True))
+    assert answer.source is not None
     expected = raster.render_colors(other.gaussians, queried.camera, other.project(queried.camera))
-    assert answer.render().equal(expected)
+    assert answer.source.colors().equal(expected)
     copy = pickle.loads(pickle.dumps(answer))
-    assert copy.render is None
-    assert copy.answer.record() == answer.answer.record()
+    assert copy.source is None
+    assert copy.answer.to_dict() == answer.answer.to_dict()
     for asked in (copy.answer.in_view, copy.answer.relevancy, lambda: other.location(copy.answer)):
         with pytest.raises(InputError, match="pickled knows no scene"):
             asked()
@@ -174,16 +173,16 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
         replace(field.info, words=tmp_path / "scene" / "words.npz"), field.gaussians, cameras=field.cameras,
         thing_table=field.thing_table,
     )  # fmt: skip
-    named.answer("word 5", 0)  # what is remembered for views is not saved
+    named.at(0).answer("word 5")  # what is remembered for views is not saved
     named.save(tmp_path / "scene" / "f.scoup")
     loaded = LanguageField.load(tmp_path / "scene" / "f.scoup")  # the Gaussians are in the file
-    other = field.answer(field.question("word 5", encoder=table), 0)
-    assert_same_answer(loaded.answer("word 5", 0), other)
+    other = field.at(0).answer(field.question("word 5", encoder=table))
+    assert_same_answer(loaded.at(0).answer("word 5"), other)
     assert loaded.text_encoder() is loaded.text_encoder()
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
-    assert part.answer("word 5", 0).view == queried.camera.name
+    assert part.at(0).answer("word 5").view == queried.camera.name
     loaded.save(tmp_path / "saved.scoup")
-    assert_same_answer(LanguageField.load(tmp_path / "saved.scoup").answer("word 5", 0), other)
+    assert_same_answer(LanguageField.load(tmp_path / "saved.scoup").at(0).answer("word 5"), other)
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
     with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*encoder="):
         LanguageField.load(moved).answer("word 5")
@@ -197,8 +196,8 @@ def test_location_and_label_are_their_functions(queried: Queried, table: dict[st
     expected = [place_of(field, answer) for answer in answer_scene(field, replace(texts, threshold=0.5))]
     located = field.location(field.question(words, encoder=table, threshold=0.5, always=True))
     assert isinstance(located, list)
-    assert [each.record() for each in located] == [each.record() for each in expected]
-    score = field.answer(field.question("word 1", threshold=0.5)).score
+    assert [each.to_dict() for each in located] == [each.to_dict() for each in expected]
+    score = field.answer(field.question("word 1", threshold=0.5)).score or 0.0
     absent = field.location(field.question("word 1", threshold=0.5, present_from=score + 1e-6))
     assert (absent.position, absent.box, absent.presence, absent.thing) == (None, None, False, None)
     labels, same = field.label(field.question(words, always=True)), label(field, texts)
@@ -206,7 +205,7 @@ def test_location_and_label_are_their_functions(queried: Queried, table: dict[st
     assert labels.names == tuple(words)
     # Without a threshold, each text has its most stable one.
     (located,), answer = field.location(field.question(words[:1], always=True)), answer_scene(field, texts)[0]
-    assert located.record() == place_of(field, answer).record()
+    assert located.to_dict() == place_of(field, answer).to_dict()
     assert located.answer.threshold is None
     assert field.label(field.question(words, threshold=0.5, always=True)).ids.equal(
         label(field, replace(texts, threshold=0.5)).ids
@@ -248,7 +247,7 @@ def test_a_part_of_a_field_is_saved_with_its_gaussians(
     part.save(tmp_path / "part.scoup")
     loaded = LanguageField.load(tmp_path / "part.scoup")
     assert loaded.gaussians.fingerprint() == part.fingerprint
-    one, other = (each.answer(each.question("word 3", encoder=table), 0) for each in (loaded, part))
+    one, other = (each.at(0).answer(each.question("word 3", encoder=table)) for each in (loaded, part))
     assert_same_answer(one, other)
 
 
@@ -302,7 +301,7 @@ def test_the_mean_of_everyday_words_stays_short(queried: Queried) -> None:
 def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor]) -> None:
     field, texts = queried.field, queried.texts
     for number, level in enumerate(field.levels):
-        answer = field.answer(replace(texts, level=number), queried.camera)[0]
+        answer = field.at(queried.camera).answer(replace(texts, level=number))[0]
         assert answer.level == level
         relevancy = field.relevancy(queried.camera, texts.queries, texts.canonical)[number, 0]
         torch.testing.assert_close(answer.heat, relevancy, atol=1e-5, rtol=0)

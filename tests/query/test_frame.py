@@ -85,8 +85,8 @@ def test_axes_are_orthonormal_and_told() -> None:
     torch.testing.assert_close(frame.axes @ frame.axes.T, torch.eye(3).double())
     expected = torch.tensor([[0.5**0.5, 0.5**0.5, 0], [0, 0, 1], [-(0.5**0.5), 0.5**0.5, 0]]).double()
     torch.testing.assert_close(frame.axes, expected)
-    assert frame.record()["seen_from"] == "aside.png"
-    assert frame.said().startswith("left, right, front and back as seen from aside.png; up is [0, 0, 1]")
+    assert frame.to_dict()["seen_from"] == "aside.png"
+    assert frame.describe().startswith("left, right, front and back as seen from aside.png; up is [0, 0, 1]")
     assert field.frame(up=(0, 0, 1)).up_source == "as given"
 
 

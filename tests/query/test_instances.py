@@ -7,8 +7,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from scoup.query.instances import find_instances
-from scoup.query.known_things import ComparedThings
+from scoup.query.matching import ComparedTable, find_instances
 from scoup.scene.things import NO_THING, ThingTable
 
 DIM = 16
@@ -33,7 +32,7 @@ def _table(owners: list[list[int]], levels: list[int], looks: list[int]) -> Thin
 
 
 def _instances(table: ThingTable, fits: Tensor, chosen: Tensor) -> list[int]:
-    return find_instances(ComparedThings.of(table, torch.eye(DIM)), fits, chosen).tolist()
+    return find_instances(ComparedTable.of(table, torch.eye(DIM)), fits, chosen).tolist()
 
 
 def _ranges(*sizes: int) -> list[list[int]]:

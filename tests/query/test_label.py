@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from query.conftest import Queried
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.answer import Answer
-from scoup.query.answering import answer_scene
-from scoup.query.label import NONE, label, labels_of_answers
+from scoup.query.answer_scene import answer_scene
+from scoup.query.labels import NONE, label, labels_of_answers
 from support import examples
 
 LEVELS = ("s", "m", "l")

@@ -15,9 +15,8 @@ from scoup import raster
 from scoup.io import read_ply_table
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
-from scoup.query.label import NONE, GaussianLabels, label
 from scoup.query.label_files import label_files, label_record, labelled_colors, save_label_views, save_labels
-from scoup.query.label_maps import AT_A_TIME, label_map
+from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label, label_map
 from scoup.scene.gaussians import SH_C0
 
 ALL = ("sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet")
@@ -41,7 +40,7 @@ def literal_map(queried: Queried, labels: GaussianLabels) -> np.ndarray:
 
 
 def test_maps_show_the_word_that_paints_most(queried: Queried, labels: GaussianLabels) -> None:
-    found = label_map(queried.field, queried.field.project(queried.camera), labels)
+    found = label_map(queried.field.at(queried.camera), labels)
     assert np.array_equal(found.numpy(), literal_map(queried, labels))
     assert len(found.unique()) >= 3
 
@@ -51,7 +50,7 @@ def test_maps_of_more_words_than_are_rendered_together(queried: Queried) -> None
     ids = torch.arange(len(queried.field)).int() % (count + 1) - 1
     names = tuple(f"thing {number}" for number in range(count))
     many = GaussianLabels(ids, names, (None,) * count, (True,) * count, ("m",) * count, ((),) * count)
-    found = label_map(queried.field, queried.field.project(queried.camera), many)
+    found = label_map(queried.field.at(queried.camera), many)
     assert np.array_equal(found.numpy(), literal_map(queried, many))
 
 

@@ -15,10 +15,10 @@ from query.conftest import without_things
 from scoup import raster
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
-from scoup.query.answer import Answer, ViewAnswer
-from scoup.query.answering import INSIDE
+from scoup.query.answer import Answer
+from scoup.query.field_view import INSIDE
 from scoup.query.question import Question
-from scoup.query.view_masks import main_parts
+from scoup.query.view_answer import ViewAnswer, main_parts
 from scoup.scene.cameras import Camera
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
@@ -36,7 +36,7 @@ def check_scene(field: LanguageField, question: Question) -> Answer:
     things, place, labels = field.things(question), field.location(question), field.label(question)
     selected = field.select(question)
     assert selected.mask.equal(answer.mask)
-    assert selected.record() == answer.record()
+    assert selected.to_dict() == answer.to_dict()
     assert (bool(answer.mask.any()), bool(answer.things)) == (
         bool(things), bool(things) and field.thing_table is not None,
     )  # fmt: skip
@@ -57,9 +57,9 @@ def check_scene(field: LanguageField, question: Question) -> Answer:
     else:  # connected parts, without strays
         assert not (of_things & ~answer.mask).any()
     for found in (place, field.location(answer)):
-        assert found.answer.record() == answer.record()
-        first = None if found.thing is None else found.thing.record()
-        assert first == (things[0].record() if things else None)
+        assert found.answer.to_dict() == answer.to_dict()
+        first = None if found.thing is None else found.thing.to_dict()
+        assert first == (things[0].to_dict() if things else None)
         assert found.presence == bool(things)
         assert found.position is None or found.position.equal(things[0].position)
     assert labels.mask(text).equal(answer.mask)
@@ -99,14 +99,14 @@ def check_words(field: LanguageField, words: Sequence[str]) -> list[Answer]:
     for word, one, other in zip(words, judged, forced, strict=True):
         alone = check_scene(field, field.question(word))
         assert alone.mask.equal(one.mask)
-        assert alone.record() == one.record()
+        assert alone.to_dict() == one.to_dict()
         assert (one.level, one.score) == (other.level, other.score)
         if one.presence:
-            assert one.record() == other.record()
+            assert one.to_dict() == other.to_dict()
             continue
         alone = check_scene(field, field.question(word, always=True))
         assert alone.mask.equal(other.mask)
-        assert alone.record() == other.record()
+        assert alone.to_dict() == other.to_dict()
     return forced
 
 
@@ -126,16 +126,17 @@ def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequen
     counting = field.coded_levels() if table is None else table.owned
     masks = torch.stack([*(answer.mask for answer in answers), *counting], 1).float()
     for camera in cameras:
-        projection = field.project(camera)
-        image = raster.render_values(projection, masks)
-        seen = field.answer(field.question(list(words), always=True), camera, projection=projection)
+        view = field.at(camera)
+        image = raster.render_values(view.projection, masks)
+        seen = view.answer(field.question(list(words), always=True))
         for number, (each, answer) in enumerate(zip(seen, answers, strict=True)):
             whole = image[..., len(words) + field.level_index(answer.level)]
             check_view(each, answer, image[..., number], whole)
         for number, answer in enumerate(answers[:3]):
             one = field.question(words[number], always=True)
             for alone in (answer, field.answer(one), field.select(one)):
-                assert alone.in_view(camera, projection).mask.equal(seen[number].mask)
+                assert view.show([alone])[0].mask.equal(seen[number].mask)
+            assert answer.in_view(camera).mask.equal(seen[number].mask)
     if table is not None:
         check_catalog(field, answers)
 

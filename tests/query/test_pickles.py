@@ -23,23 +23,23 @@ COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy":
 
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
 def test_fields_and_what_they_answer(field: LanguageField, copied: Callable[[Any], Any]) -> None:
-    expected = field.location("word 3").record()  # and something is kept
-    field.answer("word 3", projection=field.project(0))
+    expected = field.location("word 3").to_dict()  # and something is kept
+    field.at(0).answer("word 3")
     other = copied(field)
-    assert other.location("word 3").record() == expected
-    assert len(other.recent) == 3  # its own question, answer and place
+    assert other.location("word 3").to_dict() == expected
+    assert len(other.cache) == 4  # its own comparison of things, question, answer and place
     assert field.cameras is not None
     assert other.cameras.names == field.cameras.names
     question = field.question(["word 1", "word 2"], threshold=0.6)
-    assert [each.record() for each in other.location(copied(question))] == [
-        each.record() for each in field.location(question)
+    assert [each.to_dict() for each in other.location(copied(question))] == [
+        each.to_dict() for each in field.location(question)
     ]
     for made in (
         field.answer("word 3"),
         field.location("word 3"),
         field.select("word 3 and not word 4"),
     ):
-        assert copied(made).record() == made.record()
+        assert copied(made).to_dict() == made.to_dict()
     labels = field.label(["word 1", "word 2"])
     assert copied(labels).ids.equal(labels.ids)
 
@@ -66,7 +66,7 @@ def _ones(phrases: list[str]) -> torch.Tensor:
 
 
 def _located(field: LanguageField, text: str) -> dict[str, Any]:
-    return field.location(text).record()
+    return field.location(text).to_dict()
 
 
 def test_another_process_asks(field: LanguageField) -> None:

@@ -16,11 +16,12 @@ from torch import Tensor
 
 from query.conftest import random_vectors
 from scoup.query.answer import Answer, AskedText
+from scoup.query.boxes import PointSets
 from scoup.query.place import Place, place_of
 from scoup.query.question import Question
-from scoup.query.space import MOST_LINKED, connected_parts, rough_parts
-from scoup.query.thing_shapes import ThingPoints
+from scoup.query.things import MOST_LINKED, rough_parts
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import connected_parts
 from support import examples
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -87,7 +88,7 @@ def test_a_turned_block_is_found_where_it_is() -> None:
     corners = found.box.corners()
     assert corners.shape == (8, 3)
     torch.testing.assert_close(corners.mean(0), found.box.centre)
-    assert found.record()["box"]["extent"] == pytest.approx(found.box.extent.tolist(), rel=1e-4)
+    assert found.to_dict()["box"]["extent"] == pytest.approx(found.box.extent.tolist(), rel=1e-4)
 
 
 @pytest.mark.parametrize("up", [(0.0, 0, 1), (0.0, -1, 0), (0.6, 0.0, -0.8)])
@@ -99,7 +100,7 @@ def test_boxes_stand_upright_with_the_longer_side_first(up: tuple[float, float, 
     frame = torch.stack([side, torch.linalg.cross(axis, side), axis])
     points = block(4000, [1.0, 1.5, 4.0])
     points[:, 1] *= 0.5 + points[:, 2].abs() / 4  # wider at both ends
-    box = ThingPoints.of_one_thing(points @ frame, torch.ones(4000, dtype=torch.float64)).boxes(axis)[0]
+    box = PointSets.of_one_thing(points @ frame, torch.ones(4000, dtype=torch.float64)).boxes(axis)[0]
     assert box is not None
     torch.testing.assert_close(box.axes[2], axis)
     assert abs(float(box.axes[0] @ frame[1])) > 0.98
@@ -114,7 +115,7 @@ def test_a_square_box_lies_along_its_sides() -> None:
     """The principal axes of a square are arbitrary; along its sides the box is half as large as along diagonals."""
     for degrees in range(0, 90, 15):
         points = block(3000, [1.0, 1.0, 0.2]) @ turned(math.radians(degrees)).T
-        box = ThingPoints.of_one_thing(points, torch.ones(3000, dtype=torch.float64)).boxes(UP)[0]
+        box = PointSets.of_one_thing(points, torch.ones(3000, dtype=torch.float64)).boxes(UP)[0]
         assert box is not None
         assert float(box.extent[:2].prod()) < 1.3
 
@@ -156,7 +157,7 @@ def test_what_has_no_place() -> None:
     for empty in (torch.zeros(0, 3), torch.full((4, 3), torch.nan)):
         found = located(empty)
         assert (found.thing, found.position, found.box, found.presence) == (None, None, None, False)
-        assert found.record()["position"] is None
+        assert found.to_dict()["position"] is None
     assert located(torch.ones(5, 3), opacities=torch.zeros(5)).position is None
 
 
@@ -177,7 +178,7 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     random = torch.Generator().manual_seed(seed)
     points = torch.randn(count, 3, generator=random, dtype=torch.float64) * scale
     weights = torch.ones(count, dtype=torch.float64)
-    box = ThingPoints.of_one_thing(points, weights).boxes(UP)[0]
+    box = PointSets.of_one_thing(points, weights).boxes(UP)[0]
     assert box is not None
     torch.testing.assert_close(box.axes @ box.axes.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
     along = ((points - box.centre) @ box.axes.T).abs()
@@ -193,7 +194,7 @@ def test_quantiles_are_those_of_repeated_values(count: int, seed: int) -> None:
     weights[0] += 1
     repeated = torch.repeat_interleave(values, weights).sort().values
     for share in (0.01, 0.5, 0.99):
-        found = ThingPoints.of_one_thing(values[:, None], weights.double()).quantiles([share]).item()
+        found = PointSets.of_one_thing(values[:, None], weights.double()).quantiles([share]).item()
         assert found == float(repeated[math.ceil(share * len(repeated) - 1e-9) - 1])
 
 
@@ -222,7 +223,7 @@ def test_quantiles_of_many_things_are_those_of_sorted_values(
     weights = random.integers(0, 4, starts[-1]).astype(np.float64)  # sums are exact
     weights[starts[:-1][np.array(sizes) > 0]] += 1
     shares = [0.0, 0.02, 0.5, 1.0]
-    found = ThingPoints(values, weights, starts).quantiles(shares)
+    found = PointSets(values, weights, starts).quantiles(shares)
     for thing, (first, last) in enumerate(pairwise(starts)):
         for axis in range(3):
             order = np.argsort(values[first:last, axis])

@@ -16,11 +16,11 @@ from query.planted_room import Box, planted_room
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
-from scoup.query.answering import answer_scene
+from scoup.query.answer_scene import answer_scene
+from scoup.query.matching import compare_things
 from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, NullScores, other_words, presence_threshold
 from scoup.query.question import Question
-from scoup.query.select import SampledVotes, select_each
-from scoup.query.things import compare_things
+from scoup.query.votes import SampledVotes, select_each
 from support import examples, unit
 
 
@@ -122,13 +122,13 @@ def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Querie
         for answer in answer_scene(field, few):
             assert (answer.score, answer.certainty, answer.presence) == (None, None, True)
             assert "presence not judged" in repr(answer)
-    assert presence_threshold(few) is None
+    assert presence_threshold(LEAST_WORDS - 1, "words.npz") is None
     with pytest.raises(InputError, match=r"words\.npz: has \d+ words, but presence is judged against"):
-        presence_threshold(few, 0.5)
-    assert (presence_threshold(texts), presence_threshold(texts, 0.0)) == (PRESENT_FROM, 0)
+        presence_threshold(LEAST_WORDS - 1, "words.npz", 0.5)
+    assert [presence_threshold(LEAST_WORDS, "", bound) for bound in (None, 0.0)] == [PRESENT_FROM, 0]
     for wrong in (-0.01, 1.01, 100, math.nan, math.inf):
         with pytest.raises(InputError, match="must be 0 to 1"):
-            presence_threshold(texts, wrong)
+            presence_threshold(LEAST_WORDS, "", wrong)
 
 
 def test_a_text_is_present_from_the_threshold_on(queried: Queried, voted: Queried) -> None:

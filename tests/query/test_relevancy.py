@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from support import examples
 
 

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
-from scoup.query.reshape import Reshaping, reshaped
-from scoup.query.space import LONGEST_LINK, NEIGHBOURS
+from scoup.query.select import Reshaping, reshaped
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS
 from support import examples, random_gaussians
 
 

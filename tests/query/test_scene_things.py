@@ -14,7 +14,7 @@ from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room
 from scoup.field.language_field import LanguageField
-from scoup.query.thing_shapes import FARTHEST, ThingPoints
+from scoup.query.boxes import FARTHEST, PointSets
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
@@ -38,8 +38,8 @@ def test_every_thing_is_where_its_box_is(room) -> None:
         torch.testing.assert_close(
             thing.box.extent.sort().values, (5 * spacing).sort().values, rtol=0.25, atol=1e-3
         )
-        assert thing.record()["gaussians"] == thing.n_gaussians == 216
-        assert thing.record(2.0)["extent_metres"] == pytest.approx((2 * thing.box.extent).tolist(), rel=1e-4)
+        assert thing.to_dict()["gaussians"] == thing.n_gaussians == 216
+        assert thing.to_dict(2.0)["extent_metres"] == pytest.approx((2 * thing.box.extent).tolist(), rel=1e-4)
         assert repr(thing).startswith(f"Thing(thing {number} at [")
 
 
@@ -120,7 +120,7 @@ def test_a_table_of_no_things_leaves_the_votes(room) -> None:
     field.thing_table = nothing
     assert field.things() == []
     assert [thing.number for thing in field.things("mug")] == [None, None]
-    assert field.catalog(["mug", "laptop"]).record()["things"] == []
+    assert field.catalog(["mug", "laptop"]).to_dict()["things"] == []
     field.thing_table = replace(table, owners=nothing.owners)  # things without Gaussians
     assert field.things("mug") == []
     assert field.catalog(["mug", "laptop"]).things == ()
@@ -179,7 +179,7 @@ def test_places_equal_a_naive_loop(cloud, owners, share) -> None:
     ones = torch.ones(count, 4)
     gaussians = Gaussians(numbers[:, :3], ones, ones[:, :3], numbers[:, 3], torch.zeros(count, 1, 3))
     members = [[row for row in range(count) if owners[row] == thing] for thing in range(5)]
-    points = ThingPoints.of(gaussians, [torch.tensor(rows, dtype=torch.int64) for rows in members])
+    points = PointSets.of(gaussians, [torch.tensor(rows, dtype=torch.int64) for rows in members])
     found, boxes = points.quantiles([share]), points.boxes(torch.tensor([0.0, 0.6, 0.8]).double())
     flipped = points.quantiles([share], np.broadcast_to(-np.eye(3), (5, 3, 3)))
     for thing, rows in enumerate(members):

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.query.question import Question
-from scoup.query.select import MOST_TEXTS, level_thresholds, select_by_relevancy, select_each
+from scoup.query.votes import MOST_TEXTS, level_thresholds, select_by_relevancy, select_each
 from support import examples
 
 

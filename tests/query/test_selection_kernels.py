@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from raster.parity import needs_native
-from scoup.query import selection
-from scoup.query.selection import above_thresholds, stretched_counts
-from scoup.query.stable_threshold import STABILITY
+from scoup.query import votes
+from scoup.query.votes import STABILITY, above_thresholds, stretched_counts
 from support import examples
 
 
@@ -34,12 +33,12 @@ def some_values(draw: st.DrawFn) -> tuple[Tensor, Tensor | None]:
 @given(some_values(), st.sampled_from([STABILITY.lowest_share, 0.0]), st.floats(0, 1, width=32))
 def test_they_are_those_of_torch(some: tuple[Tensor, Tensor | None], share: float, threshold: float) -> None:
     spans, counts = stretched_counts(*some, share)
-    expected = selection.plain_stretched_counts(*some, share)
+    expected = votes.plain_stretched_counts(*some, share)
     torch.testing.assert_close(spans, expected[0], rtol=0, atol=0, equal_nan=True)
     assert counts.equal(expected[1])
     thresholds = torch.full((len(spans),), threshold)
     masks, areas, sums = above_thresholds(*some, spans, thresholds)
-    expected = selection.plain_above_thresholds(*some, spans, thresholds)
+    expected = votes.plain_above_thresholds(*some, spans, thresholds)
     assert masks.equal(expected[0])
     assert areas.equal(expected[1])
     torch.testing.assert_close(sums, expected[2], rtol=1e-12, atol=0)

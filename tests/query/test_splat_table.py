@@ -8,7 +8,7 @@ import torch
 
 from query.conftest import Queried
 from scoup.io import gaussians_from_table, read_ply_table, save_gaussians
-from scoup.query.splat_table import SplatTable
+from scoup.query.edits import SplatTable
 
 
 def test_rows_are_those_of_the_splat(queried: Queried, tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.query.select import level_thresholds
-from scoup.query.stable_threshold import STABILITY
+from scoup.query.votes import STABILITY, level_thresholds
 from support import examples
 
 STEPS = range(44, 85)

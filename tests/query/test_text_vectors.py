@@ -14,7 +14,7 @@ from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
-from scoup.query.text_vectors import TextVectors, encode_texts
+from scoup.query.question import TextVectors, encode_texts
 
 WORDS = ("kettle", "mug")
 

@@ -17,25 +17,23 @@ from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.answering import answer_scene
-from scoup.query.known_things import (
+from scoup.query.answer_scene import answer_scene
+from scoup.query.matching import (
+    CHOICE_RULE,
     FEW_REGIONS,
     HUB_QUANTILE,
     HUB_SHARE,
     LEAST_STABILITY,
-    UNSTABLE,
-    ComparedThings,
-)
-from scoup.query.question import Question
-from scoup.query.things import (
-    CHOICE_RULE,
     MOST_GAP,
     MOST_TOGETHER,
     SAME,
     TEXTS_AT_A_TIME,
+    UNSTABLE,
+    ComparedTable,
     choose_things,
     compare_things,
 )
+from scoup.query.question import Question
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from support import examples, unit
@@ -58,8 +56,8 @@ def planted_table(owners: Tensor, levels: Tensor, mass: Tensor | None = None) ->
     )
 
 
-def compared(things: ThingTable) -> ComparedThings:
-    return ComparedThings.of(things, random_vectors(4, 8, seed=1))
+def compared(things: ThingTable) -> ComparedTable:
+    return ComparedTable.of(things, random_vectors(4, 8, seed=1))
 
 
 Scored = tuple[float, list[int], int | None]
@@ -299,7 +297,7 @@ def test_as_many_things_as_files_contain_fit_as_many_words_as_tables_contain() -
     count = 17_000
     things = planted_table(torch.full((1, 1), NO_THING), torch.zeros(count))
     things = replace(things, embeddings=random_vectors(count, 4).half())
-    known = ComparedThings.of(things, random_vectors(1000, 4, seed=1))
+    known = ComparedTable.of(things, random_vectors(1000, 4, seed=1))
     assert known.fits(random_vectors(1, 4)).shape == (count, 1)
     assert known.best_fits.shape == (1000,)
 
@@ -325,7 +323,7 @@ def test_things_answer_in_views(asked: Asked) -> None:
     wall = asked.wall
     for camera in wall.cameras:
         shows = wall.shows(camera)
-        for number, answer in enumerate(asked.field.answer(replace(wall.texts, present_from=0.9), camera)):
+        for number, answer in enumerate(asked.field.at(camera).answer(replace(wall.texts, present_from=0.9))):
             assert answer.presence
             planted = (shows == number)[4:-4]  # without the edge of the wall, behind which is nothing
             mask = answer.mask[4:-4]
@@ -352,7 +350,7 @@ def test_things_answer_in_the_scene(asked: Asked, level: int | None) -> None:
 
 def same_scene(one: Answer, other: Answer) -> None:
     assert one.mask.equal(other.mask)
-    assert one.record() == other.record()
+    assert one.to_dict() == other.to_dict()
 
 
 def test_a_threshold_of_choice_is_for_the_votes(asked: Asked) -> None:
@@ -375,7 +373,7 @@ def test_texts_are_answered_alike_alone_and_together(asked: Asked) -> None:
     assert len(queries) > TEXTS_AT_A_TIME + 1
     for field in (asked.field, asked.bare):
         in_scene = answer_scene(field, texts)
-        for number, (place, seen) in enumerate(zip(in_scene, field.answer(texts, 3), strict=True)):
+        for number, (place, seen) in enumerate(zip(in_scene, field.at(3).answer(texts), strict=True)):
             (alone,) = answer_scene(field, texts.one(number))
             same_scene(place, alone)
             shown = alone.in_view(3)
@@ -392,7 +390,7 @@ def test_a_thing_out_of_sight_is_there_but_not_visible(asked: Asked) -> None:
     shows = asked.wall.shows(aside)
     assert bool((shows == 0).any())
     assert not (shows == COUNT - 1).any()
-    first, *_, last = asked.field.answer(replace(asked.wall.texts, present_from=0.9), aside)
+    first, *_, last = asked.field.at(aside).answer(replace(asked.wall.texts, present_from=0.9))
     assert (first.presence, last.presence, first.visible, last.visible) == (True, True, True, False)
     assert "not visible from here" in repr(last)
     assert (last.point, last.box, bool(last.mask.any())) == (None, None, False)
@@ -413,7 +411,7 @@ def test_the_point_is_in_the_mask_where_something_else_is_more_relevant(asked: A
         first, last = (asked.named(number, level) for number in (0, COUNT - 1))
         numbers[first], numbers[last] = last.int(), first.int()
     field = with_owners(asked, numbers[asked.things.owners.long()])
-    answers, shows = field.answer(wall.texts, 2), wall.shows(wall.cameras[2])
+    answers, shows = field.at(2).answer(wall.texts), wall.shows(wall.cameras[2])
     for query, there in ((0, COUNT - 1), (COUNT - 1, 0)):
         answer = answers[query]
         assert answer.point is not None
@@ -432,7 +430,7 @@ def test_gaussians_of_no_thing_do_not_count(asked: Asked) -> None:
     first = owners[(wall.thing == 0) & wall.is_upper][0]
     owners[none] = NO_THING
     owners[scattered] = first
-    answer = with_owners(asked, owners).answer(wall.texts, 2)[0]
+    answer = with_owners(asked, owners).at(2).answer(wall.texts)[0]
     beside = answer.mask & (wall.shows(wall.cameras[2]) == 1)
     beside[:, : int((wall.shows(wall.cameras[2])[14] == 0).nonzero()[-1]) + 2] = False  # the border
     assert beside.any()

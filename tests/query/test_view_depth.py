@@ -9,14 +9,15 @@ import torch
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.query.view_depth import ViewDepth, mask_position, view_depth
+from scoup.field.renders import render_depth
+from scoup.query.view_answer import mask_position
 from scoup.scene.cameras import Camera
 
 
 def test_depth_is_the_mean_of_what_paints_a_pixel(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
     projection = field.project(camera)
-    found = view_depth(field, camera, projection)
+    found = render_depth(projection, field.gaussians, camera)
     means = field.gaussians.means.double()
     distances = (means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])[:, 2]
     total = torch.zeros(camera.height, camera.width, dtype=torch.float64)
@@ -54,10 +55,9 @@ def test_the_position_of_a_flat_wall() -> None:
 
 def test_answers_know_their_position_after_the_projection_is_gone(queried: Queried) -> None:
     field, camera = queried.field, queried.camera
-    projection = field.project(camera)
-    expected = ViewDepth(field, camera, projection)()
-    answers = field.answer(queried.texts, camera, projection=projection)
-    del projection
+    view = field.at(camera)
+    expected, answers = view.renders.depth(), field.at(camera).answer(queried.texts)
+    del view
     gc.collect()
     for answer in answers:
         found, wanted = answer.position, mask_position(answer.main_parts, expected, camera)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from raster.parity import needs_native
-from scoup.query.view_masks import (
+from scoup.query.view_answer import (
     LEAST_SHARE,
     main_parts,
     mask_box,

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from raster.parity import needs_native
 from scoup.base.errors import InputError
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.scene import code_sums
 from scoup.scene.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
 from scoup.scene.codes import SparseCodes, cosines_from_codes

@@ -34,7 +34,7 @@ def shown() -> dict[str, Any]:
     words = unit(torch.randn(30, 16, generator=torch.Generator().manual_seed(0)))
     names = ["object", "things", "stuff", "texture", *(f"word {number}" for number in range(26))]
     encoder = TextEncoder.open(dict(zip(names, words, strict=True)))
-    answer = field.answer(field.question("word 3", encoder=encoder, always=True), 0)
+    answer = field.at(0).answer(field.question("word 3", encoder=encoder, always=True))
     return {
         "80 Gaussians": gaussians,
         "3 cameras": cameras,

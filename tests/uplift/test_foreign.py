@@ -12,7 +12,7 @@ from foreign_samples import save_langsplatv2
 from io_samples import some_gaussians
 from scoup.base.errors import FileFormatError, InputError
 from scoup.field.language_field import LanguageField
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.uplift import foreign
 from scoup.uplift.foreign import (
     field_from_features,

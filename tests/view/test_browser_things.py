@@ -27,7 +27,7 @@ import scoup
 from scoup import raster
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
-from scoup.query.answering import answer_scene
+from scoup.query.answer_scene import answer_scene
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 

@@ -34,7 +34,7 @@ def camera(viewed: ViewedField) -> Camera:
 def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> None:
     rgb = raster.render_colors(viewed.gaussians, camera)
     assert np.array_equal(viewed.picture(camera), as_picture(rgb))
-    answer = viewed.field.answer(viewed.field.question("thing 3", encoder=table()), camera)
+    answer = viewed.field.at(camera).answer(viewed.field.question("thing 3", encoder=table()))
     heat, mask = (viewed.picture(camera, mode, ["thing 3"], [BLUE], 0.6) for mode in ("heat", "mask"))
     assert np.array_equal(heat, heat_overlay(answer.heat, rgb, opacity=0.6))
     assert np.array_equal(mask, texts_overlay([answer.heat], [answer.mask], rgb, [BLUE], 0.6))
@@ -44,7 +44,7 @@ def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> Non
 def test_several_texts_have_a_colour_each(viewed: ViewedField, camera: Camera) -> None:
     texts, colors = ["thing 3", "thing 5", "thing 1"], [BLUE, ORANGE, (90.0, 220.0, 115.0)]
     rgb = raster.render_colors(viewed.gaussians, camera)
-    answers = viewed.field.answer(viewed.field.question(texts, encoder=table()), camera)
+    answers = viewed.field.at(camera).answer(viewed.field.question(texts, encoder=table()))
     heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
     for mode in ("heat", "mask"):
         shown = viewed.picture(camera, mode, texts, colors, 0.8)
@@ -55,7 +55,7 @@ def test_several_texts_have_a_colour_each(viewed: ViewedField, camera: Camera) -
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField, camera: Camera, level: int) -> None:
-    answer = viewed.field.answer(viewed.field.question("thing 3", encoder=table(), level=level), camera)
+    answer = viewed.field.at(camera).answer(viewed.field.question("thing 3", encoder=table(), level=level))
     assert answer.level == viewed.field.levels[level]
     rgb = raster.render_colors(viewed.gaussians, camera)
     asked = {"texts": ["thing 3"], "colors": [BLUE], "level": level}
@@ -135,17 +135,17 @@ def test_the_position_is_where_half_of_the_light_is_stopped() -> None:
     )
     camera = make_camera(41, 31, 40.0)
     confidence = torch.ones(count, 2)
-    found = what_is_at(field, confidence, camera, (20, 15), None)
+    found = what_is_at(field.at(camera), confidence, (20, 15), None)
     assert found["position"] == pytest.approx([0.0, 0.0, 5.0], abs=1e-6)
     assert found["distance"] == pytest.approx(5.0, abs=1e-6)
     assert all(not level["words"] for level in found["levels"])
-    beside = what_is_at(field, confidence, camera, (40, 15), None)
+    beside = what_is_at(field.at(camera), confidence, (40, 15), None)
     assert beside["position"][2] == pytest.approx(4.0, abs=1e-6)
     assert beside["position"][0] == pytest.approx(4.0 * 20 / 40.0, abs=1e-6)
-    nothing = what_is_at(field, confidence, camera, (0, 0), None)
+    nothing = what_is_at(field.at(camera), confidence, (0, 0), None)
     assert nothing == {"position": None, "distance": None, "levels": []}
     with pytest.raises(InputError, match="not in a view of 41 x 31"):
-        what_is_at(field, confidence, camera, (41, 0), None)
+        what_is_at(field.at(camera), confidence, (41, 0), None)
 
 
 def test_a_click_reads_the_name_of_what_it_hits() -> None:

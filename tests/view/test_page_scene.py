@@ -14,9 +14,9 @@ from view_samples import field_with_things, random_field, splat_of, table, unpac
 from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import SH_C0
+from scoup.view.decimation import decimate
 from scoup.view.packing import byte_planes, packed
 from scoup.view.scene_data import surroundings
-from scoup.view.shown import shown_gaussians
 from scoup.view.viewed_field import ViewedField
 from support import KINDS, examples, random_gaussians
 
@@ -24,7 +24,7 @@ from support import KINDS, examples, random_gaussians
 def test_the_splat_comes_through_within_its_rounding() -> None:
     viewed = viewed_field(count=200)
     tensors, metadata = unpacked(viewed.scene())
-    rows = shown_gaussians(viewed.gaussians).rows
+    rows = decimate(viewed.gaussians).rows
     given, shown = viewed.gaussians.select(rows), splat_of(tensors, metadata)
     extent = (given.means.amax(0) - given.means.amin(0)).max()
     assert (shown.means - given.means).abs().max() < 2e-7 * float(extent)
@@ -42,7 +42,7 @@ def test_the_splat_comes_through_within_its_rounding() -> None:
 def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
     viewed = viewed_field(count=150, k=5)
     tensors, metadata = unpacked(viewed.scene())
-    rows = shown_gaussians(viewed.gaussians).rows
+    rows = decimate(viewed.gaussians).rows
     answer = viewed.answers(["thing 3"])[0]
     weights = tensors["code_weights"] / 65535 * metadata["weights_scale"]  # [S, K, N]
     found = []
@@ -67,7 +67,7 @@ def test_owners_are_those_of_the_gaussians_shown() -> None:
     tensors, metadata = unpacked(viewed.scene())
     assert metadata["n_things"] == len(field.thing_table)
     middle = field.thing_table.owners[:, 1]
-    owners = field.thing_table.owners[shown_gaussians(viewed.gaussians, 40, middle).rows].T.numpy()
+    owners = field.thing_table.owners[decimate(viewed.gaussians, 40, middle).rows].T.numpy()
     assert tensors["owners"].dtype == np.uint16
     assert (owners == -1).any()
     np.testing.assert_array_equal(tensors["owners"], np.where(owners == -1, 65535, owners))

@@ -12,8 +12,8 @@ from view_samples import field_with_things, random_field, splat_of, table, unpac
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.view import parts
+from scoup.view.decimation import cover, drawable
 from scoup.view.parts import Parts
-from scoup.view.shown import cover, drawable
 from scoup.view.viewed_field import ViewedField
 from support import KINDS, examples, random_gaussians
 

@@ -16,8 +16,7 @@ from view_samples import DIM, WORDS, field_with_things, random_field, table, unp
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.answering import answer_scene
-from scoup.query.coded_scene import CodedScene
+from scoup.query.answer_scene import answer_scene
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.view.scene_answers import VERDICT, PageAnswer, spans
 from scoup.view.scene_tools import SceneTools
@@ -41,7 +40,7 @@ def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: flo
 
 def verdict(answer: Answer | PageAnswer) -> dict[str, object]:
     """What is said of an answer."""
-    record = answer.record()
+    record = answer.to_dict()
     return {name: record[name] for name in VERDICT}
 
 
@@ -80,7 +79,7 @@ def test_things_level_presence_and_gaussians_are_those_of_select(of_things: View
         anyway = answer_scene(of_things.field, of_things.question([answer.text], always=True))[0]
         assert answer.chosen_things == list(anyway.things)
         assert torch.equal(members(of_things, answer.chosen_things), anyway.mask)
-        assert json.loads(json.dumps(answer.record()))["chosen_things"] == answer.chosen_things
+        assert json.loads(json.dumps(answer.to_dict()))["chosen_things"] == answer.chosen_things
 
 
 def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
@@ -111,14 +110,14 @@ def test_ways_to_ask_do_not_contradict_each_other(make: Callable[[], LanguageFie
         assert (on_page.chosen_things or [] if present else []) == list(answer.things)
         selection, place, things = field.select(text), field.location(text), field.things(text)
         assert torch.equal(selection.mask, answer.mask)
-        assert selection.record() == place.answer.record() == answer.record()
+        assert selection.to_dict() == place.answer.to_dict() == answer.to_dict()
         assert place.presence == bool(things) == bool(answer.mask.any()) == present
         labels = field.label([text])
         found = (labels.scores[0], labels.presence[0], labels.levels[0], labels.things[0])
         assert found == (answer.score, present, answer.level, answer.things)
         reply = tools.find("f", text)
         assert reply["count"] == len(things)
-        said = {name: answer.record()[name] for name in ("score", "certainty", "runner_up")}
+        said = {name: answer.to_dict()[name] for name in ("score", "certainty", "runner_up")}
         assert reply["texts"] == [{"text": text, **said}]
         if answer.things:
             numbers = [each["thing"] for each in reply["things"]]
@@ -127,7 +126,7 @@ def test_ways_to_ask_do_not_contradict_each_other(make: Callable[[], LanguageFie
     assert {"sure", "not here"} <= certainties
 
 
-def exported_verdicts(field: CodedScene, answers: list[PageAnswer]) -> Iterator[dict[str, object]]:
+def exported_verdicts(field: LanguageField, answers: list[PageAnswer]) -> Iterator[dict[str, object]]:
     """What an exported page says of each answer, but for the runner-up."""
     tensors, metadata = unpacked(words_data(field, answers))
     for row in range(len(answers)):
@@ -143,7 +142,7 @@ def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> 
     answer = viewed.answers(["thing 1"])[0]
     assert answer.chosen_things is None
     assert answer.things == [None, None]
-    assert answer.record()["things"] == [None, None]
+    assert answer.to_dict()["things"] == [None, None]
     assert not {"things", "runner_up"} & set(unpacked(words_data(viewed.field, [answer]))[0])
     field = field_with_things()
     assert field.thing_table is not None
@@ -191,7 +190,7 @@ def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField) -> None:
 
 def test_the_record_is_json_with_the_scores_bit_for_bit(viewed: ViewedField) -> None:
     answer = viewed.answers(["thing 1"])[0]
-    record = json.loads(json.dumps(answer.record()))
+    record = json.loads(json.dumps(answer.to_dict()))
     scores = np.frombuffer(base64.b64decode(record["scores"]), "<f4").reshape(2, 9)
     assert np.array_equal(scores, answer.scores.numpy())
     assert record["text"] == "thing 1"
@@ -201,7 +200,7 @@ def test_the_record_is_json_with_the_scores_bit_for_bit(viewed: ViewedField) -> 
 def test_where_no_gaussian_has_a_code_nothing_is_infinite_in_the_record() -> None:
     viewed = viewed_field(count=5)
     viewed.field.code_weights[:] = 0
-    record = viewed.answers(["thing 1"])[0].record()
+    record = viewed.answers(["thing 1"])[0].to_dict()
     assert (record["certainty"], record["present"], record["gaussians"]) == ("not here", False, 0)
     json.dumps(record, allow_nan=False)
     assert spans(torch.zeros(2, 0), torch.zeros(2, 0, dtype=torch.bool)).tolist() == [[0.5, 0.5]] * 2

@@ -63,7 +63,7 @@ def test_replies_are_those_of_the_field(tools: SceneTools):
         ("how many kettles", ["kettle"]),
         ("kettle on the mug", ["kettle", "mug"]),
     ):
-        records = [field.answer(each).record() for each in asked]
+        records = [field.answer(each).to_dict() for each in asked]
         kept = ("score", "certainty", "runner_up")
         wanted = [
             {"text": each, **{name: one[name] for name in kept}}
@@ -71,7 +71,7 @@ def test_replies_are_those_of_the_field(tools: SceneTools):
         ]
         assert tools.find("f", text)["texts"] == wanted
         assert wanted[0]["runner_up"] is not None
-    assert found["frame"]["up"] == field.frame().record()["up"]
+    assert found["frame"]["up"] == field.frame().to_dict()["up"]
     assert found["frame"]["units"] == "scene, of 0.5 metres"
     assert "splat" in found["frame"]["axes"]
 

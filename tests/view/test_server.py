@@ -84,8 +84,10 @@ def test_merged_parts_are_sent_whole_too(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "most" not in unpacked(whole.scene())[1]
     assert "most" not in unpacked(merged.scene(exported=True))[1]
     assert unpacked(merged.scene())[1]["most"] == 40
+    monkeypatch.setattr(
+        "scoup.view.server._MOST_PACKED", len(whole.part(1)) + 600
+    )  # one part at a time is kept
     client = TestClient(application(merged, PAGE, Guard.of("127.0.0.1")), LOCAL)
-    monkeypatch.setattr("scoup.view.server._MOST_PACKED", 1)  # one part at a time is kept
     for address, data in (
         ("/part/1-of-2?whole", whole.part(1)),
         ("/part/1-of-2", merged.part(1)),
@@ -123,7 +125,7 @@ def test_the_scene_and_the_answers_fit_together(client: TestClient, viewed: View
         name: metadata[name] for name in client.get("/api/scene").json()
     }
     answers = client.post("/api/query", json={"texts": ["thing 1", "thing 2"]}).json()["answers"]
-    assert answers == [answer.record() for answer in viewed.answers(["thing 1", "thing 2"])]
+    assert answers == [answer.to_dict() for answer in viewed.answers(["thing 1", "thing 2"])]
     vocabulary = client.get("/api/vocabulary").json()
     assert vocabulary == {"names": list(WORDS), "closed": True}
     assert tensors["code_indices"].shape[2] == tensors["opacities"].shape[0]

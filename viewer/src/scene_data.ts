@@ -30,7 +30,7 @@ export interface Metadata {
   cameras: CameraRecord[];
 }
 
-/** The facts of a thing, as Python has them (`CodedScene.things`); lengths in the units of the scene. */
+/** The facts of a thing, as Python has them (`LanguageField.things`); lengths in the units of the scene. */
 export interface Thing {
   number: number;
   /** Position of its level, fine to coarse. */

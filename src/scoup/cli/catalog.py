@@ -44,8 +44,8 @@ class MakeCatalog(TextOptions, FrameOptions):
             save_catalog(field, catalog, hidden, cameras, self.metres_per_unit, progress)
         largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]
         for thing in largest:
-            console.say(f"{thing.text}: thing {thing.number}, level {thing.level}, {thing.said()}")
+            console.say(f"{thing.text}: thing {thing.number}, level {thing.level}, {thing.describe()}")
         shown = f" (the {SHOWN} largest are listed above)" if len(catalog.things) > SHOWN else ""
         relations = counted(len(catalog.relations), "relation")
         console.say(f"{out}: {counted(len(catalog.things), 'thing')}{shown}, {relations}")
-        console.result({"out": out, "files": files, **catalog.record(self.metres_per_unit)})
+        console.result({"out": out, "files": files, **catalog.to_dict(self.metres_per_unit)})

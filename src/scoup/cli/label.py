@@ -12,12 +12,12 @@ from scoup.base.counts import counted
 from scoup.base.file_names import unique_slugs
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionGroups
-from scoup.cli.query_options import CameraOptions, TextOptions, check_texts
+from scoup.cli.options import OptionalPath, OptionGroups
+from scoup.cli.query_options import AnswerOptions, CameraOptions, check_texts
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.query.label import GaussianLabels
+    from scoup.query.labels import GaussianLabels
     from scoup.scene.cameras import Camera
 
 Output = Literal["sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet"]
@@ -25,7 +25,7 @@ USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Label(TextOptions, CameraOptions):
+class Label(AnswerOptions, CameraOptions):
     """Label every Gaussian with the best of a list of words, or none, for other programs.
 
     A word applies to the Gaussians that `scoup select` finds, if it is in the scene. Of several words for one Gaussian,
@@ -33,7 +33,7 @@ class Label(TextOptions, CameraOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "words": "words threshold presence always",
+        "words": "words",
         "output": "out outputs",
     }
 
@@ -54,13 +54,6 @@ class Label(TextOptions, CameraOptions):
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
     ] = ()
     """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
-    threshold: OptionalNumber = None
-    """Label all Gaussians above this relevancy, 0 to 1 once it is rescaled over the scene. Default: those of things."""
-    presence: OptionalNumber = None
-    """Least score of a word that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
-    lower. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
-    """Label with every word, without judging presence."""
 
     def run(self, console: Console) -> None:
         """Label and write."""
@@ -71,9 +64,7 @@ class Label(TextOptions, CameraOptions):
         field = self.open_field()
         cameras = self._cameras(field)
         outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
-        question = self.question(
-            field, words, threshold=self.threshold, present_from=self.presence, always=self.always
-        )
+        question = self.question(field, words)
         # Only the words decide the names of files, so that what cannot be written is known before the work.
         stems = unique_slugs(camera.stem for camera in cameras)
         files = label_files(words, outputs, stems)

@@ -22,8 +22,8 @@ from scoup.cli.options import (
     Texts,
 )
 from scoup.cli.query_options import (
+    AnswerOptions,
     CameraOptions,
-    TextOptions,
     check_frame_rate,
     check_metres,
     check_texts,
@@ -31,11 +31,11 @@ from scoup.cli.query_options import (
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.query.answer import ViewAnswer
     from scoup.query.answer_files import AnswerFiles
+    from scoup.query.field_view import FieldView
     from scoup.query.place import Place
-    from scoup.query.question import Question
-    from scoup.raster import Projection
+    from scoup.query.question import Question, Several
+    from scoup.query.view_answer import ViewAnswer
     from scoup.scene.cameras import Camera
 
 RECORD = "query.json"
@@ -43,7 +43,7 @@ MOST_FRAMES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Query(TextOptions, CameraOptions):
+class Query(AnswerOptions, CameraOptions):
     """Find things in the views of a field's cameras, and in the world.
 
     A text is answered once, in the scene; each view shows that answer. Writes a contact sheet: the relevancy as a heat
@@ -52,7 +52,7 @@ class Query(TextOptions, CameraOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "answer": "threshold level presence always",
+        "answer": "level",
         "output": "out pictures npz coco metres_per_unit",
         "video": "video frames frames_per_second",
     }
@@ -61,16 +61,8 @@ class Query(TextOptions, CameraOptions):
     """What to look for, for example "kettle" "wooden table"."""
     out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
-    threshold: OptionalNumber = None
-    """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
-    in a field without things the Gaussians above the threshold at which the answer changes least."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
-    presence: OptionalNumber = None
-    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
-    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
-    """Answer every text, without judging presence."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
@@ -100,14 +92,7 @@ class Query(TextOptions, CameraOptions):
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
-        question = self.question(
-            field,
-            self.texts,
-            threshold=self.threshold,
-            present_from=self.presence,
-            always=self.always,
-            level=self.level,
-        )
+        question = self.question(field, self.texts, level=self.level)
         files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
         names = [RECORD, *files.names, *self._video_names()]
         with staged(out, names, self.overwrite) as hidden, console.progress() as progress:
@@ -120,7 +105,7 @@ class Query(TextOptions, CameraOptions):
                 "sheets": [(out / name).as_posix() for name in files.sheet_names],
                 "answers": records,
                 "places": [
-                    {"text": place.answer.text, **place.record(self.metres_per_unit)} for place in places
+                    {"text": place.answer.text, **place.to_dict(self.metres_per_unit)} for place in places
                 ],
             }
             if self.video != "none":
@@ -145,25 +130,23 @@ class Query(TextOptions, CameraOptions):
     def _write_views(
         self,
         field: LanguageField,
-        question: Question,
+        question: Question[Several],
         cameras: Iterable[Camera],
         files: AnswerFiles,
         hidden: Path,
     ) -> list[dict[str, Any]]:
         """Answer in each view and write what belongs to it; the answers as JSON values."""
-        from scoup.raster import render_colors
-
         records: list[dict[str, Any]] = []
         blind: list[Camera] = []
         for camera in cameras:
-            projection = field.project(camera)
-            answers = field.answer(question, camera, projection=projection)
-            if _sees_nothing(field, projection, answers):
+            view = field.at(camera)
+            answers = view.answer(question)
+            if _sees_nothing(view, answers):
                 blind.append(camera)
-            rgb = render_colors(field.gaussians, camera, projection).cpu() if files.needs_colors else None
+            rgb = view.renders.colors().cpu() if files.needs_colors else None
             files.add(camera, answers, rgb, hidden)
             for answer, places in zip(answers, files.of_view(camera, self._out()), strict=True):
-                record = {"camera": camera.name, "text": answer.text, **answer.record()}
+                record = {"camera": camera.name, "text": answer.text, **answer.to_dict()}
                 records.append({**record, "files": places} if places else record)
         self.check_seen(blind, files.n_views)
         return records
@@ -176,14 +159,14 @@ class Query(TextOptions, CameraOptions):
     def _save_videos(
         self,
         field: LanguageField,
-        question: Question,
+        question: Question[Several],
         places: list[Place],
         hidden: Path,
         progress: Progress,
     ) -> list[str]:
         """Write the videos that are wanted; their names."""
         from scoup.pictures.video import save_video
-        from scoup.query.videos import heat_frames, moving_cameras
+        from scoup.query.drawing import heat_frames, moving_cameras
         from scoup.scene.cameras import Cameras
 
         if self.video == "none":
@@ -213,17 +196,17 @@ class Query(TextOptions, CameraOptions):
                 console.say(_sentence(record))
         for place in places:
             at = "at " if place.presence else ""
-            console.say(f"in the scene  {place.answer.text}: {at}{place.said(self.metres_per_unit)}")
+            console.say(f"in the scene  {place.answer.text}: {at}{place.describe(self.metres_per_unit)}")
         for path in (*result["sheets"], *result.get("videos", ())):
             console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
         console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")
         console.result({"out": self._out(), **result})
 
 
-def _sees_nothing(field: LanguageField, projection: Projection, answers: list[ViewAnswer]) -> bool:
+def _sees_nothing(view: FieldView, answers: list[ViewAnswer]) -> bool:
     """True if nothing of the field is visible."""
     # Relevancy is 0.5 wherever nothing is rendered; only then is it worth a render to find out.
-    return all((each.heat == 0.5).all() for each in answers) and not field.is_visible(projection)
+    return all((each.heat == 0.5).all() for each in answers) and not view.is_visible()
 
 
 def _sentence(record: dict[str, Any]) -> str:

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import tyro
 
 from scoup.base.counts import listed, share_of, verb
-from scoup.cli.options import FieldFile, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.options import (
+    FieldFile,
+    Flag,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+    WritesCommon,
+)
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.models.text import TextEncoder
     from scoup.query.expression import Expression
     from scoup.query.frame import Frame
-    from scoup.query.question import Question
+    from scoup.query.question import Question, Several
     from scoup.scene.cameras import Camera, Cameras
 
+Asked = TypeVar("Asked", bound="str | Several | Expression")
 LONGEST_SIDE = 16384  # of a picture, in pixels
 
 _SAME_FRAME = "check that cameras and splat are in the same frame"
@@ -170,7 +178,7 @@ class TextOptions(FieldOptions):
             raise MissingFileError(error.path, error.problem, "pass its new path with --text") from error
         return field.text_encoder(encoder)
 
-    def question(self, field: LanguageField, texts: Sequence[str] | Expression, **options: Any) -> Question:
+    def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
         """The question that ``field.question`` makes of texts and options.
 
         Raises:
@@ -180,6 +188,27 @@ class TextOptions(FieldOptions):
         question = field.question(texts, **options)
         field.text_encoder().close()  # models are large
         return question
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerOptions(TextOptions):
+    """Options of verbs that answer texts."""
+
+    option_groups: ClassVar[OptionGroups] = {"answer": "threshold presence always"}
+
+    threshold: OptionalNumber = None
+    """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
+    in a field without things the Gaussians above the threshold at which the answer changes least."""
+    presence: OptionalNumber = None
+    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
+    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
+    always: Flag = False
+    """Answer every text, without judging presence."""
+
+    def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
+        """The question, with these options."""
+        rules = {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
+        return super().question(field, texts, **rules, **options)
 
 
 @dataclass(frozen=True, kw_only=True)

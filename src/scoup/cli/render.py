@@ -66,10 +66,10 @@ class Render(TextOptions, CameraOptions):
         with staged(folder, files, self.overwrite) as hidden, console.progress() as progress:
             progress("render", 0, len(cameras))
             for done, camera in enumerate(cameras):
-                projection = field.project(camera)
-                if not field.is_visible(projection):
+                view = field.at(camera)
+                if not view.is_visible():
                     blind.append(camera)
-                picture = draw(camera, projection)
+                picture = draw(view)
                 if animation:
                     frames.append(picture)
                 else:
@@ -97,7 +97,7 @@ class Render(TextOptions, CameraOptions):
                 field, len(field.levels) // 2 if self.level is None else self.level, self.plain
             )
         if self.query is None:
-            return color_drawing(field, self.plain)
+            return color_drawing(self.plain)
         return relevancy_drawing(field, self.question(field, [self.query], always=True), self.plain)
 
 

@@ -13,9 +13,9 @@ from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import (
+    AnswerOptions,
     CameraOptions,
     FrameOptions,
-    TextOptions,
     check_metres,
     check_texts,
 )
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Select(TextOptions, CameraOptions, FrameOptions):
+class Select(AnswerOptions, CameraOptions, FrameOptions):
     """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
     left.
 
@@ -37,7 +37,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "choice": "threshold level presence always",
+        "answer": "level",
         "shape": "largest shrink grow within",
         "output": "out edit color opacity picture metres_per_unit",
     }
@@ -73,22 +73,14 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     """Of --picture: name of a camera. Default: the one that sees most of the selection."""
     metres_per_unit: OptionalNumber = None
     """Length of the scene's unit in metres, to print positions and sizes in metres, too."""
-    threshold: OptionalNumber = None
-    """Select all Gaussians above this relevancy, 0 to 1 once it is rescaled over the scene. Default: things answer; in
-    a field without things the Gaussians above the threshold at which the answer changes least."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
-    presence: OptionalNumber = None
-    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
-    lower. Below it, nothing is selected. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
-    """Answer every text without judging presence."""
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
         from scoup.base.errors import InputError
         from scoup.query.expression import parse_expression
-        from scoup.query.reshape import Reshaping
+        from scoup.query.select import Reshaping
 
         check_texts(self.texts)
         expression = parse_expression(self.texts)
@@ -98,14 +90,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
             raise InputError("--edit ids numbers texts: pass them without and, or, not, and without a shape")
         field = self.open_field()
         self._check_out(field)
-        question = self.question(
-            field,
-            expression,
-            threshold=self.threshold,
-            present_from=self.presence,
-            always=self.always,
-            level=self.level,
-        )
+        question = self.question(field, expression, level=self.level)
         whole = field.select(question, shape, self.open_frame(field))
         self._check_found(whole)
         written = self._write(field, whole)
@@ -115,8 +100,6 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         from scoup.base.errors import InputError
         from scoup.io import check_output, written_format
 
-        if self.threshold is not None and not 0 <= self.threshold <= 1:
-            raise InputError(f"--threshold must be 0 to 1, got {self.threshold}")
         if not 0 <= self.opacity <= 1:
             raise InputError(f"--opacity must be 0 to 1, got {self.opacity}")
         check_metres(self.metres_per_unit)
@@ -179,8 +162,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
     def _write(self, field: LanguageField, whole: Answer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
-        from scoup.query.edits import edited
-        from scoup.query.splat_table import SplatTable
+        from scoup.query.edits import SplatTable, edited
 
         if self.edit == "ids":
             table = SplatTable.of(field, self.gaussians).with_ids([part.mask for part in whole.parts])
@@ -205,7 +187,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         from dataclasses import replace
 
         from scoup.io import save_png
-        from scoup.query.edit_picture import best_camera, edit_picture
+        from scoup.query.edits import best_camera, edit_picture
 
         if self.picture is None:
             return
@@ -225,7 +207,7 @@ class Select(TextOptions, CameraOptions, FrameOptions):
         elif selected != counts[whole.text]:
             console.say(f"{whole.text}, reshaped: {selected:,}")
         if place.position is not None:
-            console.say(f"at {place.said(self.metres_per_unit)}")
+            console.say(f"at {place.describe(self.metres_per_unit)}")
         console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
         if self.picture is not None and self.edit != "ids":
             console.say(f"{self.picture}: before, selection, after")
@@ -234,10 +216,10 @@ class Select(TextOptions, CameraOptions, FrameOptions):
                 "out": self.out,
                 "written": written,
                 "chosen": counts,
-                "texts": {part.text: part.record() for part in whole.parts},
+                "texts": {part.text: part.to_dict() for part in whole.parts},
                 "gaussians": len(whole.mask),
                 "expression": whole.text,
                 "selected": selected,
-                "place": place.record(self.metres_per_unit),
+                "place": place.to_dict(self.metres_per_unit),
             }
         )

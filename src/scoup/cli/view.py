@@ -102,7 +102,7 @@ class View(TextOptions):
         console.say(
             f"{out}: {_size(report.n_bytes)} ({sizes}, before base64), {counted(report.words, 'word')}"
         )
-        console.result(report.record())
+        console.result(report.to_dict())
 
     def _serve(self, console: Console) -> int:
         """Serve until the process is interrupted or terminated: both are the usual end."""

@@ -62,9 +62,9 @@ class SamSegmenter:
     def drop_hidden(self) -> bool:
         return self.settings.drop_hidden
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         extra = {"with_default": True} if self.with_default else {}
-        return {**self.model.record(), **self.settings.record(), **extra}
+        return {**self.model.to_dict(), **self.settings.to_dict(), **extra}
 
     def segment(self, image: NDArray[np.uint8]) -> dict[str, Masks]:
         return automatic_masks(image, self.model, self.settings, self.with_default)

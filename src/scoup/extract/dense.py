@@ -26,8 +26,8 @@ class DenseEmbedder:
         self.model = model
         self.name, self.dim, self.device = model.name, model.dim, model.device
 
-    def record(self) -> dict[str, Any]:
-        return {**self.model.record(), "embedder_windows": WINDOWS}
+    def to_dict(self) -> dict[str, Any]:
+        return {**self.model.to_dict(), "embedder_windows": WINDOWS}
 
     def embed_regions(self, image: Tensor, masks: Mapping[str, Masks]) -> dict[str, Tensor]:
         size = self._scaled_size(image.shape[0], image.shape[1])

@@ -27,7 +27,7 @@ class Felzenszwalb:
     cut_last = False
     drop_hidden = False
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         scales = {level: list(values) for level, values in _SCALES.items()}
         return {"segmenter": NAME, "scales": scales, "sigma": _SIGMA}
 

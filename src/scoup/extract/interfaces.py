@@ -21,7 +21,7 @@ class Segmenter(Protocol):
     @property
     def drop_hidden(self) -> bool: ...
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the settings that decide the result, as plain values for the manifest."""
         ...
 
@@ -40,7 +40,7 @@ class _AnyEmbedder(Protocol):
     @property
     def device(self) -> torch.device | str: ...  # of the images that it takes
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the settings that decide the result, as plain values for the manifest."""
         ...
 

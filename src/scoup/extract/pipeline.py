@@ -77,7 +77,7 @@ def extract(
     """
     folder = Path(folder)
     check_stems(folder, (item.name for item in photographs))
-    settings = {**segmenter.record(), **embedder.record(), "max_height": max_height}
+    settings = {**segmenter.to_dict(), **embedder.to_dict(), "max_height": max_height}
     manifest = RegionManifest.of("compact", embedder.name, settings, BITS)
     store = RegionStore.create(folder, manifest, overwrite)
     mine = part.of(photographs)

@@ -30,7 +30,7 @@ class PlainColors:
     def __init__(self, device: torch.device | str = "cpu") -> None:
         self.device = device
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return {"embedder": NAME, "bins": _BINS, "directions": _DIRECTIONS}
 
     def embed(self, crops: Tensor) -> Tensor:

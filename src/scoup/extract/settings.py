@@ -62,7 +62,7 @@ class MaskSettings:
         if self.least_area < 0:
             raise InputError(f"least_area must not be negative, got {self.least_area}")
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the settings that decide the result, as plain values for the manifest."""
         values = asdict(self)
         del values["points_per_batch"]

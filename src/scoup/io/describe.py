@@ -18,7 +18,7 @@ from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians
 from scoup.io.splats.formats import SplatSource, splat_source
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.sanity import sanity_problems
+from scoup.scene.sanity_checks import sanity_problems
 
 
 def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:

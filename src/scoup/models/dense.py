@@ -51,7 +51,7 @@ class DenseModel:
         config = self.tower.config
         return int(config.projection_dim if self.tower.is_clip else config.hidden_size)
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return {"embedder": self.name, "embedder_revision": self.revision, "embedder_pooling": "dense"}
 
     def tokens(self, image: Tensor) -> Tensor:

@@ -33,7 +33,7 @@ class ImageModel:
     def __post_init__(self) -> None:
         self.dim = int(self.embed(torch.zeros(1, self.side, self.side, 3, dtype=torch.uint8)).shape[1])
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return {"embedder": self.name, "embedder_revision": self.revision, "embedder_side": self.side}
 
     def embed(self, crops: Tensor) -> Tensor:

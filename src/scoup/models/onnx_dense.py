@@ -33,7 +33,7 @@ class OnnxDenseModel:
     dim: int
     device: str = "cpu"
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return {"embedder": self.name, "embedder_sha256": self.sha256, "embedder_pooling": "dense"}
 
     def tokens(self, image: Tensor) -> Tensor:

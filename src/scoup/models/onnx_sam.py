@@ -50,7 +50,7 @@ class OnnxSam:
         """Return whether it is SAM 2, whose images are stretched over the whole square."""
         return _is_second(self.decoder)
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         return {"segmenter": self.name, "segmenter_sha256": list(self.sha256)}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:

@@ -57,7 +57,7 @@ class EncodedImage(Protocol):
 class PointModel(Protocol):
     """A model that predicts masks from points."""
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the settings that decide the result, as plain values for the manifest."""
         ...
 
@@ -116,7 +116,7 @@ class Sam:
     def device(self) -> torch.device:
         return next(self.model.parameters()).device
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         checked = {"segmenter_sha256": self.sha256} if self.sha256 else {}
         return {"segmenter": self.name, "segmenter_revision": self.revision, **checked}
 

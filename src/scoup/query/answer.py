@@ -1,29 +1,21 @@
-"""The answer to a text: decided once, in the scene, and drawn in views."""
+"""The answer to a text, decided once, in the scene."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.html import card
-from scoup.base.records import rounded_vector
-from scoup.pictures import as_picture, heat_map, mask_overlay
 from scoup.query.presence import Certainty, certainty
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
-
-    from scoup.query.coded_scene import CodedScene
+    from scoup.field.language_field import LanguageField
     from scoup.query.question import Question
-    from scoup.query.view_depth import ViewDepth
-    from scoup.raster import Projection
+    from scoup.query.view_answer import ViewAnswer
     from scoup.scene.cameras import Camera
 
 
@@ -79,17 +71,22 @@ class Answer:
     """The answers to the texts of an expression."""
     asked: tuple[AskedText, ...] = ()
     """Whose relevancy is shown as heat: the text, or the wanted texts of an expression. Pickling drops it."""
-    field: CodedScene | None = None
+    field: LanguageField | None = None
     """That was asked. Pickling drops it."""
 
     def __repr__(self) -> str:
-        found = (
+        facts = (
             f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians, level {self.level}, {self.remark()}"
         )
-        return f"Answer({self.text!r}: {found if self.presence else self.remark()})"
+        return f"Answer({self.text!r}: {facts if self.presence else self.remark()})"
 
     def _repr_html_(self) -> str:
-        return card(f"{self.text!r} in the scene", {**self.record(), "of": f"{len(self.mask):,} Gaussians"})
+        return card(f"{self.text!r} in the scene", {**self.to_dict(), "of": f"{len(self.mask):,} Gaussians"})
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its masks."""
+        return self.mask.nbytes + sum(part.nbytes for part in self.parts)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "field": None, "asked": ()}  # which hold the scene
@@ -123,29 +120,25 @@ class Answer:
         ]
         return torch.stack(each).amax(0).cpu()
 
-    def in_view(
-        self, camera: Camera | str | int = 0, projection: Projection | None = None, scale: float = 1.0
-    ) -> ViewAnswer:
+    def in_view(self, camera: Camera | str | int = 0, scale: float = 1.0) -> ViewAnswer:
         """Draw the answer in one view: mask, heat map, box, point. Nothing is decided again.
 
         Args:
-            camera: of the view, or its name or position among the field's cameras.
-            projection: what ``field.project(camera)`` returned; further answers with it take less time.
+            camera: of the view, or its name or position among the field's cameras. For several answers in one view, use
+                ``field.at(camera).show``.
             scale: of the picture, for a quicker look: with 0.25 all is in pixels of a view of a quarter of the width.
 
         Raises:
             InputError, UnknownNameError: there is no such camera, or the answer was pickled.
         """
-        from scoup.query.answering import draw_answers
+        return self._asked_field().at(camera, scale).show([self])[0]
 
-        return draw_answers(self._asked_field(), [self], camera, projection, scale)[0]
-
-    def _asked_field(self) -> CodedScene:
+    def _asked_field(self) -> LanguageField:
         if self.field is None:
             raise InputError(f"{self.text}: an answer that was pickled knows no scene; ask again")
         return self.field
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the answer as plain JSON values, rounded."""
         return {
             "gaussians": int(self.mask.sum()),
@@ -163,144 +156,6 @@ class Answer:
             "certainty": self.certainty,
             "present": self.presence,
             **({} if self.threshold is None else {"threshold": round(self.threshold, 3)}),
-        }
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ViewAnswer:
-    """An answer of the scene as one view shows it. Tensors are on the CPU.
-
-    Example:
-        >>> field = scoup.LanguageField.load("f.scoup")
-        >>> seen = field.answer("kettle", "view_00")
-        >>> seen.mask.dtype, seen.mask.shape == seen.heat.shape
-        (torch.bool, True)
-    """
-
-    answer: Answer
-    """Of the scene."""
-    view: str
-    """Name of the camera."""
-    mask: Tensor
-    """[H, W] boolean: the pixels to which the Gaussians of the answer contribute more than half. Of that, Gaussians of
-    no thing of its level do not count, such as haze before the camera."""
-    heat: Tensor
-    """[H, W] float32 relevancy at the level of the answer, 0..1."""
-    main_parts: Tensor
-    """[H, W] boolean, the mask without specks (``scoup.query.view_masks.main_parts``)."""
-    box: tuple[int, int, int, int] | None
-    """(x0, y0, x1, y1) around the main parts in pixels, x1 and y1 one past the last; None if nothing is visible."""
-    point: tuple[int, int] | None
-    """(x, y), the most relevant pixel of the largest part; None if nothing is visible."""
-    render: Callable[[], Tensor] | None = None
-    """Renders the colours of the view, [H, W, 3] 0..1, to draw the answer on. Pickling drops it."""
-    depth: ViewDepth | None = None
-    """Renders the depth of the view, for ``position``. Pickling drops it."""
-
-    @property
-    def text(self) -> str:
-        """What was asked."""
-        return self.answer.text
-
-    @property
-    def level(self) -> str:
-        """Name of the level that answers."""
-        return self.answer.level
-
-    @property
-    def score(self) -> float | None:
-        """As of ``Answer``: the same in every view."""
-        return self.answer.score
-
-    @property
-    def presence(self) -> bool:
-        """Whether the thing is in the scene."""
-        return self.answer.presence
-
-    @property
-    def visible(self) -> bool:
-        """Whether the thing is visible from here."""
-        return self.point is not None
-
-    @property
-    def coverage(self) -> float:
-        """Share of the view in the mask, 0..1."""
-        return int(self.mask.sum()) / max(1, self.mask.numel())
-
-    @property
-    def position(self) -> Tensor | None:
-        """The middle of the surface that the main parts show, [3] float64 world units; None if nothing is visible or
-        its depth is unknown. ``location`` finds the thing itself, from all sides."""
-        return None if self.depth is None else self.depth.position(self.main_parts)
-
-    def __repr__(self) -> str:
-        found = f"point {self.point}, box {self.box}, {self.remark()}"
-        return f"ViewAnswer({self.text!r} in {self.view!r}: {found if self.visible else self.remark()})"
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "render": None, "depth": None}  # which hold the scene
-
-    def _repr_html_(self) -> str:
-        return card(f"{self.text!r} in {self.view}", self.record(), as_picture(self.pictures()["overlay"]))
-
-    def remark(self) -> str:
-        """Return level, score and coverage in a few words; or why nothing is shown."""
-        if not self.presence:
-            return self.answer.remark()
-        if not self.visible:
-            return "not visible from here"
-        parts = (f"level {self.level}", f"{self.coverage:.1%} of the view")
-        return ", ".join([*parts, self.answer.remark()] if self.score is not None else parts)
-
-    def pictures(self, rgb: Tensor | None = None) -> dict[str, np.ndarray | Tensor]:
-        """Draw the answer.
-
-        Args:
-            rgb: [H, W, 3] float 0..1, the background; by default the colours of the view, or black.
-
-        Returns:
-            "heat": the relevancy over the background, [.., .., 3] uint8; "mask": [H, W] boolean; "overlay": mask, box
-            and point over the background, [.., .., 3] uint8.
-        """
-        if rgb is None:
-            rgb = torch.zeros(*self.heat.shape, 3) if self.render is None else self.render().cpu()
-        return {
-            "heat": heat_map(self.heat, rgb, self.text, self.level, float(self.heat.max())),
-            "mask": self.mask,
-            "overlay": mask_overlay(self.mask, rgb, self.box, self.point, self.text, self.remark()),
-        }
-
-    def crop(self, image: Tensor | ArrayLike | Image, margin: int = 0) -> Tensor | np.ndarray | None:
-        """Return the part of an image of the view [H, W, ...] in the box; None if nothing is visible.
-
-        Args:
-            image: of the view's size; a picture of Pillow becomes an array.
-            margin: pixels added on every side, as far as the image reaches.
-
-        Raises:
-            InputError: the image has another size, or the margin is negative.
-        """
-        pixels = image if isinstance(image, Tensor) else np.asarray(image)
-        if tuple(pixels.shape[:2]) != tuple(self.mask.shape) or margin < 0:
-            raise InputError(
-                f"an image of {list(pixels.shape)} with a margin of {margin} cannot be cropped by a view of "
-                f"{list(self.mask.shape)}"
-            )
-        if self.box is None:
-            return None
-        x0, y0, x1, y1 = self.box
-        return pixels[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin]
-
-    def record(self) -> dict[str, Any]:
-        """Return the answer as plain JSON values, rounded."""
-        position = self.position
-        return {
-            **self.answer.verdict(),
-            "visible": self.visible,
-            "pixel": None if self.point is None else list(self.point),
-            "coverage": round(self.coverage, 6),
-            "box": None if self.box is None else list(self.box),
-            "position": None if position is None else rounded_vector(position.tolist()),
         }
 
 

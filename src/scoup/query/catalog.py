@@ -11,13 +11,13 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.html import card
-from scoup.query.answering import null_scores
-from scoup.query.coded_scene import CodedScene
+from scoup.field.language_field import LanguageField
+from scoup.query.answer_scene import null_scores
 from scoup.query.frame import Frame, scene_frame
-from scoup.query.question import Question
-from scoup.query.relations import related_pairs
-from scoup.query.scene_things import Thing, all_things
-from scoup.query.things import compare_things
+from scoup.query.matching import compare_things
+from scoup.query.question import Question, Several, as_question
+from scoup.query.relations import relations, things
+from scoup.query.things import Thing
 
 NAMES = 3
 """Names kept per thing: the best and the next best ones."""
@@ -52,40 +52,36 @@ class Catalog:
     def _repr_html_(self) -> str:
         return card(f"{len(self.things)} things", {str(thing.number): thing.text for thing in self.things})
 
-    def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """Return the scene graph as plain JSON values (docs/formats.md, "Scene graph")."""
         things = [
-            {**thing.record(metres_per_unit), "names": list(names)}
+            {**thing.to_dict(metres_per_unit), "names": list(names)}
             for thing, names in zip(self.things, self.names, strict=True)
         ]
         relations = [{"thing": one, "relation": what, "to": other} for one, what, other in self.relations]
         return {
             "format": SCHEMA,
             "version": 1,
-            "frame": self.frame.record(),
+            "frame": self.frame.to_dict(),
             "things": things,
             "relations": relations,
         }
 
 
-def make_catalog(field: CodedScene, question: Question, frame: Frame | None = None) -> Catalog:
-    """Return every thing of a field with the best of several words; ``field.catalog`` calls this.
-
-    Args:
-        field: with a table of things.
-        question: the words, from ``field.question``.
-        frame: what up means; by default ``scene_frame``.
-    """
-    table = field.thing_table
+def make_catalog(
+    field: LanguageField, words: Question[Any] | str | Several, frame: Frame | None = None
+) -> Catalog:
+    """Return every thing of a field with the best of several words; ``field.catalog`` documents it."""
+    question, table = as_question(field, words), field.thing_table
     if table is None:
         raise InputError(
             f"{field.path or 'this field'}: contains no things; build it again with things, from its photographs"
         )
     frame = scene_frame(field) if frame is None else frame
-    things, known = all_things(field), compare_things(field, question)
+    every, known = things(field, None, None), compare_things(field, question)
     if known is None:  # of no things
         return Catalog((), (), (), frame)
-    numbers = [thing.number or 0 for thing in things]
+    numbers = [thing.number or 0 for thing in every]
     queries = question.queries.float().cpu()
     best = best_words(known.embeddings[numbers] @ queries.T)
     fits = known.fits(queries)[numbers]
@@ -94,10 +90,10 @@ def make_catalog(field: CodedScene, question: Question, frame: Frame | None = No
     sure = [scores[word](float(fits[row, word])) for row, word in enumerate(best[:, 0].tolist())]
     names = tuple(tuple(question.texts[word] for word in row) for row in best.tolist())
     named = tuple(
-        replace(thing, text=own[0], score=score)
-        for thing, own, score in zip(things, names, sure, strict=True)
+        replace(thing, text=best[0], score=score)
+        for thing, best, score in zip(every, names, sure, strict=True)
     )
-    return Catalog(named, names, tuple(related_pairs(field, named, frame)), frame)
+    return Catalog(named, names, tuple(relations(field, frame)), frame)
 
 
 def best_words(cosines: Tensor) -> Tensor:

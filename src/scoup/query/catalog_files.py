@@ -13,15 +13,15 @@ import numpy as np
 import torch
 from PIL import Image
 
-from scoup import raster
 from scoup.base.atomic import write_text
 from scoup.base.printable import printable
 from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog import Catalog, catalog_rows
-from scoup.query.coded_scene import CodedScene
-from scoup.query.scene_things import Thing
+from scoup.query.field_view import FieldView
+from scoup.query.things import Thing
 from scoup.scene.cameras import Camera
 
 GRAPH, TABLE, PAGE, PICTURES = "catalog.json", "catalog.csv", "index.html", "pictures"
@@ -37,7 +37,7 @@ def catalog_files(catalog: Catalog, cameras: Sequence[Camera]) -> list[str]:
 
 
 def save_catalog(
-    field: CodedScene,
+    field: LanguageField,
     catalog: Catalog,
     folder: Path,
     cameras: Sequence[Camera] = (),
@@ -54,7 +54,7 @@ def save_catalog(
         metres_per_unit: length of the scene's unit; the table is in metres then, and the graph has metres, too.
         progress: called for the stage "pictures".
     """
-    graph = json.dumps(catalog.record(metres_per_unit), indent=1, allow_nan=False)
+    graph = json.dumps(catalog.to_dict(metres_per_unit), indent=1, allow_nan=False)
     write_text(folder / GRAPH, graph + "\n")
     rows = catalog_rows(catalog, metres_per_unit)
     text = io.StringIO()
@@ -69,7 +69,7 @@ def _picture_name(thing: Thing) -> str:
 
 
 def _save_pictures(
-    field: CodedScene, catalog: Catalog, folder: Path, cameras: Sequence[Camera], progress: Progress
+    field: LanguageField, catalog: Catalog, folder: Path, cameras: Sequence[Camera], progress: Progress
 ) -> set[int | None]:
     """Draw each thing in the view that shows it largest, one render per view; return the numbers of those drawn."""
     (folder / PICTURES).mkdir()
@@ -77,13 +77,13 @@ def _save_pictures(
     drawn: set[int | None] = set()
     for number, camera in enumerate(cameras):
         progress("pictures", number, len(cameras))
-        mine = [thing for thing, view in zip(catalog.things, best, strict=True) if view == number]
-        if not mine:
+        largest_here = [thing for thing, view in zip(catalog.things, best, strict=True) if view == number]
+        if not largest_here:
             continue
-        projection = field.project(camera)
-        colors = as_picture(raster.render_colors(field.gaussians, camera, projection).cpu())
-        for thing in mine:
-            picture = _crop(thing_mask(field, projection, thing), colors)
+        view = field.at(camera)
+        colors = as_picture(view.renders.colors().cpu())
+        for thing in largest_here:
+            picture = _crop(thing_mask(view, thing), colors)
             if picture is not None:
                 Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
                 drawn.add(thing.number)
@@ -91,12 +91,12 @@ def _save_pictures(
     return drawn
 
 
-def thing_mask(field: CodedScene, projection: raster.Projection, thing: Thing) -> torch.Tensor:
+def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
     """Return the pixels [H, W] boolean, on the CPU, that a thing contributes most of."""
-    members = torch.zeros(len(field), 1, device=field.codebook.device)
-    members[thing.gaussians.to(members.device)] = 1.0
-    image, alpha = raster.render_channels(projection, members)
-    return (image[..., 0] > COVERED * alpha.clamp(min=0.1)).cpu()
+    members = torch.zeros(len(view.field), dtype=torch.bool)
+    members[thing.gaussians] = True
+    share, alpha = view.shares(members)
+    return (share > COVERED * alpha.clamp(min=0.1)).cpu()
 
 
 def _best_view(thing: Thing, cameras: Sequence[Camera]) -> int | None:

@@ -1,15 +1,20 @@
-"""Pictures of fields, one view at a time."""
+"""Pictures of fields: functions that draw a view, frames of videos, and the card of a notebook."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup import raster
+from scoup.base.counts import listed
+from scoup.base.errors import InputError
+from scoup.base.html import PREVIEW, card
+from scoup.field.language_field import LanguageField
 from scoup.pictures import (
     as_picture,
     captioned,
@@ -21,11 +26,15 @@ from scoup.pictures import (
     swatch_legend,
 )
 from scoup.pictures.colors import Picture
-from scoup.query.answering import answer_scene, draw_answers
-from scoup.query.coded_scene import CodedScene
+from scoup.query.answer_scene import answers_of
+from scoup.query.edits import best_camera
+from scoup.query.field_view import FieldView
+from scoup.query.place import Place
 from scoup.query.question import Question
-from scoup.scene.cameras import Camera
+from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
+from scoup.scene.paths import camera_path, turntable
+from scoup.scene.up import estimate_up
 
 AXES = 8  # directions of embedding space among which the three colours are chosen
 
@@ -34,31 +43,32 @@ LEGEND_ATOMS = 20  # whose colours a code picture lists, if there is room
 
 LEVEL_NAMES = {"s": "s (fine)", "m": "m (medium)", "l": "l (coarse)"}
 
-Draw: TypeAlias = Callable[[Camera, raster.Projection], Picture]
-"""A function that draws one view, given its camera and the field's projection to it."""
+Draw: TypeAlias = Callable[[FieldView], Picture]
+"""A function that draws one view."""
+Motion = Literal["path", "turntable"]
+SHARE = 0.35  # of the picture's height for a thing on a turntable
 
 
-def color_drawing(field: CodedScene, plain: bool = False) -> Draw:
-    """Return what draws the splat of a field; ``plain``, here and below: without title and legend."""
+def color_drawing(plain: bool = False) -> Draw:
+    """Return what draws the splat; ``plain``, here and below: without title and legend."""
 
-    def draw(camera: Camera, projection: raster.Projection) -> Picture:
-        picture = as_picture(raster.render_colors(field.gaussians, camera, projection))
-        return picture if plain else captioned(picture, "colour", camera.name)
+    def draw(view: FieldView) -> Picture:
+        picture = as_picture(view.renders.colors())
+        return picture if plain else captioned(picture, "colour", view.camera.name)
 
     return draw
 
 
-def relevancy_drawing(field: CodedScene, question: Question, plain: bool = False) -> Draw:
+def relevancy_drawing(field: LanguageField, question: Question, plain: bool = False) -> Draw:
     """Return what draws a heat map of the relevancy to the first text of a question, at the level of its mask."""
+    answers = answers_of(field, question)
 
-    answers = answer_scene(field, question)
-
-    def draw(camera: Camera, projection: raster.Projection) -> Picture:
-        shown = draw_answers(field, answers, camera, projection)[0]
-        rgb = raster.render_colors(field.gaussians, camera, projection).cpu()
+    def draw(view: FieldView) -> Picture:
+        seen = view.show(answers)[0]
+        rgb = view.renders.colors().cpu()
         if plain:
-            return heat_overlay(shown.heat, rgb)
-        return heat_map(shown.heat, rgb, shown.text, shown.level, float(shown.heat.max()), camera.name)
+            return heat_overlay(seen.heat, rgb)
+        return heat_map(seen.heat, rgb, seen.text, seen.level, float(seen.heat.max()), view.camera.name)
 
     return draw
 
@@ -68,29 +78,40 @@ def placed_atoms(atoms: Tensor) -> Tensor:
     return atoms @ torch.linalg.svd(atoms, full_matrices=False).Vh[:AXES].T
 
 
-def code_drawing(field: CodedScene, level: str | int, plain: bool = False) -> Draw:
+@dataclass(frozen=True, eq=False)
+class _CodeColors:
+    """How the codes of one level become colours: the same in every view, for they come from the Gaussians."""
+
+    placed: Tensor  # [L, axes], places of the atoms
+    basis: tuple[NDArray[np.float64], NDArray[np.float64]]
+    legend: Callable[[int], Picture]  # draws the legend at a width
+
+
+def code_drawing(field: LanguageField, level: str | int, plain: bool = False) -> Draw:
     """Return what draws the codes of one level as colours: the same code has the same colour in every view.
 
     The legend lists the atoms that lead the codes of most Gaussians, each with the mean colour of these.
     """
     row = field.level_index(level)
-    # The axes of the colours come from the Gaussians, not from the picture, so that they are those of every view.
-    placed = placed_atoms(field.codebook[row].cpu())  # [L, axes]
+    colors = field.kept((_CodeColors, row), lambda: _code_colors(field, row))
+    name = field.levels[row]
+
+    def draw(view: FieldView) -> Picture:
+        picture = code_picture(view.render_codes()[row].cpu() @ colors.placed, colors.basis)
+        if plain:
+            return picture
+        titled = captioned(picture, f"codes, level {LEVEL_NAMES.get(name, name)}", view.camera.name)
+        return stacked([titled, colors.legend(titled.shape[1])])
+
+    return draw
+
+
+def _code_colors(field: LanguageField, row: int) -> _CodeColors:
+    placed = placed_atoms(field.codebook[row].cpu())
     indices, weights = field.code_indices[:, row].cpu(), field.code_weights[:, row].float().cpu()
     gaussians = SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed  # [N, axes]
     basis = code_basis(gaussians)
-    name = field.levels[row]
-    title = f"codes, level {LEVEL_NAMES.get(name, name)}"
-    legend = _code_legend(indices, weights, code_picture(gaussians[None], basis)[0])
-
-    def draw(camera: Camera, projection: raster.Projection) -> Picture:
-        picture = code_picture(field.render_codes(camera, projection)[row].cpu() @ placed, basis)
-        if plain:
-            return picture
-        titled = captioned(picture, title, camera.name)
-        return stacked([titled, legend(titled.shape[1])])
-
-    return draw
+    return _CodeColors(placed, basis, _code_legend(indices, weights, code_picture(gaussians[None], basis)[0]))
 
 
 def _code_legend(indices: Tensor, weights: Tensor, colors: Picture) -> Callable[[int], Picture]:
@@ -103,3 +124,82 @@ def _code_legend(indices: Tensor, weights: Tensor, colors: Picture) -> Callable[
     shades = [colors[coded.numpy()][leading == atom].mean(0).round().astype(int).tolist() for atom in most]
     swatches, names = [tuple(shade) for shade in shades], [str(atom) for atom in most]
     return lambda width: swatch_legend(width, CODE_LEGEND, "most frequent atoms", swatches, names)
+
+
+def moving_cameras(
+    field: LanguageField, place: Place, cameras: Cameras, motion: Motion, count: int
+) -> Cameras:
+    """Return the cameras of a video with ``count`` frames.
+
+    "path" leads through the cameras; "turntable" goes around the thing at ``place``, from the camera that sees most of
+    it.
+    """
+    if motion == "path":
+        return camera_path(cameras, count)
+    if place.position is None or place.box is None:
+        raise InputError(
+            f"{place.answer.text}: is not in this scene, so there is nothing to turn around; use a path"
+        )
+    up = estimate_up(cameras)
+    first = best_camera(field, place.answer.mask, list(cameras))
+    size = float(place.box.extent.norm())
+    arm = first.position - place.position
+    length = float(arm.norm())
+    near = size / SHARE / (first.height / first.fy)
+    away = max(min(near, length), 0.75 * size) or length  # a single point has no size
+    closer = Camera.look_at(
+        place.position + arm * (away / max(length, 1e-12)),
+        place.position,
+        first.name,
+        first.width,
+        first.height,
+        first.fy,
+        up,
+    )
+    return turntable(closer, place.position, up, count)
+
+
+def heat_frames(
+    field: LanguageField, query: Tensor, canonical: Tensor, place: Place, cameras: Cameras
+) -> Iterator[Picture]:
+    """Yield heat maps of one text [D] beside canonical phrases [P, D], at the level of its answer and with one scale of
+    colours, [H, W, 3] uint8 each.
+    """
+    answer = place.answer
+    level = field.level_index(answer.level)
+    known = field.gaussian_relevancy(query[None], canonical)[level, 0][field.coded_levels()[level]].cpu()
+    span = (float(known.median()), float(known.max())) if len(known) else (0.0, 1.0)
+    low = span[0]
+    remark = f"level {answer.level}, {answer.remark()}"
+    for camera in cameras:
+        view = field.at(camera)
+        heat = view.relevancy(query[None], canonical)[level, 0].cpu()
+        rgb = view.renders.colors().cpu()
+        yield captioned(heat_overlay(torch.nan_to_num(heat, low), rgb, span), answer.text, remark)
+
+
+def field_card(field: LanguageField) -> str:
+    """Return the HTML of the codes in one view and of the field's facts."""
+    names = () if field.cameras is None else field.cameras.names
+    facts = {
+        "levels": ", ".join(field.levels),
+        "atoms": field.n_atoms,
+        "embeddings": f"{field.dim} dimensions, {field.embedding_model or 'an unnamed model'}",
+        "cameras": f"{len(names):,}: {listed(names, 4)}" if names else 0,
+        "file": field.path or "not saved",
+    }
+    return card(f"Language field of {len(field):,} Gaussians", facts, _preview(field))
+
+
+def _preview(field: LanguageField) -> Picture | None:
+    """The codes of the middle level in the first camera; None without a camera or geometry."""
+    if field.cameras is None or not len(field.cameras) or not len(field):
+        return None
+    camera = field.cameras[0]
+    scale = min(1.0, PREVIEW[0] / camera.width)
+    camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    try:
+        view = field.at(camera)
+    except InputError:  # the geometry was moved; show the facts alone
+        return None
+    return code_drawing(field, len(field.levels) // 2, plain=True)(view)

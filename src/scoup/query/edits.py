@@ -1,51 +1,30 @@
-"""Edits of a scene: selections kept, removed, recoloured and faded."""
+"""Edits of a scene: selections kept, removed, recoloured and faded; a picture of them, and the rows to write."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from types import MappingProxyType
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import torch
 from torch import Tensor
 
+from scoup import raster
+from scoup.base.counts import counted, spread
 from scoup.base.errors import InputError
-from scoup.query.answer import Answer
-from scoup.query.coded_scene import CodedScene
-from scoup.query.expression import Expression
-from scoup.query.reshape import UNCHANGED, Reshaping, reshaped
+from scoup.field.language_field import LanguageField
+from scoup.io import PlyTable, gaussians_from_table, read_ply_table, splat_source
+from scoup.io.splats.ply import table_from_gaussians
+from scoup.pictures import as_picture, contact_sheet, mask_overlay
+from scoup.pictures.colors import Picture
+from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0, Gaussians
 
 Edit = Literal["keep", "remove", "recolor", "fade"]
-
-
-def combined_answer(
-    field: CodedScene,
-    expression: Expression,
-    answers: Sequence[Answer],
-    wanted: Reshaping = UNCHANGED,
-    phrases: Mapping[str, Tensor] = MappingProxyType({}),  # [N] boolean of each of its phrases, by its text
-) -> Answer:
-    """Return the answer to an expression, from one answer of ``answer_scene`` per text; ``field.select`` calls this.
-
-    Level, score, runner-up and threshold are those of the wanted text with the largest score.
-    """
-    of_text = {answer.text: answer for answer in answers}
-    mask = expression.combine({**{text: answer.mask for text, answer in of_text.items()}, **phrases})
-    wanted_answers = [of_text[text] for text in expression.wanted]
-    best = max(wanted_answers, key=lambda answer: (answer.presence, answer.score or 0.0))
-    asked = tuple(one for answer in wanted_answers for one in answer.asked)
-    whole = replace(best, mask=mask, parts=tuple(answers), asked=asked)
-    if wanted.changes:
-        whole = replace(whole, mask=reshaped(field.gaussians, mask, whole.relevancy(), wanted))
-    if len(of_text) == 1 and expression.is_plain:
-        return whole
-    things = tuple(dict.fromkeys(thing for answer in wanted_answers for thing in answer.things))
-    presence = best.presence if expression.is_plain else bool(whole.mask.any())
-    return replace(
-        whole, text=str(expression), presence=presence, things=things if expression.is_plain else ()
-    )
+MOST_TRIED = 12  # cameras from which the one that sees most of a selection is chosen
+TRIED_SIDE = 160  # pixels of their longer side
+COVERED = 0.5  # share of a pixel's light from which it belongs to the selection
 
 
 def edited(
@@ -86,3 +65,89 @@ def _shaded(rgb: Tensor, color: tuple[float, float, float]) -> Tensor:
     usual = lightness.median().clamp(min=0.05) if len(lightness) else lightness.new_ones(())
     share = (lightness / usual).clamp(0.25, 1.75)[:, None]
     return (rgb.new_tensor(color) * share).clamp(0, 1)
+
+
+def edit_picture(field: LanguageField, after: Gaussians, mask: Tensor, camera: Camera, title: str) -> Picture:
+    """Draw before, selection [N] boolean and after beside each other, [H, W, 3] uint8."""
+    view = field.at(camera)
+    before = view.renders.colors().cpu()
+    inside = view.shares(mask)[0].cpu() > COVERED
+    later = torch.zeros(camera.height, camera.width, 3)
+    if len(after):
+        later = raster.render_colors(after, camera, raster.project(after, camera, field.raster_preset)).cpu()
+    tiles = [as_picture(before), mask_overlay(inside, before), as_picture(later)]
+    heading = f"{title}: {int(mask.sum()):,} of {counted(len(mask), 'Gaussian')}"
+    return contact_sheet(tiles, ("before", "selected", "after"), 3, 1500, heading)
+
+
+def best_camera(field: LanguageField, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
+    """Return the camera in which a selection [N] takes the largest share, of at most ``MOST_TRIED``, evenly spread."""
+    if not cameras:
+        raise InputError("no camera to draw a picture with; pass at least one")
+    shares: list[tuple[float, Camera]] = []
+    for camera in spread(cameras, MOST_TRIED):
+        scale = min(1.0, TRIED_SIDE / max(camera.width, camera.height))
+        small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+        shares.append((float(field.at(small).shares(mask)[0].mean()), camera))
+    return max(shares, key=lambda pair: pair[0])[1]
+
+
+@dataclass(frozen=True, eq=False)
+class SplatTable:
+    """The PLY rows of a splat, and which of them are the N Gaussians of a field."""
+
+    table: PlyTable  # M rows
+    is_gaussian: Tensor  # [M] boolean, true N times; false for rows that are not finite
+
+    @classmethod
+    def of(cls, field: LanguageField, geometry: Path | None = None) -> SplatTable:
+        """Read the PLY the field was built on, or make rows of its Gaussians if it was built on another file.
+
+        Args:
+            field: whose Gaussians are wanted.
+            geometry: file of its splat; by default the one the field names.
+        """
+        path = geometry or field.geometry_path
+        try:
+            path = None if path is None else splat_source(path).path
+            if path is not None and path.suffix.lower() == ".ply":
+                table = read_ply_table(path)
+                gaussians, kept = gaussians_from_table(table)
+                if gaussians.fingerprint() == field.fingerprint:
+                    return cls(table, torch.from_numpy(kept))
+        except InputError:
+            pass  # compressed, so its rows cannot be copied; or missing, and the field has its geometry embedded
+        return cls(table_from_gaussians(field.gaussians.to("cpu")), torch.ones(len(field), dtype=torch.bool))
+
+    def select(self, mask: Tensor) -> PlyTable:
+        """Return the rows of the Gaussians in ``mask`` [N] boolean."""
+        rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
+        rows[self.is_gaussian] = mask
+        return self.table.select(rows.numpy())
+
+    def edited(self, mask: Tensor, gaussians: Gaussians) -> PlyTable:
+        """Return all rows, those in ``mask`` [N] boolean with the colours and opacities of ``gaussians`` (N)."""
+        chosen = gaussians.select(mask.to(gaussians.device)).to("cpu")
+        rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
+        rows[self.is_gaussian] = mask
+        values = table_from_gaussians(chosen)
+        changed = self.table.rows.copy()
+        for name in values.names:
+            if name == "opacity" or name.startswith(("f_dc_", "f_rest_")):
+                changed[name][rows.numpy()] = values.rows[name]
+        return replace(self.table, rows=changed)
+
+    def with_column(self, name: str, values: Tensor, missing: int = 0) -> PlyTable:
+        """Return all rows with an integer property: ``values`` [N] of the Gaussians, ``missing`` for other rows."""
+        column = torch.full((len(self.is_gaussian),), missing, dtype=torch.int32)
+        column[self.is_gaussian] = values.int()
+        return self.table.with_column(name, column.numpy())
+
+    def with_ids(self, masks: list[Tensor]) -> PlyTable:
+        """Return all rows with a property `selected`: the number, from 1, of the last of ``masks`` [N] that contains
+        the Gaussian; 0 for none.
+        """
+        ids = torch.zeros(int(self.is_gaussian.sum()), dtype=torch.int32)
+        for number, mask in enumerate(masks, start=1):
+            ids[mask] = number
+        return self.with_column("selected", ids)

@@ -70,7 +70,7 @@ class Expression:
         return not self.phrases and all(operator == "or" for operator in _operators(self.root))
 
     def __str__(self) -> str:
-        return _said(self.root)
+        return _text_of(self.root)
 
     def combine(self, masks: Mapping[str, Tensor]) -> Tensor:
         """Combine boolean masks of its texts and phrases (by their ``str``), of one shape."""
@@ -212,21 +212,21 @@ def _wanted(node: Node, positive: bool) -> list[str]:
 def _combined(node: Node, masks: Mapping[str, Tensor]) -> Tensor:
     if not isinstance(node, Operation):
         return masks[str(node)]
-    found = [_combined(part, masks) for part in node.parts]
+    combined = [_combined(part, masks) for part in node.parts]
     if node.operator == "not":
-        return ~found[0]
-    return reduce(Tensor.logical_and if node.operator == "and" else Tensor.logical_or, found)
+        return ~combined[0]
+    return reduce(Tensor.logical_and if node.operator == "and" else Tensor.logical_or, combined)
 
 
-def _said(node: Node, outer: str = "") -> str:
+def _text_of(node: Node, outer: str = "") -> str:
     if isinstance(node, Phrase):
         return str(node)
     if isinstance(node, str):
         return node if parses_as_text(node) else f'"{node}"'
     if node.operator == "not":
-        return f"not {_said(node.parts[0], 'not')}"
-    said = f" {node.operator} ".join(_said(part, node.operator) for part in node.parts)
-    return f"({said})" if outer not in ("", node.operator) else said
+        return f"not {_text_of(node.parts[0], 'not')}"
+    text = f" {node.operator} ".join(_text_of(part, node.operator) for part in node.parts)
+    return f"({text})" if outer not in ("", node.operator) else text
 
 
 def parses_as_text(text: str) -> bool:

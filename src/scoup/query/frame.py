@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.records import rounded_vector
-from scoup.query.coded_scene import CodedScene
+from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
 from scoup.scene.up import checked_direction, estimate_up
 
@@ -34,13 +34,13 @@ class Frame:
 
     __repr__ = brief
 
-    def said(self) -> str:
-        """The directions in words, for people."""
+    def describe(self) -> str:
+        """Return the directions in words, for people."""
         up = ", ".join(f"{part:g}" for part in rounded_vector(self.axes[1].tolist()))
         seen = f"left, right, front and back as seen from {self.seen_from}; " if self.seen_from else ""
         return f"{seen}up is [{up}], {self.up_source}"
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The frame as plain JSON values, rounded."""
         right, up, away = (rounded_vector(axis) for axis in self.axes.tolist())
         return {
@@ -53,7 +53,7 @@ class Frame:
 
 
 def scene_frame(
-    field: CodedScene, camera: Camera | str | int | None = None, up: Sequence[float] | None = None
+    field: LanguageField, camera: Camera | str | int | None = None, up: Sequence[float] | None = None
 ) -> Frame:
     """Return the directions that relations mean; ``field.frame`` calls this.
 
@@ -84,7 +84,7 @@ def scene_frame(
     return Frame(torch.stack([right, direction, away]), viewer.name if viewer else "", source)
 
 
-def _widest(field: CodedScene, cameras: Sequence[Camera]) -> Camera | None:
+def _widest(field: LanguageField, cameras: Sequence[Camera]) -> Camera | None:
     """The camera with the largest share of the Gaussians in its image; of several the first."""
     if not cameras:
         return None

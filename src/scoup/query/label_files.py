@@ -14,15 +14,12 @@ from scoup.base.atomic import atomic_file, write_text
 from scoup.base.counts import spread
 from scoup.base.file_names import unique_slugs
 from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
 from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
 from scoup.io.coco import CocoAnnotations
 from scoup.pictures import label_colors
-from scoup.query.coded_scene import CodedScene
-from scoup.query.edits import edited
-from scoup.query.label import NONE, NONE_NAME, GaussianLabels
-from scoup.query.label_maps import MOST_VIEWS, LabelSheet, label_map
-from scoup.query.splat_table import SplatTable
-from scoup.raster import render_colors
+from scoup.query.edits import SplatTable, edited
+from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, LabelSheet, label_map
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0, Gaussians
 
@@ -55,7 +52,7 @@ def label_files(words: Sequence[str], outputs: Sequence[str], views: Sequence[st
 
 
 def save_labels(
-    field: CodedScene,
+    field: LanguageField,
     labels: GaussianLabels,
     folder: Path,
     outputs: Sequence[str],
@@ -91,7 +88,7 @@ def save_labels(
 
 
 def save_label_views(
-    field: CodedScene,
+    field: LanguageField,
     labels: GaussianLabels,
     cameras: Mapping[str, Camera],
     folder: Path,
@@ -110,25 +107,25 @@ def save_label_views(
         The cameras that see no coded Gaussian.
     """
     maps, colors = "maps" in outputs, label_colors(len(labels.names))
-    shown = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
-    wanted = [name for name in cameras if maps or name in shown]
+    on_sheet = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
+    wanted = [name for name in cameras if maps or name in on_sheet]
     coco, sheet, blind = CocoAnnotations(labels.names), LabelSheet(labels), []
     for done, name in enumerate(wanted, start=1):
         camera = cameras[name]
-        projection = field.project(camera)
-        if not field.is_visible(projection):
+        view = field.at(camera)
+        if not view.is_visible():
             blind.append(camera)
-        numbers = label_map(field, projection, labels)
+        numbers = label_map(view, labels)
         if maps:
             save_label_png(numbers, colors, folder / MAPS / f"{name}.png")
             masks = [(numbers == number).numpy() for number in range(len(labels.names))]
             coco.add(camera.name, (camera.width, camera.height), masks)
-        if name in shown:
-            sheet.add(camera.name, numbers, render_colors(field.gaussians, camera, projection).cpu())
+        if name in on_sheet:
+            sheet.add(camera.name, numbers, view.renders.colors().cpu())
         progress("label maps", done, len(wanted))
     if maps:
         coco.write(folder / COCO)
-    if shown:
+    if on_sheet:
         save_png(sheet.picture(), folder / SHEET)
     return blind
 
@@ -156,10 +153,10 @@ def label_record(labels: GaussianLabels) -> dict[str, Any]:
 def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:
     """Return the Gaussians in the colours of their words, grey without a word, with their own light and shade."""
     colors = torch.from_numpy(label_colors(len(labels.names)).copy()).double() / 255
-    shown = edited(gaussians, labels.ids == NONE, "recolor", (GREY, GREY, GREY))
+    colored = edited(gaussians, labels.ids == NONE, "recolor", (GREY, GREY, GREY))
     for number, color in enumerate(colors.tolist()):
-        shown = edited(shown, labels.ids == number, "recolor", (color[0], color[1], color[2]))
-    return shown
+        colored = edited(colored, labels.ids == number, "recolor", (color[0], color[1], color[2]))
+    return colored
 
 
 def point_cloud(gaussians: Gaussians) -> PlyTable:

@@ -62,13 +62,13 @@ class Phrase:
 
     def __str__(self) -> str:
         ordinal = ORDINALS[self.rank - 1] if self.rank <= len(ORDINALS) else f"{self.rank}th"
-        said = self.text
+        text = self.text
         if self.order in SIZES:
-            said = f"{self.order} {said}" if self.rank == 1 else f"{ordinal} {self.order} {said}"
+            text = f"{self.order} {text}" if self.rank == 1 else f"{ordinal} {self.order} {text}"
         elif self.order in SIDES:
-            said = f"{ordinal} {said} from the {self.order}"
+            text = f"{ordinal} {text} from the {self.order}"
         anchors = " and ".join(map(str, self.anchors))
-        return f"{said} {self.relation} {anchors}" if self.relation else said
+        return f"{text} {self.relation} {anchors}" if self.relation else text
 
 
 Target: TypeAlias = "str | Phrase"
@@ -82,8 +82,8 @@ def texts_of(target: Target) -> tuple[str, ...]:
 
 def counted_text(text: str) -> str | None:
     """Return what is to be counted in "how many cups?": "cups"; None if the text does not ask for a number."""
-    found = _COUNTING.fullmatch(text)
-    return found[1] if found else None
+    match = _COUNTING.fullmatch(text)
+    return match[1] if match else None
 
 
 def parse_phrase(text: str) -> Target:
@@ -136,14 +136,14 @@ def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
     for start in range(1, len(words)):
         if words[start] in _UNKNOWN:
             raise _refusal(" ".join(words), f"unknown relation {words[start]!r}")
-        found = [
+        matches = [
             (len(form.split()), relation)
             for relation, forms in RELATIONS.items()
             for form in forms
             if list(words[start : start + len(form.split())]) == form.split()
         ]
-        if found:
-            length, relation = max(found)
+        if matches:
+            length, relation = max(matches)
             yield start, relation, length
 
 
@@ -180,8 +180,8 @@ def _noun(words: Sequence[str], source: str) -> str:
 
 
 def _anchor(words: Sequence[str], source: str, depth: int) -> Target:
-    found = _parse(words, source, depth + 1)
-    return _noun(words, source) if isinstance(found, str) else found
+    target = _parse(words, source, depth + 1)
+    return _noun(words, source) if isinstance(target, str) else target
 
 
 def _refusal(source: str, problem: str) -> InputError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,11 +12,12 @@ from torch import Tensor
 from scoup.base.counts import verb
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
+from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.coded_scene import CodedScene
-from scoup.query.scene_things import Thing, things_of_answer
-from scoup.query.space import metres_record
-from scoup.query.thing_shapes import OrientedBox
+from scoup.query.answer_scene import answers_of
+from scoup.query.boxes import OrientedBox
+from scoup.query.question import Question, Several, as_question
+from scoup.query.things import Thing, metres_record, things_of_answer
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,18 +47,23 @@ class Place:
         return None if self.thing is None else self.thing.box
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of answer and thing."""
+        return self.answer.nbytes + (0 if self.thing is None else self.thing.nbytes)
+
+    @property
     def presence(self) -> bool:
         """Whether the thing is there; true if that was not judged and any Gaussian answers."""
         return self.thing is not None
 
     def __repr__(self) -> str:
-        return f"Place({self.answer.text!r}: {self.said()})"
+        return f"Place({self.answer.text!r}: {self.describe()})"
 
     def _repr_html_(self) -> str:
-        facts = {name: value for name, value in self.record().items() if name != "box"}
-        return card(f"{self.answer.text!r} in the world", facts | (self.record()["box"] or {}))
+        facts = {name: value for name, value in self.to_dict().items() if name != "box"}
+        return card(f"{self.answer.text!r} in the world", facts | (self.to_dict()["box"] or {}))
 
-    def said(self, metres_per_unit: float | None = None) -> str:
+    def describe(self, metres_per_unit: float | None = None) -> str:
         """Return position, extent and score in a few words; in metres, too, if the length of the unit is known."""
         if self.thing is None:
             return self.answer.remark()
@@ -68,13 +75,13 @@ class Place:
         numbers = f", {numbered_things(self.answer.things)}" if self.answer.things else ""
         return f"[{position}], extent {extent}{numbers}, {self.answer.remark()}"
 
-    def record(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """Return the place as plain JSON values, rounded; in metres, too, if the length of the unit is known."""
         return {
             **metres_record(self.position, self.box, metres_per_unit),
             "position": None if self.position is None else rounded_vector(self.position.tolist()),
-            "box": None if self.box is None else self.box.record(),
-            **self.answer.record(),
+            "box": None if self.box is None else self.box.to_dict(),
+            **self.answer.to_dict(),
         }
 
 
@@ -83,6 +90,17 @@ def numbered_things(numbers: Sequence[int]) -> str:
     return f"{verb(len(numbers), 'thing', 'things')} {', '.join(map(str, numbers))}"
 
 
-def place_of(field: CodedScene, answer: Answer) -> Place:
-    """Return the place of an answer of ``answer_scene``; ``field.location`` calls this."""
+def location(field: LanguageField, question: Question[Any] | str | Several | Answer) -> Any:
+    """Return the places of texts, or the place of one or of an answer; ``field.location`` documents it."""
+    if isinstance(question, Answer):
+        return place_of(field, question)
+    asked = as_question(field, question)
+    places = field.kept(
+        (Place, asked), lambda: [place_of(field, answer) for answer in answers_of(field, asked)]
+    )
+    return asked.shaped(copy.deepcopy(places))
+
+
+def place_of(field: LanguageField, answer: Answer) -> Place:
+    """Return the place of an answer of ``answer_scene``."""
     return Place(answer, next(iter(things_of_answer(field, answer)), None))

@@ -21,7 +21,6 @@ from torch import Tensor
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
-from scoup.query.text_vectors import TextVectors
 
 Certainty = Literal["sure", "likely", "doubtful", "not here"]
 PRESENT_FROM = 0.37
@@ -44,18 +43,36 @@ def certainty(score: float | None, presence: bool) -> Certainty | None:
     return "sure" if score >= SURE else "likely" if score >= LIKELY else "doubtful"
 
 
-def presence_threshold(texts: TextVectors, wanted: float | None = None) -> float | None:
-    """Return the score from which a text counts as present; None with too few everyday words to judge it."""
+def can_judge_presence(n_words: int) -> bool:
+    """Return whether there are enough everyday words to judge presence."""
+    return n_words >= LEAST_WORDS
+
+
+def presence_threshold(n_words: int, source: str, wanted: float | None = None) -> float | None:
+    """Return the score from which a text counts as present; None with too few everyday words to judge it.
+
+    Args:
+        n_words: number of everyday words.
+        source: of the words, for messages.
+        wanted: by default ``PRESENT_FROM``.
+    """
     if wanted is not None and not 0 <= wanted <= 1:
         raise InputError(f"the least score of presence must be 0 to 1, got {wanted}")
-    if texts.can_judge_presence:
+    if can_judge_presence(n_words):
         return PRESENT_FROM if wanted is None else wanted
     if wanted is not None:
         raise InputError(
-            f"{texts.source}: has {counted(len(texts.everyday), 'word')}, but presence is judged against {LEAST_WORDS} "
+            f"{source}: has {counted(n_words, 'word')}, but presence is judged against {LEAST_WORDS} "
             "or more; add any words to the table"
         )
     return None
+
+
+def is_present(score: float | None, n_gaussians: int, present_from: float | None) -> bool:
+    """Return whether a text with this score and so many Gaussians is in the scene; true if that is not judged."""
+    if present_from is None:
+        return True
+    return score is not None and score >= present_from and n_gaussians >= LEAST_GAUSSIANS
 
 
 def other_words(queries: Tensor, words: Tensor) -> Tensor:

@@ -1,17 +1,71 @@
-"""The question to a field: texts as vectors, and the rules by which they are answered."""
+"""Questions: texts as vectors, what they are compared with, and the rules by which they are answered."""
 
 from __future__ import annotations
 
+import re
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeAlias, TypeVar
 
-from scoup.query.expression import Expression
-from scoup.query.text_vectors import TextVectors
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.base.arguments import check_arguments
+from scoup.base.brief import brief
+from scoup.base.counts import counted
+from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
+from scoup.field.language_field import Encoder, LanguageField
+from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
+from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+from scoup.query.expression import Expression, parse_expression
+from scoup.query.presence import can_judge_presence, presence_threshold
+from scoup.scene.directions import query_vectors
+
+Several: TypeAlias = "list[str] | tuple[str, ...] | Tensor | np.ndarray"
+"""Several texts, or vectors [Q, D] in their place."""
+Asked = TypeVar("Asked", covariant=True)
+Found = TypeVar("Found")
+MOST_TEXTS = 16
+"""Questions with more texts are not cached."""
+# Words that do not tell models apart.
+_PUBLISHERS = {"open", "clip", "laion", "openai", "google", "hf", "hub"}
+
+
+@dataclass(frozen=True, eq=False)
+class TextVectors:
+    """Queries, and the vectors that they are compared with; all of unit norm and from one encoder."""
+
+    texts: tuple[str, ...]  # Q queries
+    queries: Tensor  # [Q, D], of the texts
+    canonical: Tensor  # [P, D] of the canonical phrases
+    everyday: Tensor  # [B, D] of everyday words
+    source: str = ""  # the table or model they are from
+
+    __repr__ = brief
+
+    def of(self, texts: Sequence[str]) -> Tensor:
+        """Return the vectors of some of the texts, [len(texts), D]."""
+        return torch.stack([self.queries[self.texts.index(text)] for text in texts])
+
+    @property
+    def can_judge_presence(self) -> bool:
+        """Return whether there are enough everyday words to judge presence (``scoup.query.presence``)."""
+        return can_judge_presence(len(self.everyday))
+
+    def with_everyday(self) -> TextVectors:
+        """Add the mean of the everyday words to the canonical phrases, which only protocols do without, unless there
+        are too few words.
+        """
+        return replace(self, canonical=with_everyday(self.canonical, self.everyday))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Question(TextVectors):
+class Question(TextVectors, Generic[Asked]):
     """Texts and the rules of their answers, made by ``field.question(texts, ...)``.
+
+    A question of one text (``Question[str]``) has one answer, a question of several a list of them.
 
     Example:
         >>> question = field.question(["kettle", "wooden table"], threshold=0.6)
@@ -22,26 +76,194 @@ class Question(TextVectors):
     threshold: float | None = None
     """Gaussians with relevancy above this, 0 to 1 once it is rescaled over the scene, answer in place of things. None:
     things answer, or in a field without things the Gaussians above the threshold at which the answer changes least
-    (``scoup.query.stable_threshold``)."""
+    (``scoup.query.votes``)."""
     level: int | None = None
     """Position of the one that answers; ``field.question`` also takes its name. None: the best, for each text."""
     present_from: float | None = None
     """The score from which a text counts as present (``scoup.query.presence``). None: presence is not judged, and
     something is found for any text."""
     is_single: bool = False
-    """It was one text or vector, not a list, and so is the answer."""
+    """It was one text, not a list, and so is the answer."""
     expression: Expression | None = None
     """Of the texts, for ``field.select``; None: they are combined with `or`."""
 
+    def __post_init__(self) -> None:
+        if self.threshold is not None and not 0 <= self.threshold <= 1:
+            raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its own vectors."""
+        return self.queries.nbytes + self.canonical.nbytes
+
     @classmethod
-    def from_vectors(cls, vectors: TextVectors, **options: Any) -> Question:
+    def from_vectors(cls, vectors: TextVectors, **options: Any) -> Question[Any]:
         """Make a question of vectors, with attributes as options."""
         return cls(**{**vars(vectors), **options})
 
-    def one(self, number: int, **options: Any) -> Question:
+    def shaped(self, found: list[Found]) -> Found | list[Found]:
+        """Return the only one of what was found for each text if the question was one text."""
+        return found[0] if self.is_single else found
+
+    def one(self, number: int, **options: Any) -> Question[Asked]:
         """Return the question of one of its texts, with some attributes replaced."""
         return self.some(slice(number, number + 1), **options)
 
-    def some(self, chosen: slice, **options: Any) -> Question:
+    def some(self, chosen: slice, **options: Any) -> Question[Asked]:
         """Return the question of some of its texts, with some attributes replaced."""
         return replace(self, texts=self.texts[chosen], queries=self.queries[chosen], **options)
+
+
+def make_question(
+    field: LanguageField,
+    texts: Any,
+    encoder: Encoder | None = None,
+    always: bool = False,
+    present_from: float | None = None,
+    threshold: float | None = None,
+    level: str | int | None = None,
+) -> Question[Any]:
+    """Make a question; ``field.question`` documents it."""
+    source = field.text_encoder(encoder)
+
+    def made() -> Question[Any]:
+        words = list(texts.texts) if isinstance(texts, Expression) else texts
+        vectors = _vectors(field, words)
+        return Question.from_vectors(
+            vectors.with_everyday(),
+            threshold=threshold,
+            present_from=(
+                None if always else presence_threshold(len(vectors.everyday), vectors.source, present_from)
+            ),
+            is_single=isinstance(texts, str),
+            expression=texts if isinstance(texts, Expression) else None,
+            level=None if level is None else field.level_index(level),
+        )
+
+    words = tuple(texts) if isinstance(texts, (list, tuple)) else texts
+    is_kept = isinstance(words, (str, Expression)) or (
+        isinstance(words, tuple) and len(words) <= MOST_TEXTS and all(isinstance(word, str) for word in words)
+    )
+    if not is_kept:
+        return made()
+    return field.kept((Question, words, source, always, present_from, threshold, level), made)
+
+
+def as_question(field: LanguageField, question: Question[Any] | str | Several) -> Question[Any]:
+    """Return a question, or the question that texts alone are."""
+    return question if isinstance(question, Question) else make_question(field, question)
+
+
+def as_expression(field: LanguageField, question: Question[Any] | str | Several) -> Question[Any]:
+    """Return a question, or that of an expression."""
+    if isinstance(question, Question):
+        return question
+    words = [question] if isinstance(question, str) else question
+    if not isinstance(words, (list, tuple)) or not all(isinstance(word, str) for word in words):
+        raise InputError(
+            f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
+        )
+    return make_question(field, parse_expression(words))
+
+
+def _vectors(field: LanguageField, texts: str | Several) -> TextVectors:
+    encoder, source = field.text_encoder(), field.encoder_name
+    words = [texts] if isinstance(texts, str) else texts
+    if isinstance(words, (list, tuple)) and all(isinstance(word, str) for word in words):
+        if not words:
+            raise InputError('pass at least one text, for example "kettle"')
+        return encode_texts(encoder, field, words, source)
+    queries = query_vectors(_as_vectors(texts), field.dim)
+    names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
+    return replace(encode_texts(encoder, field, [], source), texts=names, queries=queries)
+
+
+def _as_vectors(texts: str | Several) -> Tensor:
+    try:
+        vectors = torch.as_tensor(texts)
+    except (TypeError, ValueError, RuntimeError):
+        vectors = torch.empty(())
+    if not vectors.dim():
+        raise InputError(
+            f"expected a text, a list of texts, or vectors [Q, D], got {type(texts).__name__} {str(texts)[:60]}"
+        )
+    return vectors
+
+
+def encode_texts(
+    encoder: TextEncoder, field: LanguageField, texts: Sequence[str], source: str | None = None
+) -> TextVectors:
+    """Encode texts to query a field with, the canonical phrases, and everyday words.
+
+    Args:
+        encoder: of the model whose embeddings the field contains.
+        field: to be queried.
+        texts: Q phrases.
+        source: name of the encoder in messages; by default its model.
+
+    Warns:
+        ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
+    """
+    check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, LanguageField))
+    source = source or encoder.name or "the word table"
+    if encoder.dim != field.dim:
+        raise InputError(
+            f"{source}: has vectors of {counted(encoder.dim, 'dimension')}, but the field contains embeddings of "
+            f"{field.dim}; " + _where_words_are(field, encoder)
+        )
+    _warn_of_another_model(encoder.name, field.embedding_model, source)
+    queries = encoder.encode(texts)
+    try:
+        canonical = encoder.canonical()
+    except UnknownNameError as error:
+        canonical = _mean_phrase(encoder, source, error)
+    return TextVectors(tuple(texts), queries, canonical, encoder.everyday(), source)
+
+
+def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> Tensor:
+    """The unit mean [1, D] of a table's names, for canonical phrases that the table lacks."""
+    words = encoder.everyday()
+    phrases = ", ".join(CANONICAL_PHRASES)
+    if len(words) < LEAST_WORDS:
+        raise InputError(
+            f"{source}: lacks {error.name!r}, but relevancy compares every text with the phrases {phrases}; encode "
+            f"them into the table too, or pass a table of {LEAST_WORDS} names or more"
+        ) from error
+    warnings.warn(
+        f"{source}: lacks {error.name!r}; texts are compared with the mean of its {len(words):,} names in place of the "
+        f"phrases {phrases}",
+        ScoupWarning,
+        stacklevel=4,
+    )
+    return torch.nn.functional.normalize(words.mean(0, keepdim=True), dim=1)
+
+
+def _warn_of_another_model(given: str, wanted: str, source: str) -> None:
+    """Warn of vectors of another model: they may have the same size, but cosines with them mean nothing."""
+    if given and wanted and _words_of(given) != _words_of(wanted):
+        warnings.warn(
+            f"{source}: its vectors come from {given}, the field's embeddings from {wanted}; answers mean nothing "
+            "unless both are one model by two names",
+            ScoupWarning,
+            stacklevel=3,
+        )
+
+
+def _words_of(model: str) -> set[str]:
+    """The words that tell models apart in their names, which transformers and open_clip write differently."""
+    return set(re.findall(r"[a-z]+[0-9]+[a-z]*|[a-z]+|[0-9]+", model.lower())) - _PUBLISHERS
+
+
+def _where_words_are(field: LanguageField, other: TextEncoder) -> str:
+    """The remedy for vectors of another size than the field's embeddings, from the encoder ``other``."""
+    named = field.embedding_model
+    if named == COLORS:
+        return NO_WORDS_FOR_COLORS
+    table = f"a word table of {field.dim} dimensions, made with the model that embedded its regions"
+    if field.info.words is not None:
+        return f"the field was built for the table {field.info.words}: pass that, or {table}"
+    if not named:
+        return f"the field does not name its model: pass {table}"
+    if named == other.name:
+        return f"so {named}, which the field names, did not embed its regions: pass {table}"
+    return f"the field names the model {named}: pass that, or a table made with it"

@@ -1,6 +1,6 @@
 """When a relation between things holds, measured along the directions of a frame.
 
-Spans along right, up and away (``ThingPoints.spans``) stand for things; contact for "on" is measured from the
+Spans along right, up and away (``PointSets.spans``) stand for things; contact for "on" is measured from the
 Gaussians below. The rules are ours; `python -m benchmarks things` measures them.
 """
 
@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.query.coded_scene import CodedScene
+from scoup.field.language_field import LanguageField
+from scoup.query.boxes import PointSets
 from scoup.query.frame import Frame
-from scoup.query.scene_things import Thing
-from scoup.query.thing_shapes import ThingPoints
+from scoup.query.things import Thing
 
 RIGHT, UP, AWAY = range(3)
 CLEAR = 0.5
@@ -43,12 +43,12 @@ class Shapes:
     """Things along the axes of a frame: right, up, away."""
 
     things: Sequence[Thing]
-    points: ThingPoints  # in the frame's axes
+    points: PointSets  # in the frame's axes
     spans: Array  # [T, 3, 2]
 
     @classmethod
-    def of(cls, field: CodedScene, things: Sequence[Thing], frame: Frame) -> Shapes:
-        points = ThingPoints.of(field.gaussians, [thing.gaussians for thing in things])
+    def of(cls, field: LanguageField, things: Sequence[Thing], frame: Frame) -> Shapes:
+        points = PointSets.of(field.gaussians, [thing.gaussians for thing in things])
         points = replace(points, means=points.means @ frame.axes.numpy().T)
         return cls(things, points, points.spans())
 
@@ -152,13 +152,13 @@ def _near(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
 
 def _between(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     start, end = shapes.middle(others[0]), shapes.middle(others[1])
-    line, own = end - start, shapes.middle(one) - start
+    line, offset = end - start, shapes.middle(one) - start
     length = float(np.linalg.norm(line))
     if length <= 0:
         return False
-    place = float(own @ line) / length**2
+    place = float(offset @ line) / length**2
     low, high, aside = BETWEEN
-    return bool(low <= place <= high and np.linalg.norm(own - place * line) <= aside * length)
+    return bool(low <= place <= high and np.linalg.norm(offset - place * line) <= aside * length)
 
 
 CONDITIONS: Mapping[str, Condition] = {

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.coded_scene import CodedScene
+from scoup.query.answer_scene import answers_of
 from scoup.query.expression import Expression
 from scoup.query.frame import Frame, scene_frame
-from scoup.query.phrases import Phrase, Target, texts_of
-from scoup.query.question import Question
+from scoup.query.phrases import Phrase, Target, counted_text, texts_of
+from scoup.query.question import Question, Several, as_expression
 from scoup.query.relation_rules import AWAY, CONDITIONS, CONTACT, RIGHT, UP, Shapes
-from scoup.query.scene_things import Thing, things_of_answer
+from scoup.query.things import Thing, all_things, things_of_answer
 
 _ENDS = {
     "left": (RIGHT, 1),
@@ -28,8 +31,33 @@ _ENDS = {
 """Side that an order counts from -> axis, and the sign with which it counts."""
 
 
+def things(
+    field: LanguageField, question: Question[Any] | str | Several | None, frame: Frame | None
+) -> list[Thing]:
+    """Return all things, or those that a question singles out; ``field.things`` documents it."""
+    if question is None:
+        return copy.deepcopy(field.kept(Thing, lambda: all_things(field)))
+    text = text_to_count(field, question) if isinstance(question, str) else None
+    asked, counted = as_expression(field, question if text is None else text), text is not None
+
+    def made() -> list[Thing]:
+        return things_of_question(field, asked, answers_of(field, asked), frame, counted)
+
+    return copy.deepcopy(field.kept((Thing, asked, frame, counted), made))
+
+
+def text_to_count(field: LanguageField, question: str) -> str | None:
+    """Return what "how many cups?" asks for, in the form that the words of a table have: "cup"; None of other texts."""
+    text = counted_text(question)
+    known = field.text_encoder().names
+    if text is None or not known or text in known:
+        return text
+    forms = (text.removesuffix("s"), text.removesuffix("es"), f"{text.removesuffix('ies')}y")
+    return next((form for form in forms if form in known), text)
+
+
 def resolve(
-    field: CodedScene, target: Target, of_texts: Mapping[str, Sequence[Thing]], frame: Frame | None
+    field: LanguageField, target: Target, of_texts: Mapping[str, Sequence[Thing]], frame: Frame | None
 ) -> list[Thing]:
     """Return the things that a text or phrase singles out, in the order of ``of_texts`` or of the phrase.
 
@@ -41,15 +69,15 @@ def resolve(
     """
     if isinstance(target, str) or frame is None:
         return list(of_texts[texts_of(target)[0]])
-    found = list(of_texts[target.text])
+    things = list(of_texts[target.text])
     if target.relation:
         anchors = [resolve(field, anchor, of_texts, frame) for anchor in target.anchors]
-        found = _related(field, target.relation, found, anchors, frame)
-    return _ordered(field, target, found, frame)
+        things = _related(field, target.relation, things, anchors, frame)
+    return _ordered(field, target, things, frame)
 
 
 def things_of_question(
-    field: CodedScene,
+    field: LanguageField,
     question: Question,
     answers: Sequence[Answer],
     frame: Frame | None = None,
@@ -65,17 +93,17 @@ def things_of_question(
         counted: return the things that are one instance each, to be counted.
     """
     expression = question.expression or Expression.of(question.texts)
-    found = [
+    things = [
         thing for each in _resolved(field, expression.targets, answers, frame, counted) for thing in each
     ]
     first: dict[int, Thing] = {}
-    for thing in found:
+    for thing in things:
         first.setdefault(id(thing) if thing.number is None else thing.number, thing)
     return list(first.values())
 
 
 def phrase_masks(
-    field: CodedScene, question: Question, answers: Sequence[Answer], frame: Frame | None = None
+    field: LanguageField, question: Question, answers: Sequence[Answer], frame: Frame | None = None
 ) -> dict[str, Tensor]:
     """Return the Gaussians [N] boolean of each phrase of an expression; arguments as ``things_of_question``."""
     phrases = question.expression.phrases if question.expression else ()
@@ -87,7 +115,7 @@ def phrase_masks(
 
 
 def _resolved(
-    field: CodedScene,
+    field: LanguageField,
     targets: Sequence[Target],
     answers: Sequence[Answer],
     frame: Frame | None,
@@ -102,7 +130,7 @@ def _resolved(
 
 
 def _related(
-    field: CodedScene, relation: str, things: list[Thing], anchors: Sequence[list[Thing]], frame: Frame
+    field: LanguageField, relation: str, things: list[Thing], anchors: Sequence[list[Thing]], frame: Frame
 ) -> list[Thing]:
     if not things or not all(anchors):
         return []
@@ -137,7 +165,7 @@ def _same(one: Thing, other: Thing) -> bool:
     return one is other or (one.number is not None and one.number == other.number)
 
 
-def _ordered(field: CodedScene, phrase: Phrase, things: list[Thing], frame: Frame) -> list[Thing]:
+def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: Frame) -> list[Thing]:
     """The one thing of an order and rank; all without an order."""
     if not phrase.order or not things:
         return things
@@ -151,7 +179,15 @@ def _ordered(field: CodedScene, phrase: Phrase, things: list[Thing], frame: Fram
     return [things[order[phrase.rank - 1]]] if phrase.rank <= len(things) else []
 
 
-def related_pairs(field: CodedScene, things: Sequence[Thing], frame: Frame) -> Iterator[tuple[int, str, int]]:
+def relations(field: LanguageField, frame: Frame | None = None) -> list[tuple[int, str, int]]:
+    """Return how the things of a field stand to each other; ``field.relations`` documents it."""
+    frame = scene_frame(field) if frame is None else frame
+    return list(related_pairs(field, things(field, None, None), frame))
+
+
+def related_pairs(
+    field: LanguageField, things: Sequence[Thing], frame: Frame
+) -> Iterator[tuple[int, str, int]]:
     """Yield which things of a level are inside or on which others: (number, "inside" or "on", number of the other)."""
     shapes = Shapes.of(field, things, frame)
     low, high = shapes.spans[..., 0], shapes.spans[..., 1]

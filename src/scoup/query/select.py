@@ -1,133 +1,171 @@
-"""Gaussians that answer a query by their own codes, without rendering: the votes, in fields without things."""
+"""Which Gaussians answer an expression, such as "mug and not handle" or "mug left of the laptop"."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import copy
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.brief import brief
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
-from scoup.query.coded_scene import CodedScene
-from scoup.query.cosines import FieldCodes, FieldCosines, versions
-from scoup.query.question import Question
-from scoup.query.selection import above_thresholds, rescale, stretched_counts
-from scoup.query.stable_threshold import STABILITY, thresholds_of_counts
+from scoup.field.language_field import LanguageField
+from scoup.query.answer import Answer
+from scoup.query.answer_scene import answers_of
+from scoup.query.expression import Expression
+from scoup.query.frame import Frame
+from scoup.query.question import Question, Several, as_expression
+from scoup.query.relations import phrase_masks
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS, connected_parts, nearest_points
 
-MOST_TEXTS, MOST_BYTES = 16, 192 << 20
-"""So many texts are compared with all Gaussians at a time, if their relevancy fits into so many bytes: of a million
-Gaussians at three levels, all of them."""
-MOST_SAMPLED = 8192
-"""Gaussians that stand for all where texts are compared with everyday words."""
+MOST_STEPS = 1000
 
 
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """The Gaussians that one query selects."""
+@dataclass(frozen=True)
+class Reshaping:
+    """Changes to a selection, applied in this order.
 
-    mask: Tensor  # [N] boolean
-    relevancy: Tensor  # [N] float32 at the level chosen
-    level: int  # position of the level chosen
-    threshold: float  # on the relevancy rescaled over the Gaussians with a code at that level
+    Raises:
+        InputError: a number is negative, not finite or beyond ``MOST_STEPS``.
 
-    __repr__ = brief
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> question = field.question("kettle", always=True)
+        >>> whole, largest = field.select(question), field.select(question, scoup.Reshaping(largest=True))
+        >>> bool(largest.mask.sum() <= whole.mask.sum())
+        True
+    """
+
+    largest: bool = False
+    """Keep only the connected part that weighs most, as the first of ``field.things`` in a field without things."""
+    shrink: int = 0
+    """Remove the Gaussians that have a neighbour outside, so many times."""
+    grow: int = 0
+    """Add the neighbours of those inside, so many times."""
+    within: float = 0.0
+    """Add every Gaussian whose centre is at most this far from the centre of one inside, in world units."""
+
+    def __post_init__(self) -> None:
+        for name in ("shrink", "grow"):
+            if not 0 <= getattr(self, name) <= MOST_STEPS:
+                raise InputError(f"{name} must be 0 to {MOST_STEPS}, got {getattr(self, name)}")
+        if not (self.within >= 0 and math.isfinite(self.within)):
+            raise InputError(f"within must be a distance of 0 or more, got {self.within}")
 
     @property
-    def fit(self) -> float:
-        """The mean relevancy of what is selected; minus infinity if nothing is."""
-        return float(self.relevancy[self.mask].mean()) if bool(self.mask.any()) else -torch.inf
+    def changes(self) -> bool:
+        """Return whether it changes anything."""
+        return self != UNCHANGED
 
 
-def true_rows(mask: Tensor) -> Tensor:
-    """Return where a boolean mask [N] is true, [M] int64. Numpy finds few among many faster than torch."""
-    if mask.device.type != "cpu":
-        return mask.nonzero()[:, 0]
-    return torch.from_numpy(np.flatnonzero(mask.numpy()))
+UNCHANGED = Reshaping()
 
 
-def select_each(field: CodedScene, question: Question) -> Iterator[Selection]:
-    """Yield the Gaussians that answer each text by the votes alone.
+def select(
+    field: LanguageField,
+    question: Question[Any] | str | Several,
+    reshaping: Reshaping | None = None,
+    frame: Frame | None = None,
+) -> Answer:
+    """Return one answer to an expression; ``field.select`` documents it."""
+    reshaping = UNCHANGED if reshaping is None else reshaping
+    check_arguments("select", reshaping=(reshaping, Reshaping))
+    asked = as_expression(field, question)
 
-    One level answers each text: with a threshold that with the largest relevancy, as in VALA-3D; otherwise that whose
-    selected Gaussians have the largest mean relevancy. Gaussians without a code at that level are never selected.
+    def made() -> Answer:
+        expression, answers = asked.expression or Expression.of(asked.texts), answers_of(field, asked)
+        phrases = phrase_masks(field, asked, answers, frame)
+        return combined_answer(field, expression, answers, reshaping, phrases)
+
+    return copy.deepcopy(field.kept((select, asked, reshaping, frame), made))
+
+
+def combined_answer(
+    field: LanguageField,
+    expression: Expression,
+    answers: Sequence[Answer],
+    wanted: Reshaping = UNCHANGED,
+    phrases: Mapping[str, Tensor] = MappingProxyType({}),  # [N] boolean of each of its phrases, by its text
+) -> Answer:
+    """Return the answer to an expression, from one answer of ``answer_scene`` per text.
+
+    Level, score, runner-up and threshold are those of the wanted text with the largest score.
     """
-    threshold, level = question.threshold, question.level
-    if threshold is not None and not 0 <= threshold <= 1:
-        raise InputError(f"the threshold must be 0 to 1, got {threshold}")
-    rows = slice(None) if level is None else slice(level, level + 1)
-    coded = field.coded_levels()[rows]  # [S or 1, N]
-    at_a_time = min(MOST_TEXTS, max(1, MOST_BYTES // max(4 * coded.numel(), 1)))
-    for some in question.queries.split(at_a_time):
-        for relevancy in field.gaussian_relevancy(some, question.canonical)[rows].unbind(1):
-            found = select_by_relevancy(relevancy, coded, threshold)
-            yield replace(found, level=found.level + (level or 0))
+    of_text = {answer.text: answer for answer in answers}
+    mask = expression.combine({**{text: answer.mask for text, answer in of_text.items()}, **phrases})
+    wanted_answers = [of_text[text] for text in expression.wanted]
+    best = max(wanted_answers, key=lambda answer: (answer.presence, answer.score or 0.0))
+    asked = tuple(one for answer in wanted_answers for one in answer.asked)
+    whole = replace(best, mask=mask, parts=tuple(answers), asked=asked)
+    if wanted.changes:
+        whole = replace(whole, mask=reshaped(field.gaussians, mask, whole.relevancy(), wanted))
+    if len(of_text) == 1 and expression.is_plain:
+        return whole
+    things = tuple(dict.fromkeys(thing for answer in wanted_answers for thing in answer.things))
+    presence = best.presence if expression.is_plain else bool(whole.mask.any())
+    return replace(
+        whole, text=str(expression), presence=presence, things=things if expression.is_plain else ()
+    )
 
 
-def select_by_relevancy(
-    relevancy: Tensor,  # [S, N]
-    coded: Tensor,  # [S, N]
-    threshold: float | None = None,
-) -> Selection:
-    """Select by the relevancy of one query among coded Gaussians, as ``select_each`` does."""
-    if threshold is None:
-        return _most_stable(relevancy, coded)
-    masked = torch.where(coded, relevancy, -torch.inf)
-    peaks = masked.amax(1) if masked.shape[1] else masked.new_full((len(masked),), -torch.inf)
-    level = int(peaks.argmax())
-    mask = torch.zeros_like(coded[level])
-    if coded[level].any():
-        mask[coded[level]] = rescale(relevancy[level][coded[level]]) > threshold
-    return Selection(mask, relevancy[level], level, float(threshold))
+def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Reshaping) -> Tensor:
+    """Reshape a selection, [N] boolean.
 
-
-def level_thresholds(values: Tensor, coded: Tensor) -> Tensor:
-    """Return the most stable threshold of relevancy [S, N] rescaled over the coded Gaussians [S, N], [S] on the CPU."""
-    return thresholds_of_counts(stretched_counts(values, coded, STABILITY.lowest_share)[1])
-
-
-def _most_stable(values: Tensor, coded: Tensor) -> Selection:
-    """Select by the most stable threshold of each level."""
-    spans, counts = stretched_counts(values, coded, STABILITY.lowest_share)
-    thresholds = thresholds_of_counts(counts)
-    masks, areas, sums = above_thresholds(values, coded, spans, thresholds)
-    peaks = spans[:, 1].tolist()
-    means = torch.where(areas > 0, sums / areas, -torch.inf).tolist()
-    order = means if bool(areas.any()) else peaks
-    number = order.index(max(order))  # the first of levels alike
-    return Selection(masks[number], values[number], number, float(thresholds[number]))
-
-
-class SampledVotes:
-    """Evenly chosen Gaussians of a field, of which texts and everyday words select some, to be compared.
+    Neighbours of a Gaussian are the ``NEIGHBOURS`` nearest that are not much further away than usual among those
+    inside. Gaussians that are not finite have none, and are not added.
 
     Args:
-        field: without things, or asked by a threshold.
-        question: its everyday words and canonical phrases are taken.
+        gaussians: N of them, on any device.
+        mask: [N] boolean, the selection.
+        relevancy: [N]; parts weigh relevancy times opacity.
+        wanted: the changes.
     """
+    means = gaussians.means.cpu().double()
+    usable = torch.isfinite(means).all(1)
+    inside = (mask.cpu() & usable)[usable].numpy()
+    points = means[usable].numpy()
+    if wanted.largest and inside.any():
+        weights = (gaussians.opacities.cpu().double().clamp(0, 1) * relevancy.cpu().double())[usable].numpy()
+        parts = connected_parts(points[inside])
+        kept = parts == np.bincount(parts, np.nan_to_num(weights[inside])).argmax()
+        inside[inside] = kept
+    if (wanted.shrink or wanted.grow) and inside.any() and len(points) > 1:
+        near = _Neighbours(points, inside)
+        for _ in range(wanted.shrink):
+            inside &= ~near.any_of(~inside)
+        for _ in range(wanted.grow):
+            inside |= near.any_of(inside)
+    if wanted.within and inside.any():
+        inside |= near_points(points, inside, wanted.within)
+    out = torch.zeros(len(mask), dtype=torch.bool)
+    out[usable] = torch.from_numpy(inside)
+    return out
 
-    def __init__(self, field: CodedScene, question: Question) -> None:
-        rows = true_rows(field.coded())
-        rows = rows[:: max(1, -(-len(rows) // MOST_SAMPLED))]
-        self._whole = field.code_indices, field.code_weights  # kept, so that no other tensor gets their ids
-        self._codes = FieldCodes(field.code_indices[rows], field.code_weights[rows], field.codebook)
-        self._canonical = question.canonical.to(field.codebook.device)
-        self._cosines = FieldCosines()
-        self.best_fits = self.fits(question.everyday)
 
-    @staticmethod
-    def key(field: CodedScene, question: Question) -> tuple[object, ...]:
-        """Return what these votes depend on."""
-        tensors = field.code_indices, field.code_weights, field.codebook
-        words = question.everyday, question.canonical
-        return ("votes", *versions(*tensors), *(each.cpu().numpy().tobytes() for each in words))
+def near_points(points: NDArray[np.float64], inside: NDArray[np.bool_], distance: float) -> NDArray[np.bool_]:
+    """Return which points [N, 3] are at most this far from one of those inside, [N] boolean."""
+    from scipy.spatial import KDTree
 
-    def fits(self, queries: Tensor) -> Tensor:
-        """Return the fit [Q] of each text [Q, D] (``Selection.fit``)."""
-        coded, found = self._cosines.coded(self._codes), []
-        for some in queries.to(self._canonical).split(MOST_TEXTS):
-            relevancy = self._cosines.of_gaussians(self._codes, some, self._canonical)
-            found += [select_by_relevancy(each, coded).fit for each in relevancy.unbind(1)]
-        return torch.tensor(found)
+    nearest = KDTree(points[inside]).query(points, workers=-1)[0]
+    return np.asarray(nearest) <= distance
+
+
+class _Neighbours:
+    """Links from points to their nearest others, as long as usual among those inside."""
+
+    def __init__(self, points: NDArray[np.float64], inside: NDArray[np.bool_]) -> None:
+        nearest, lengths = nearest_points(points, min(NEIGHBOURS, len(points) - 1))
+        self._nearest = nearest
+        self._linked = lengths <= LONGEST_LINK * np.median(lengths[inside][:, -1])
+
+    def any_of(self, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which points are linked to any of these, themselves included, [N] boolean."""
+        return members | (members[self._nearest] & self._linked).any(1)

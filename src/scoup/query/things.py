@@ -1,165 +1,238 @@
-"""Things that answer a text: instances compared by the mean embedding of their regions.
-
-The fit of a thing to a text is their cosine, less half of the cosine with the words that fit the thing best: some
-things are near to any word (local scaling of cosines, one side of it; Conneau et al. 2018). Its unit is the scene's
-spread, by how much the cosines of one thing's regions with a text differ (``ThingTable.spread``), so that a gap means
-the same for every embedding model. Things of few regions, and those that views segment differently, fit less: their
-means are less certain, and they are more often a part or a blend of what people name.
-
-At each level, the things with the largest fits may answer together, for a text may mean several, or one seen in pieces.
-Such a set is judged by four things:
-
-* the gap behind it, to the next thing of its level;
-* the distance of its mean fit from the best fit of all things;
-* things elsewhere that fit better than its mean count against it; parts of the set and wholes around it do not;
-* sets of other levels with the same Gaussians count for it: what several levels found is more often what people name.
-
-The set is chosen once, in the scene. Ours; measured in docs/answers.md.
-"""
+"""The things of a scene as objects: every instance with position, box and Gaussians, or those that a text selects."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.query.coded_scene import CodedScene
-from scoup.query.known_things import ComparedThings
-from scoup.query.text_vectors import TextVectors
+from scoup.base.html import card
+from scoup.base.records import rounded_vector
+from scoup.field.language_field import LanguageField
+from scoup.query.answer import Answer
+from scoup.query.answer_scene import null_scores
+from scoup.query.boxes import OrientedBox, PointSets
+from scoup.query.matching import compare_things
+from scoup.query.presence import LEAST_GAUSSIANS
+from scoup.query.votes import true_rows
+from scoup.raster import morton_codes
+from scoup.scene.neighbours import connected_parts
+from scoup.scene.up import estimate_up
+
+LEAST_SHARE = 0.1
+"""Where the votes answer, connected parts with less than this share of the weight of the largest are strays."""
+
+MOST_LINKED = 8192
+"""Of more points than these, the cells of a grid are linked instead."""
 
 
-@dataclass(frozen=True)
-class ChoiceRule:
-    """Weights of the choice, chosen by `benchmarks.answer_fit`."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Thing:
+    """One instance in a scene.
 
-    rival: float = 2.0
-    """Of the lead of things elsewhere over the mean fit of a set."""
-    agreement: float = 0.25
-    """Of the score of a set of another level with the same Gaussians."""
-
-
-CHOICE_RULE = ChoiceRule()
-MOST_GAP = 3.0
-"""The most spreads that a gap counts."""
-MOST_TOGETHER = 8
-"""Things that may answer together."""
-SAME = 0.5
-"""Two sets have the same Gaussians from this intersection over union. A thing with at least this share of its Gaussians
-in a set, or that share of the set in it, is no rival."""
-TEXTS_AT_A_TIME = 16
-
-
-@dataclass(frozen=True, eq=False)
-class ChosenThings:
-    """The things that answer a text."""
-
-    things: Tensor  # [M] int64, M >= 1, of one level, best first
-    fit: float  # the best of theirs
-    runner_up: int | None  # the thing elsewhere that fits best; None if there is none
-
-
-def compare_things(field: CodedScene, texts: TextVectors) -> ComparedThings | None:
-    """Return the things of a field, compared with everyday words; None for a field without things.
-
-    The canonical phrases replace too few everyday words.
+    Example:
+        >>> thing = field.things(field.question("kettle", always=True))[0]
+        >>> thing.position.shape, thing.box.extent.shape, thing.n_gaussians == len(thing.gaussians)
+        (torch.Size([3]), torch.Size([3]), True)
     """
-    if field.thing_table is None or not len(field.thing_table):
-        return None
-    words = (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
-    return field.known_things.compared(field.thing_table, words)
+
+    number: int | None
+    """Its row in ``field.thing_table``, the same for every question; None for a part of a selection."""
+    level: str
+    """Name of its level."""
+    parent: int | None
+    """Number of the thing of the next coarser level that contains most of it."""
+    text: str
+    """The text it answers, or its name in a catalogue; "" if nothing was asked."""
+    score: float | None
+    """As of ``Answer``, for this thing alone: the share of everyday words whose best fit in this scene is lower, 0 to
+    1. None if nothing was asked, with too few everyday words, and for a part of a selection."""
+    position: Tensor
+    """[3] float64 world units: the weighted median of its Gaussians."""
+    box: OrientedBox
+    """Around it."""
+    gaussians: Tensor
+    """[M] int64, the Gaussians of it."""
+    n_regions: int | None
+    """How many regions of photographs it was merged from, about one per view; None for a part of a selection."""
+
+    @property
+    def n_gaussians(self) -> int:
+        """Return the number of Gaussians."""
+        return len(self.gaussians)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its list of Gaussians."""
+        return self.gaussians.nbytes
+
+    @property
+    def size(self) -> float:
+        """Diagonal of its box in world units."""
+        return float(self.box.extent.norm())
+
+    def __repr__(self) -> str:
+        what = f"thing {self.number}" if self.number is not None else "part"
+        named = f" {self.text!r}" if self.text else ""
+        place = rounded_vector(self.position.tolist())
+        return f"Thing({what}{named} at {place}, level {self.level}, {self.n_gaussians:,} Gaussians)"
+
+    def _repr_html_(self) -> str:
+        return card(f"Thing {self.text}", {**self.to_dict(), "box": str(self.box.to_dict())})
+
+    def describe(self) -> str:
+        """Return position and extent in words, for people."""
+        position = ", ".join(f"{part:g}" for part in rounded_vector(self.position.tolist()))
+        return f"at [{position}], extent {' x '.join(f'{side:.3g}' for side in self.box.extent.tolist())}"
+
+    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+        """The thing as plain JSON values, rounded.
+
+        Args:
+            metres_per_unit: length of the scene's unit; with it, position and extent are given in metres, too.
+        """
+        return {
+            "thing": self.number,
+            "text": self.text,
+            "level": self.level,
+            "parent": self.parent,
+            "score": None if self.score is None else round(self.score, 4),
+            "position": rounded_vector(self.position.tolist()),
+            "box": self.box.to_dict(),
+            **metres_record(self.position, self.box, metres_per_unit),
+            "gaussians": self.n_gaussians,
+            "regions": self.n_regions,
+        }
 
 
-def choose_things(
-    known: ComparedThings, fits: Tensor, level: int | None = None, rule: ChoiceRule = CHOICE_RULE
-) -> list[ChosenThings | None]:
-    """Return the things that answer each text.
+def all_things(field: LanguageField) -> list[Thing]:
+    """Return every instance of a field with at least ``LEAST_GAUSSIANS`` Gaussians, finer levels first.
 
-    Args:
-        known: T things of the scene.
-        fits: [T, Q], from ``ComparedThings.fits``.
-        level: the one that answers; None: the best.
-        rule: the weights.
-
-    Returns:
-        One per text; None where no thing of the level has a Gaussian and an embedding.
+    Empty for a field without things.
     """
-    levels = [
-        (known.usable & (known.things.levels.cpu() == each)).nonzero()[:, 0]
-        for each in range(known.things.owners.shape[1])
+    table = field.thing_table
+    if table is None:
+        return []
+    counts = table.sums(torch.ones(len(table.owners)))
+    numbers = (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist()
+    return _things_of_table(field, numbers)
+
+
+def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False) -> list[Thing]:
+    """Return the things of an answer of ``answer_scene``, best first; none where the text is not present.
+
+    Where the votes answer, and of an expression, they are the parts of the selection that are connected in space, those
+    that weigh most first. To be ``counted``, things are those that are one instance each.
+    """
+    if not answer.presence or not bool(answer.mask.any()):
+        return []
+    if not answer.things or len(answer.asked) != 1:
+        return _connected_things(field, answer)
+    asked = answer.asked[0]
+    known = compare_things(field, asked.question)
+    assert known is not None
+    numbers = list(answer.instances if counted else answer.things)
+    fits = known.fits(asked.question.queries.float().cpu())[numbers, 0].tolist()
+    (score,) = null_scores(asked.question, known.best_fits)
+    scores = {number: score(fit) for number, fit in zip(numbers, fits, strict=True)}
+    return [
+        replace(thing, text=answer.text, score=scores[thing.number or 0])
+        for thing in _things_of_table(field, numbers)
     ]
-    found: list[ChosenThings | None] = []
-    for part in fits.T.split(TEXTS_AT_A_TIME):
-        found += _choose(known, part, levels, level, rule)
-    return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Sets:
-    """The sets that may answer at one level: the first 1, 2, ... P of its things by their fit, for Q texts."""
-
-    order: Tensor  # [Q, P] things, best first
-    sizes: Tensor  # [Q, P] Gaussians of each set
-    shared: Tensor  # [Q, P, T] Gaussians that each of these things shares with every thing
-    rivals: Tensor  # [Q, P] the thing elsewhere that fits best
-    scores: Tensor  # [Q, P] without the other levels
-    rule: ChoiceRule
-
-    @classmethod
-    def of(cls, known: ComparedThings, fits: Tensor, mine: Tensor, rule: ChoiceRule) -> _Sets:
-        """Return those of fits [Q, T] and the things of one level [M], M >= 1."""
-        wanted = torch.where(known.usable, fits, torch.nan)
-        top, middle = (
-            wanted.nan_to_num(-torch.inf).amax(1, keepdim=True),
-            wanted.nanmedian(1, keepdim=True).values,
+def _things_of_table(field: LanguageField, numbers: Sequence[int]) -> list[Thing]:
+    table = field.thing_table
+    assert table is not None
+    members: list[Tensor] = [torch.empty(0, dtype=torch.int64)] * len(numbers)
+    place = torch.full((len(table) + 1,), -1, dtype=torch.int64)
+    place[torch.tensor(numbers, dtype=torch.int64)] = torch.arange(len(numbers))
+    for owners in table.owners.cpu().T:
+        places = place[owners.long()]  # NO_THING reads the last, which is none
+        rows = true_rows(places >= 0)
+        order = places[rows].argsort(stable=True)
+        of_thing, counts = places[rows].unique(return_counts=True)
+        for number, part in zip(of_thing.tolist(), rows[order].split(counts.tolist()), strict=True):
+            members[number] = part
+    parents, n_regions = table.parents.tolist(), table.n_regions.tolist()
+    return [
+        replace(
+            thing,
+            number=number,
+            level=field.levels[int(table.levels[number])],
+            parent=None if parents[number] < 0 else parents[number],
+            n_regions=n_regions[number],
         )
-        ordered, places = fits[:, mine].sort(dim=1, descending=True, stable=True)
-        # Behind all things of a level stands a thing like any other.
-        ordered = torch.cat([ordered, torch.minimum(middle, ordered[:, -1:])], 1)
-        count = min(MOST_TOGETHER, len(mine))
-        order = mine[places[:, :count]]
-        mass = known.things.mass.cpu()[order]
-        mean = (ordered[:, :count] * mass).cumsum(1) / mass.cumsum(1)
-        rows = known.shared.index_select(0, order.flatten()).to_dense().view(*order.shape, -1)
-        together, sizes = rows.cumsum(1), known.counts[order].cumsum(1)
-        inside, around = together / known.counts.clamp(min=1), together / sizes[..., None]
-        elsewhere = (inside < SAME) & (around <= SAME) & known.usable
-        rival_fits, rivals = torch.where(elsewhere, fits[:, None], -torch.inf).max(2)
-        gap = (ordered[:, :count] - ordered[:, 1 : count + 1]).clamp(max=MOST_GAP)
-        scores = gap - (top - mean) - rule.rival * (rival_fits - mean).clamp(min=0)
-        return cls(order, sizes, rows, torch.where(rival_fits > -torch.inf, rivals, -1), scores, rule)
-
-    def support(self, other: _Sets) -> Tensor:
-        """Return [Q, P]: what the best set of another level with the same Gaussians adds to each set."""
-        columns = other.order[:, None, :].expand(-1, self.order.shape[1], -1)
-        both = self.shared.gather(2, columns).cumsum(1).cumsum(2)  # [Q, P, P of the other]
-        same = both > SAME * (self.sizes[:, :, None] + other.sizes[:, None] - both)
-        added = torch.where(same, other.scores[:, None] + MOST_GAP, 0.0).amax(2).clamp(min=0)
-        return self.rule.agreement * added
-
-
-def _choose(
-    known: ComparedThings,
-    fits: Tensor,
-    levels: list[Tensor],
-    level: int | None,
-    rule: ChoiceRule,
-) -> list[ChosenThings | None]:
-    """``choose_things`` of a few texts, with fits [Q, T]."""
-    sets = {number: _Sets.of(known, fits, mine, rule) for number, mine in enumerate(levels) if len(mine)}
-    wanted = [number for number in sets if level in (None, number)]
-    if not wanted:
-        return [None] * len(fits)
-    scores = [
-        sets[number].scores + sum(sets[number].support(other) for k, other in sets.items() if k != number)
-        for number in wanted
+        for number, thing in zip(numbers, _parts(field, members, ""), strict=True)
+        if thing is not None
     ]
-    ends = torch.tensor([each.shape[1] for each in scores]).cumsum(0)
-    found: list[ChosenThings | None] = []
-    for query, best in enumerate(torch.cat(scores, 1).argmax(1).tolist()):
-        which = int((ends <= best).sum())
-        own, place = sets[wanted[which]], best - int(ends[which]) + scores[which].shape[1]
-        rival = int(own.rivals[query, place])
-        things = own.order[query, : place + 1]
-        found.append(ChosenThings(things, float(fits[query, things].max()), None if rival < 0 else rival))
-    return found
+
+
+def _parts(field: LanguageField, members: Sequence[Tensor], level: str) -> list[Thing | None]:
+    """Parts of a selection from the Gaussians of each; None for those without a usable Gaussian."""
+    points = PointSets.of(field.gaussians, members)
+    shapes = zip(points.medians(), points.boxes(estimate_up(field.cameras or ())), members, strict=True)
+    return [
+        box and Thing(None, level, None, "", None, torch.from_numpy(position.copy()), box, rows, None)
+        for position, box, rows in shapes
+    ]
+
+
+def _connected_things(field: LanguageField, answer: Answer) -> list[Thing]:
+    """The connected parts of a selection, those that weigh most first; a Gaussian weighs opacity times relevancy."""
+    rows = true_rows(answer.mask)
+    gaussians = field.gaussians.select(rows.to(field.gaussians.device)).to("cpu")
+    usable = torch.isfinite(gaussians.means).all(1) & torch.isfinite(gaussians.opacities)
+    rows, means = rows[usable], gaussians.means[usable].double().numpy()
+    if not len(rows):
+        return []
+    relevancy = answer.relevancy()[rows].double()
+    parts = rough_parts(means)
+    weights = np.bincount(parts, (gaussians.opacities[usable].double().clamp(0, 1) * relevancy).numpy())
+    sizes = np.bincount(parts)
+    heaviest = np.argsort(-weights, kind="stable").tolist()
+    largest = [
+        part
+        for part in heaviest
+        if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= LEAST_SHARE * weights.max()
+    ] or heaviest[:1]  # where all are small, they are what there is
+    members = [rows[torch.from_numpy(parts == part)] for part in largest]
+    return [
+        replace(thing, text=answer.text)
+        for thing in _parts(field, members, answer.level)
+        if thing is not None
+    ]
+
+
+def rough_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return ``connected_parts`` of points [M, 3], or where they are many, of the cells of a grid that they fill."""
+    if len(points) <= MOST_LINKED:
+        return connected_parts(points)
+    places, order = morton_codes(torch.from_numpy(points))[0].sort()
+    differing = places[1:] ^ places[:-1]
+    coarser = bisect_left(
+        range(21), True, key=lambda step: int((differing >> 3 * step > 0).sum()) < MOST_LINKED
+    )
+    cells = torch.empty_like(order)
+    cells[order] = torch.nn.functional.pad(differing >> 3 * coarser > 0, (1, 0)).cumsum(0)
+    cell_of = cells.numpy()
+    middles = np.stack([np.bincount(cell_of, axis) for axis in points.T], 1) / np.bincount(cell_of)[:, None]
+    return connected_parts(middles)[cell_of]
+
+
+def metres_record(
+    position: Tensor | None, box: OrientedBox | None, metres_per_unit: float | None
+) -> dict[str, Any]:
+    """Return a place in metres as plain JSON values; nothing if it, or the length of the scene's unit, is not known."""
+    if position is None or box is None or metres_per_unit is None:
+        return {}
+    return {
+        "position_metres": rounded_vector((position * metres_per_unit).tolist()),
+        "extent_metres": rounded_vector((box.extent * metres_per_unit).tolist()),
+    }

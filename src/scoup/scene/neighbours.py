@@ -1,50 +1,21 @@
-"""Nearest neighbours in space: values smoothed over them, and the parts that they connect.
+"""Nearest neighbours in space, and the parts that they connect.
 
 The compiled core finds them, or scipy (``plain_...``) where there is none.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from scoup.base.native import native_core
 
 _CHUNK = 65536
-
-
-@dataclass(frozen=True, eq=False)
-class Neighbourhood:
-    """The nearest neighbours of some of N points."""
-
-    members: Tensor  # [M] int64, the points that have neighbours and may be one
-    nearest: Tensor  # [M, B] int64, the B nearest other members of each, nearest first; B may be 0
-
-    @classmethod
-    def of(cls, points: Tensor, included: Tensor, count: int) -> Neighbourhood:
-        """Find ``count`` nearest neighbours, without the point itself, of points [N, 3] included [N] and finite."""
-        members = (included.cpu() & torch.isfinite(points).all(1).cpu()).nonzero()[:, 0]
-        wanted = min(count, max(len(members) - 1, 0))
-        nearest = nearest_points(points.cpu()[members].double().numpy(), wanted)[0]
-        return cls(members, members[torch.from_numpy(nearest)])
-
-    def blend(self, values: Tensor, included: Tensor) -> Tensor:
-        """Return half of each member's value [S, N] and half of the mean over its neighbours included [S, N]; without
-        any, values stay.
-        """
-        out = values.clone()
-        for level in range(len(values)):
-            counted = included[level].to(values.dtype)
-            nearest = self.nearest.to(values.device)
-            number = counted[nearest].sum(1)
-            mean = (values[level] * counted)[nearest].sum(1) / number.clamp(min=1)
-            own = values[level, self.members]
-            out[level, self.members] = torch.where(number > 0, 0.5 * (own + mean), own)
-        return out
+NEIGHBOURS = 8
+"""Each point is linked to so many of its nearest others."""
+LONGEST_LINK = 3.0
+"""Links longer than this times the median are cut, so that strays fall off."""
 
 
 def nearest_points(points: NDArray[np.float64], count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -82,6 +53,18 @@ def plain_nearest_points(
         numbers.append(found[~itself].reshape(-1, count))
         lengths.append(far[~itself].reshape(-1, count))
     return np.concatenate(numbers).astype(np.int64), np.concatenate(lengths)
+
+
+def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the number [M] of the connected part of each point [M, 3].
+
+    Each point is linked to its nearest others, and links much longer than usual are cut.
+    """
+    count = min(NEIGHBOURS, len(points) - 1)
+    if count < 1:
+        return np.zeros(len(points), np.int64)
+    nearest, lengths = nearest_points(points, count)
+    return linked_parts(nearest, lengths, LONGEST_LINK * float(np.median(lengths[:, -1])))
 
 
 def linked_parts(

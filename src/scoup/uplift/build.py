@@ -18,7 +18,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.scene.sanity import sanity_problems
+from scoup.scene.sanity_checks import sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import build_record
@@ -70,7 +70,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         InputError: no camera has regions, the cameras see nothing, or the inputs do not fit or are of wrong types.
 
     Warns:
-        ScoupWarning: Gaussians are implausible (``scoup.scene.sanity``), splat and cameras may not fit, or the
+        ScoupWarning: Gaussians are implausible (``scoup.scene.sanity_checks``), splat and cameras may not fit, or the
             codebook explains many regions of a view badly.
 
     Example:

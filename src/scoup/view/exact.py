@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
@@ -12,17 +11,16 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
+from scoup.field.relevancy import relevancy
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.pictures.overlays import heat_overlay, texts_overlay
 from scoup.query.answer import Answer
-from scoup.query.answering import draw_answers
-from scoup.query.coded_scene import CodedScene
-from scoup.query.drawing import Draw, code_drawing
-from scoup.query.methods import FieldQueries
-from scoup.query.relevancy import relevancy
-from scoup.query.text_vectors import TextVectors
-from scoup.query.thing_shapes import ThingPoints
+from scoup.query.boxes import PointSets
+from scoup.query.drawing import code_drawing
+from scoup.query.field_view import FieldView
+from scoup.query.question import TextVectors
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import signed
 
@@ -58,49 +56,26 @@ class PictureRequest:
             raise InputError(f"expected {len(self.answers)} colors, got {len(self.colors)}")
 
 
-class ExactPictures:
-    """Renders of one field; keeps what further renders of the same camera reuse."""
-
-    def __init__(self, field: FieldQueries) -> None:
-        self.field = field
-        self._projection: tuple[str, raster.Projection] | None = None
-        self._code_drawings: dict[int, Draw] = {}
-
-    def picture(self, request: PictureRequest) -> Picture:
-        """Return [H, W, 3] uint8 of the camera's size, without lettering."""
-        camera, projection = request.camera, self.projected(request.camera)
-        if request.mode == "codes":
-            level = len(self.field.levels) // 2 if request.level is None else request.level
-            if level not in self._code_drawings:
-                self._code_drawings[level] = code_drawing(self.field, level, plain=True)
-            return self._code_drawings[level](camera, projection)
-        rgb = raster.render_colors(self.field.gaussians, camera, projection).cpu()
-        if request.mode == "color":
-            return as_picture(rgb)
-        # A projection that was queried before answers quicker, and rounds otherwise: as nobody has queried this copy,
-        # the picture does not depend on what others have asked.
-        unasked = copy.copy(projection)
-        answers = draw_answers(self.field, request.answers, camera, unasked)
-        if request.mode == "heat" and len(answers) == 1:
-            return heat_overlay(answers[0].heat, rgb, opacity=request.opacity)
-        heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
-        return texts_overlay(heats, masks, rgb, request.colors, request.opacity, request.mode == "heat")
-
-    def projected(self, camera: Camera) -> raster.Projection:
-        """Return the projection to a camera; the last one is kept."""
-        name = camera.fingerprint()
-        if self._projection is None or self._projection[0] != name:
-            self._projection = name, self.field.project(camera)
-        return self._projection[1]
+def draw_picture(view: FieldView, request: PictureRequest) -> Picture:
+    """Return [H, W, 3] uint8 of the camera's size, without lettering."""
+    if request.mode == "codes":
+        level = len(view.field.levels) // 2 if request.level is None else request.level
+        return code_drawing(view.field, level, plain=True)(view)
+    rgb = view.renders.colors().cpu()
+    if request.mode == "color":
+        return as_picture(rgb)
+    # A view that was asked before answers quicker, and rounds otherwise; the picture must not depend on what others
+    # have asked.
+    view.cache.clear()
+    answers = view.show(request.answers)
+    if request.mode == "heat" and len(answers) == 1:
+        return heat_overlay(answers[0].heat, rgb, opacity=request.opacity)
+    heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
+    return texts_overlay(heats, masks, rgb, request.colors, request.opacity, request.mode == "heat")
 
 
 def what_is_at(
-    field: CodedScene,
-    confidence: Tensor,
-    camera: Camera,
-    pixel: tuple[int, int],
-    words: TextVectors | None,
-    projection: raster.Projection | None = None,
+    view: FieldView, confidence: Tensor, pixel: tuple[int, int], words: TextVectors | None
 ) -> dict[str, Any]:
     """Return the words that fit best at a pixel, level by level, and its position in the world.
 
@@ -108,25 +83,22 @@ def what_is_at(
     does (method.md, stage 3). The position is on the pixel's ray, at the median depth of that weight.
 
     Args:
-        field: to be asked, with its geometry.
+        view: of the field.
         confidence: [N, S] (``UnitCodes.confidence``).
-        camera: of the view.
         pixel: (x, y).
         words: a vocabulary, and what its words are compared with; None: no words.
-        projection: what ``field.project(camera)`` gave, if it is known.
 
     Returns:
         "position": [3] world units, None if nothing is there; "distance": from the camera; "levels": of each level its
         name, confidence 0..1, and words with relevancy, best first; levels without a code there have no words.
     """
-    x, y = pixel
+    field, camera, (x, y) = view.field, view.camera, pixel
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         raise InputError(f"pixel ({x}, {y}) is not in a view of {camera.width} x {camera.height}")
-    projection = field.project(camera) if projection is None else projection
     # Of the whole view: Inria's rasteriser clamps its Jacobian at the edges, so a view of one pixel looks different.
     labels = torch.full((1, camera.height, camera.width), -1, dtype=torch.int32)
     labels[0, y, x] = 0
-    sums = raster.region_sums(projection, labels.to(field.codebook.device))
+    sums = raster.region_sums(view.projection, labels.to(field.codebook.device))
     gaussians, _, weights = sums.triplets(0)
     if not len(gaussians) or not float(weights.sum()) > 0:
         return {"position": None, "distance": None, "levels": []}
@@ -136,21 +108,23 @@ def what_is_at(
     for level, name in enumerate(field.levels):
         embedding = _mean_embedding(field, level, gaussians, weights)
         sure = confidence[gaussians.cpu(), level]
-        own = shares * (sure > 0)
-        found = float((own * sure).sum() / own.sum()) if float(own.sum()) > 0 else 0.0
-        nearest = [] if words is None or not found else _nearest_words(embedding, words)
-        levels.append({"level": name, "confidence": round(found, 4), "words": nearest})
+        coded_shares = shares * (sure > 0)
+        mean_confidence = (
+            float((coded_shares * sure).sum() / coded_shares.sum()) if float(coded_shares.sum()) > 0 else 0.0
+        )
+        nearest = [] if words is None or not mean_confidence else _nearest_words(embedding, words)
+        levels.append({"level": name, "confidence": round(mean_confidence, 4), "words": nearest})
     distance = float((position - camera.position).norm())
     return {"position": position.tolist(), "distance": distance, "levels": levels}
 
 
 def _position(
-    field: CodedScene, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
+    field: LanguageField, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
 ) -> Tensor:
     """Return [3] float64: the point of the pixel's ray at the median depth of the weight."""
     means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()
     depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    depth = ThingPoints.of_one_thing(depths[:, None], weights).medians().item()
+    depth = PointSets.of_one_thing(depths[:, None], weights).medians().item()
     x, y = pixel[0] + 0.5, pixel[1] + 0.5
     ray = torch.tensor([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0], dtype=torch.float64)
     return camera.position + depth * (camera.viewmat[:3, :3].T @ ray)
@@ -166,11 +140,11 @@ def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]
     return [{"text": words.texts[row], "relevancy": round(float(values[row]), 4)} for row in best]
 
 
-def _mean_embedding(field: CodedScene, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
+def _mean_embedding(field: LanguageField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """Return the sum of the decoded codes of Gaussians [M] by weights [M] at one level, [D] on the CPU."""
     # On the CPU: sums by index on a GPU are not the same twice.
-    own = signed(field.code_indices)[:, level].index_select(0, gaussians)
-    atoms = own.view(field.code_indices.dtype).cpu().long()
+    indices = signed(field.code_indices)[:, level].index_select(0, gaussians)
+    atoms = indices.view(field.code_indices.dtype).cpu().long()
     shares = (field.code_weights[:, level].index_select(0, gaussians).float() * weights[:, None]).cpu()
     code = torch.bincount(atoms.flatten(), shares.flatten().double(), field.n_atoms)
     return code.float() @ field.codebook[level].cpu()

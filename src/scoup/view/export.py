@@ -35,7 +35,7 @@ class ExportReport:
     words_bytes: int  # the vocabulary, compressed
     words: int  # how many can be asked
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {
             "out": str(self.path),
@@ -131,12 +131,12 @@ def _thumbnails(viewed: ViewedField, progress: Progress) -> Sequence[str | None]
     """Return JPEGs of evenly spread cameras as base64; None for the others."""
     cameras = list(viewed.field.cameras or ())
     step = max(1, -(-len(cameras) // MOST_THUMBNAILS))
-    found: list[str | None] = []
+    thumbnails: list[str | None] = []
     for number, camera in enumerate(cameras):
         progress("pictures", number, len(cameras))
-        found.append(None if number % step else _base64(jpeg(viewed.thumbnail(camera))))
+        thumbnails.append(None if number % step else _base64(jpeg(viewed.thumbnail(camera))))
     progress("pictures", len(cameras), len(cameras))
-    return found
+    return thumbnails
 
 
 def _assignment(target: str, value: Any) -> str:

@@ -41,8 +41,8 @@ class Guard:
         """Return the rules of a server bound to a host; beyond loopback with a new token."""
         if is_loopback(host):
             return cls(host, "", _OWN_NAMES | {host.lower()})
-        own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
-        return cls(host, secrets.token_urlsafe(24), _OWN_NAMES | own)
+        names = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+        return cls(host, secrets.token_urlsafe(24), _OWN_NAMES | names)
 
     @property
     def prefix(self) -> str:

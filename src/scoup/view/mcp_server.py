@@ -41,10 +41,10 @@ def make_server(tools: SceneTools) -> Any:
         @functools.wraps(method)
         def tool(**arguments: Any) -> Any:
             try:
-                found = method(**arguments)
+                reply = method(**arguments)
             except ScoupError as error:  # the model reads what is wrong and tries again
                 raise ToolError(str(error)) from error
-            return Image(data=_png(found), format="png") if isinstance(found, np.ndarray) else found
+            return Image(data=_png(reply), format="png") if isinstance(reply, np.ndarray) else reply
 
         server.tool(structured_output=False)(tool)
 

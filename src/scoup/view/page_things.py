@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from scoup.field.language_field import LanguageField
 from scoup.query.catalog import best_words
-from scoup.query.methods import FieldQueries
+from scoup.query.matching import compare_things
 from scoup.query.question import Question
-from scoup.query.things import compare_things
 
 
-def page_things(field: FieldQueries, vocabulary: Question | None) -> list[dict[str, Any]]:
+def page_things(field: LanguageField, vocabulary: Question | None) -> list[dict[str, Any]]:
     """Return every thing as plain JSON values, with the word of a vocabulary that fits it best as its name.
 
     Args:
@@ -21,11 +21,11 @@ def page_things(field: FieldQueries, vocabulary: Question | None) -> list[dict[s
     words: list[int] = []
     if vocabulary is not None and known is not None:
         words = best_words(known.embeddings @ vocabulary.queries.float().cpu().T)[:, 0].tolist()
-    found = []
+    rows = []
     for thing in field.things():
-        record, number = thing.record(), thing.number or 0
+        record, number = thing.to_dict(), thing.number or 0
         named = None if vocabulary is None else vocabulary.texts[words[number]]
-        found.append(
+        rows.append(
             {
                 "number": number,
                 "level": field.level_index(thing.level),
@@ -35,4 +35,4 @@ def page_things(field: FieldQueries, vocabulary: Question | None) -> list[dict[s
                 "views": thing.n_regions,
             }
         )
-    return found
+    return rows

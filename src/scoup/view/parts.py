@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.raster import morton_codes
 from scoup.scene.gaussians import Gaussians
-from scoup.view.shown import Shown, cover, drawable, shown_gaussians
+from scoup.view.decimation import PageGaussians, cover, decimate, drawable
 
 PART_GAUSSIANS = 250_000
 """A part is about so many Gaussians of the scene, before they are merged."""
@@ -46,7 +46,7 @@ class Parts:
     def __len__(self) -> int:
         return len(self._ends) + 1
 
-    def coarse(self) -> tuple[Shown, list[int]]:
+    def coarse(self) -> tuple[PageGaussians, list[int]]:
         """Return Gaussians that stand for all, part by part, and how many each part has.
 
         Of a very large scene they are made of a sample, and of all that cover more than most.
@@ -60,39 +60,41 @@ class Parts:
             rows = np.flatnonzero(chosen)
             copies = np.where(covers[rows] > most, 1, self._step)
         number = self._numbers(gaussians.means[torch.from_numpy(rows)])
-        found = []
+        parts = []
         for part in range(len(self)):
             chosen = number == part
             most = max(1, COARSE_GAUSSIANS * int(chosen.sum()) // max(1, len(rows)))
-            found.append(self._shown(rows[chosen], most, copies[chosen]))
-        joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in found), strict=True)]
-        return Shown(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in found]
+            parts.append(self._decimated(rows[chosen], most, copies[chosen]))
+        joined = [torch.cat(arrays) for arrays in zip(*(_tensors(shown) for shown in parts), strict=True)]
+        return PageGaussians(Gaussians(*joined[1:]), joined[0]), [len(shown.rows) for shown in parts]
 
     def _covers(self) -> NDArray[np.float32]:
         """Return [N] what each Gaussian covers."""
-        found = np.empty(len(self._gaussians), np.float32)
+        covers = np.empty(len(self._gaussians), np.float32)
         scales, opacities = self._gaussians.scales.numpy(), self._gaussians.opacities.numpy()
-        for start in range(0, len(found), _AT_A_TIME):
+        for start in range(0, len(covers), _AT_A_TIME):
             part = slice(start, start + _AT_A_TIME)
-            found[part] = cover(scales[part], opacities[part])
-        return found
+            covers[part] = cover(scales[part], opacities[part])
+        return covers
 
     @property
     def merges(self) -> bool:
         """Return whether parts have fewer Gaussians than the scene, unless they are asked for whole."""
         return len(self._gaussians) > self._most
 
-    def part(self, number: int, whole: bool = False) -> Shown:
+    def part(self, number: int, whole: bool = False) -> PageGaussians:
         """Return the Gaussians of a part, counted from 0; ``whole`` without merging any."""
         rows = self._rows[number]
         merges = self.merges and not whole
-        return self._shown(rows, self._most * len(rows) // len(self._gaussians) if merges else len(rows))
+        return self._decimated(rows, self._most * len(rows) // len(self._gaussians) if merges else len(rows))
 
-    def _shown(self, rows: NDArray[np.integer], most: int, copies: NDArray[np.int64] | None = None) -> Shown:
+    def _decimated(
+        self, rows: NDArray[np.integer], most: int, copies: NDArray[np.int64] | None = None
+    ) -> PageGaussians:
         chosen = torch.from_numpy(rows)
         owners = None if self._owners is None else self._owners[chosen]
-        found = shown_gaussians(self._gaussians.select(chosen), max(1, most), owners, copies)
-        return Shown(found.gaussians, chosen[found.rows].long())
+        decimated = decimate(self._gaussians.select(chosen), max(1, most), owners, copies)
+        return PageGaussians(decimated.gaussians, chosen[decimated.rows].long())
 
     @cached_property
     def _rows(self) -> list[NDArray[np.int32]]:
@@ -111,6 +113,6 @@ class Parts:
         )
 
 
-def _tensors(shown: Shown) -> tuple[Tensor, ...]:
+def _tensors(shown: PageGaussians) -> tuple[Tensor, ...]:
     gaussians = shown.gaussians
     return shown.rows, gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh

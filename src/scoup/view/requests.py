@@ -50,13 +50,13 @@ class Message:
         things = self.fields.get("things", [])
         if not isinstance(things, list) or len(things) > MOST_THINGS:
             raise InputError(f"select at most {MOST_THINGS:,} things")
-        found = {}
+        names = {}
         for thing in things:
             number = thing.get("number") if isinstance(thing, dict) else None
             if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < 65535:
                 raise InputError("a thing has a number and a name")
-            found[number] = _checked_text(thing.get("name"))
-        return found
+            names[number] = _checked_text(thing.get("name"))
+        return names
 
     def level(self, count: int) -> int | None:
         """Return the position of a level among ``count``; None if there is none."""

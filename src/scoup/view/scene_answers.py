@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from scoup.query.answering import answer_scene
-from scoup.query.coded_scene import CodedScene
+from scoup.field.language_field import LanguageField
+from scoup.query.answer_scene import answers_of
+from scoup.query.matching import choose_things, compare_things
 from scoup.query.question import Question
-from scoup.query.select import level_thresholds
+from scoup.query.votes import level_thresholds
 from scoup.view.unit_codes import atom_scores
 
 AT_A_TIME = 16  # texts whose Gaussians are in memory together
 VERDICT = ("score", "certainty", "present", "gaussians", "runner_up")
-"""What the page shows of ``Answer.record``."""
+"""What the page shows of ``Answer.to_dict``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class PageAnswer:
     """
 
     text: str
-    verdict: dict[str, Any]  # of ``Answer.record``: ``VERDICT``
+    verdict: dict[str, Any]  # of ``Answer.to_dict``: ``VERDICT``
     level: int  # position of the level that answers
     # If presence is not judged: the page shows absent texts on demand, and a level of choice for what is present.
     chosen_things: list[int] | None  # that answer if no level is chosen; None in a field without things
@@ -37,7 +38,7 @@ class PageAnswer:
     thresholds: Tensor  # [S] stable threshold of each level, on the rescaled relevancy
     spans: Tensor  # [S, 2] relevancies that rescaling takes to 0 and 1 at each level
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values; ``scores`` as base64 of float32, little-endian."""
         return {
             "text": self.text,
@@ -51,7 +52,7 @@ class PageAnswer:
         }
 
 
-def scene_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]:
+def scene_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
     """Yield the answer to each text, in their order.
 
     Args:
@@ -62,20 +63,14 @@ def scene_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]
         yield from _some_answers(field, question.some(slice(start, start + AT_A_TIME)))
 
 
-def _some_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]:
+def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
     coded, scores = field.coded_levels().cpu(), atom_scores(field, question.queries)
-    answers, levels = answer_scene(field, question), (None, *range(len(field.levels)))
-    things: list[list[list[int] | None]] = [[None] * len(answers)] * len(levels)
-    if answers[0].threshold is None:
-        anyway = replace(question, present_from=None)
-        things = [
-            [list(answer.things) for answer in answer_scene(field, replace(anyway, level=level))]
-            for level in levels
-        ]
+    answers = answers_of(field, question)
+    things = _things_of_levels(field, question) if answers[0].threshold is None else None
     for number, answer in enumerate(answers):
-        one, record = question.one(number), answer.record()
+        one, record = question.one(number), answer.to_dict()
         relevancy = field.gaussian_relevancy(one.queries, one.canonical)[:, 0].cpu()
-        chosen, *of_levels = [found[number] for found in things]
+        chosen, *of_levels = [None] * (1 + len(field.levels)) if things is None else things[number]
         yield PageAnswer(
             answer.text,
             {key: record[key] for key in VERDICT},
@@ -88,8 +83,20 @@ def _some_answers(field: CodedScene, question: Question) -> Iterator[PageAnswer]
         )
 
 
+def _things_of_levels(field: LanguageField, question: Question) -> list[list[list[int] | None]]:
+    """Return what answers each text without a level of choice, and at each level, whether it is present or not."""
+    known = compare_things(field, question)
+    assert known is not None
+    fits = known.fits(question.queries.float().cpu())
+    chosen = [choose_things(known, fits, level) for level in (None, *range(len(field.levels)))]
+    return [
+        [[] if choice is None else choice.things.tolist() for choice in of_text]
+        for of_text in zip(*chosen, strict=True)
+    ]
+
+
 def spans(relevancy: Tensor, coded: Tensor) -> Tensor:
-    """Return [S, 2]: the relevancies that ``scoup.query.selection.rescale`` takes to 0 and to 1 at each level.
+    """Return [S, 2]: the relevancies that ``scoup.query.votes.rescale`` takes to 0 and to 1 at each level.
 
     Args:
         relevancy: [S, N].

@@ -11,16 +11,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import code_basis
-from scoup.query.coded_scene import CodedScene
 from scoup.query.drawing import placed_atoms
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes, signed
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.things import NO_THING
 from scoup.scene.up import estimate_up
+from scoup.view.decimation import PageGaussians
 from scoup.view.packing import byte_planes, fine_fractions, fractions, packed
-from scoup.view.shown import Shown
 from scoup.view.unit_codes import UnitCodes
 
 VERSION = 1
@@ -33,7 +33,7 @@ NO_OWNER = 65535
 
 
 def scene_metadata(
-    field: CodedScene, name: str, words_problem: str | None = None, present_from: float | None = None
+    field: LanguageField, name: str, words_problem: str | None = None, present_from: float | None = None
 ) -> dict[str, Any]:
     """Return the metadata of a field for the page as plain JSON values.
 
@@ -64,8 +64,8 @@ def scene_metadata(
 
 
 def scene_data(
-    field: CodedScene,
-    shown: Shown,
+    field: LanguageField,
+    shown: PageGaussians,
     canonical: Tensor | None,
     metadata: dict[str, Any],
     effort: int = 6,
@@ -87,13 +87,15 @@ def scene_data(
     return packed(tensors, {**metadata, **ranges}, effort)
 
 
-def part_data(field: CodedScene, shown: Shown, effort: int = 6) -> bytes:
+def part_data(field: LanguageField, shown: PageGaussians, effort: int = 6) -> bytes:
     """Return the file of a part of the scene, which the page loads later; arguments as for ``scene_data``."""
     tensors, ranges = _rows(field, shown, UnitCodes.of(field, shown.rows))
     return packed(tensors, {"version": VERSION, **ranges}, effort)
 
 
-def _rows(field: CodedScene, shown: Shown, codes: UnitCodes) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def _rows(
+    field: LanguageField, shown: PageGaussians, codes: UnitCodes
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return what a file has per Gaussian, and the ranges of its fractions."""
     largest = float(codes.weights.max()) if codes.weights.numel() else 0.0
     tensors, ranges = _splat(shown.gaussians)
@@ -103,8 +105,8 @@ def _rows(field: CodedScene, shown: Shown, codes: UnitCodes) -> tuple[dict[str, 
         "confidence": fractions(codes.confidence.T.numpy(), 0.0, 1.0),
     }
     if field.thing_table is not None:
-        own = field.thing_table.owners.cpu()[shown.rows].T.numpy()
-        tensors["owners"] = np.where(own == NO_THING, NO_OWNER, own).astype(np.uint16)
+        owners = field.thing_table.owners.cpu()[shown.rows].T.numpy()
+        tensors["owners"] = np.where(owners == NO_THING, NO_OWNER, owners).astype(np.uint16)
     return tensors, {**ranges, "weights_scale": largest}
 
 
@@ -174,7 +176,7 @@ def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     return tensors, ranges
 
 
-def _code_colors(field: CodedScene, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
+def _code_colors(field: LanguageField, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
     """Return a colour for each atom, [S, 3, L], whose weighted sum and offset [S, 3] is that of a code: like meaning,
     like colour, as in ``scoup.query.drawing.code_drawing``."""
     step = max(1, math.ceil(len(codes) / _CODES_FOR_COLORS))

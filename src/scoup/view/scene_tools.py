@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from scoup import raster
 from scoup.base.errors import InputError, looked_up
+from scoup.field.language_field import LanguageField
 from scoup.io import save_gaussians
 from scoup.models.text import LONGEST
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
-from scoup.query.methods import FieldQueries
-from scoup.query.phrases import counted_text
-from scoup.query.scene_things import Thing
+from scoup.query.relations import text_to_count
+from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
 
 MOST_LISTED = 200
@@ -40,7 +39,7 @@ class SceneTools:
     Everything a caller passes is checked; files are written into one folder only, and only new ones.
     """
 
-    fields: Mapping[str, FieldQueries]
+    fields: Mapping[str, LanguageField]
     """By the names under which they are served."""
     export_folder: Path | None = None
     """Where selections are written; None: nowhere."""
@@ -97,9 +96,8 @@ class SceneTools:
         field = self._field(scene)
         frame = field.frame(seen_from)
         reply = self._reply(field.things(_bounded(text), frame), limit)
-        counted = counted_text(text)
-        asked = text if counted is None else field._singular(counted) or counted
-        answers = {answer.text: answer.record() for answer in field.select(asked, frame=frame).parts}
+        asked = text_to_count(field, text) or text
+        answers = {answer.text: answer.to_dict() for answer in field.select(asked, frame=frame).parts}
         units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
         axes = "x, y, z of the splat that the field was built on"
         return {
@@ -107,8 +105,8 @@ class SceneTools:
             "texts": [
                 {"text": name, **{key: each[key] for key in _OF_TEXTS}} for name, each in answers.items()
             ],
-            "directions": frame.said(),
-            "frame": {"axes": axes, "units": units, **frame.record()},
+            "directions": frame.describe(),
+            "frame": {"axes": axes, "units": units, **frame.to_dict()},
         }
 
     def describe_thing(self, scene: str, thing: int) -> dict[str, Any]:
@@ -116,7 +114,7 @@ class SceneTools:
         every = self._things(scene)
         one = _numbered_thing(every, thing)
         parts = [number for number, each in every.items() if each.parent == thing]
-        return {**one.record(self.metres_per_unit), "parts": parts}
+        return {**one.to_dict(self.metres_per_unit), "parts": parts}
 
     def measure_distance(self, scene: str, thing: int, other: int) -> dict[str, Any]:
         """Measure the distance between the positions of two things."""
@@ -136,10 +134,10 @@ class SceneTools:
         view = field.camera(0 if camera is None else camera)
         if max(view.width, view.height) > WIDEST:
             view = Cameras([view]).scaled(WIDEST / max(view.width, view.height))[0]
-        projection = field.project(view)
-        picture = as_picture(raster.render_colors(field.gaussians, view, projection).cpu())
+        seen = field.at(view)
+        picture = as_picture(seen.renders.colors().cpu())
         for place, thing in enumerate(marked):
-            mask = thing_mask(field, projection, thing)
+            mask = thing_mask(seen, thing)
             if bool(mask.any()):
                 color = _COLORS[place % len(_COLORS)]
                 drawn = mask_overlay(mask, picture, color=color)
@@ -172,7 +170,7 @@ class SceneTools:
         save_gaussians(field.gaussians.select(answer.mask.to(field.gaussians.device)).to("cpu"), path)
         return {"file": path.name, "gaussians": count}
 
-    def _field(self, scene: str) -> FieldQueries:
+    def _field(self, scene: str) -> LanguageField:
         return looked_up("scene", scene, self.fields)
 
     def _things(self, scene: str) -> dict[int | None, Thing]:
@@ -181,7 +179,7 @@ class SceneTools:
     def _reply(self, things: list[Thing], limit: int) -> dict[str, Any]:
         if not 1 <= limit <= MOST_LISTED:
             raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
-        records = [thing.record(self.metres_per_unit) for thing in things[:limit]]
+        records = [thing.to_dict(self.metres_per_unit) for thing in things[:limit]]
         return {"count": len(things), "things": records}
 
 

@@ -19,6 +19,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
 from scoup.base.errors import ScoupError, UnknownNameError
+from scoup.field.cache import Cache
 from scoup.io import write_ply_table
 from scoup.view.export import jpeg
 from scoup.view.guard import HEADERS, MOST_BYTES, Guard
@@ -28,7 +29,9 @@ from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError, SupersededError, Work
 
 Answer = Callable[[Message, str], Awaitable[Response]]
-_MOST_PACKED = 64 << 20  # bytes of parts: those of a million Gaussians are packed once for all visitors
+_MOST_PACKED = (
+    64 << 20
+)  # bytes of parts and thumbnails: those of a million Gaussians are packed once for all visitors
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
@@ -73,8 +76,7 @@ class _Answers:
         self.mode = mode
         self.work = Work()
         self._first: bytes | None = None  # file of the scene
-        self._packed: dict[tuple[int, bool], bytes] = {}  # parts; the one sent last comes last
-        self._thumbnails: dict[int, bytes] = {}
+        self._cache = Cache(_MOST_PACKED)  # parts and thumbnails
         if mode != "remote":  # packed while a browser is opened
             self.work.begin(self._pack_first)
 
@@ -119,11 +121,7 @@ class _Answers:
         return Response(data, media_type="application/octet-stream", headers=headers)
 
     def _part(self, number: int, whole: bool) -> bytes:
-        data = self._packed.pop((number, whole), None) or self.viewed.part(number, whole=whole)
-        self._packed[number, whole] = data
-        while len(self._packed) > 1 and sum(map(len, self._packed.values())) > _MOST_PACKED:
-            del self._packed[next(iter(self._packed))]
-        return data
+        return self._cache.value(("part", number, whole), lambda: self.viewed.part(number, whole=whole))
 
     async def metadata(self, request: Request) -> Response:
         return JSONResponse(await self.work.run(self.viewed.metadata))
@@ -147,15 +145,16 @@ class _Answers:
     async def thumbnail(self, request: Request) -> Response:
         cameras = self.viewed.field.cameras or ()
         number = _number(request, len(cameras))
-        if number not in self._thumbnails:
+        picture = self._cache.get(number)
+        if picture is None:
             picture = await self.work.run(lambda: jpeg(self.viewed.thumbnail(cameras[number])))
-            self._thumbnails[number] = picture
-        return Response(self._thumbnails[number], media_type="image/jpeg")
+            self._cache.keep(number, picture)
+        return Response(picture, media_type="image/jpeg")
 
     async def query(self, message: Message, visitor: str) -> Response:
         texts, always = message.texts(), message.flag("always")
         answers = await self.work.run(lambda: self.viewed.answers(texts, always))
-        return JSONResponse({"answers": [answer.record() for answer in answers]})
+        return JSONResponse({"answers": [answer.to_dict() for answer in answers]})
 
     async def render(self, message: Message, visitor: str) -> Response:
         mode: Any = message.fields.get("mode", "color")

@@ -12,25 +12,24 @@ from typing import Any
 
 import torch
 
-from scoup import raster
 from scoup.base.errors import InputError, ScoupError
+from scoup.field.language_field import Encoder, LanguageField
 from scoup.io import PlyTable
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.query.answer import Answer
-from scoup.query.asking import Encoder
-from scoup.query.methods import FieldQueries
+from scoup.query.edits import SplatTable
+from scoup.query.field_view import FieldView
 from scoup.query.question import Question
-from scoup.query.splat_table import SplatTable
 from scoup.scene.cameras import Camera
 from scoup.view import parts
-from scoup.view.exact import Colors, ExactPictures, PictureMode, PictureRequest, what_is_at
+from scoup.view.decimation import MOST_GAUSSIANS, decimate
+from scoup.view.exact import Colors, PictureMode, PictureRequest, draw_picture, what_is_at
 from scoup.view.page_things import page_things
 from scoup.view.parts import Parts
 from scoup.view.scene_answers import PageAnswer, scene_answers
 from scoup.view.scene_data import part_data, scene_data, scene_metadata
-from scoup.view.shown import MOST_GAUSSIANS, shown_gaussians
 from scoup.view.unit_codes import UnitCodes, atom_scores
 from scoup.view.vocabulary import everyday_vocabulary
 
@@ -51,12 +50,12 @@ class ViewedField:
         encoder: of texts; by default the one that the field names. If that cannot be opened, the field is shown all the
             same, and ``words_problem`` says why no text can be asked.
         words: the vocabulary that a click chooses from; by default everyday words, or the names of the table.
-        most: Gaussians that the page shows at most (``shown_gaussians``), and as many again of parts that are near.
+        most: Gaussians that the page shows at most (``decimate``), and as many again of parts that are near.
     """
 
     def __init__(
         self,
-        field: FieldQueries,
+        field: LanguageField,
         encoder: Encoder | None = None,
         words: Sequence[str] | None = None,
         most: int = MOST_GAUSSIANS,
@@ -78,7 +77,7 @@ class ViewedField:
             if encoder is not None:
                 raise
             self.words_problem = str(error)
-        self._pictures = ExactPictures(field)
+        self._view: FieldView | None = None
 
     @cached_property
     def codes(self) -> UnitCodes:
@@ -116,11 +115,11 @@ class ViewedField:
         """Return whether only the names of a table can be asked."""
         return self.words_problem is None and self.field.text_encoder().names is not None
 
-    def question(self, texts: str | Sequence[str], always: bool = False, **options: Any) -> Question:
+    def question(self, texts: Sequence[str], always: bool = False, **options: Any) -> Question[list[str]]:
         """Return what ``field.question`` makes of texts and options."""
         if self.words_problem is not None:
             raise InputError(self.words_problem)
-        return self.field.question(texts if isinstance(texts, str) else list(texts), always=always, **options)
+        return self.field.question(list(texts), always=always, **options)
 
     @cached_property
     def identity(self) -> str:
@@ -155,13 +154,13 @@ class ViewedField:
         if self.words_problem is None:
             canonical = atom_scores(self.field, self.question(self._probe).canonical)
         if self._parts is None:
-            shown = shown_gaussians(self.gaussians.to("cpu"), self.most, self._owners)
+            gaussians = decimate(self.gaussians.to("cpu"), self.most, self._owners)
         else:
-            shown, counts = self._parts.coarse()
+            gaussians, counts = self._parts.coarse()
             metadata = {**metadata, "parts": counts}
             if self._parts.merges and not exported:
                 metadata["most"] = self.most
-        return scene_data(self.field, shown, canonical, metadata, effort)
+        return scene_data(self.field, gaussians, canonical, metadata, effort)
 
     @property
     def n_parts(self) -> int:
@@ -204,12 +203,18 @@ class ViewedField:
     ) -> Picture:
         """Return the method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
         answers = self._chosen_answers(texts, level, threshold, always) if texts else []
-        return self._pictures.picture(PictureRequest(camera, mode, answers, colors, opacity, level))
+        request = PictureRequest(camera, mode, answers, colors, opacity, level)
+        return draw_picture(self.view_of(camera), request)
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
         """Return what is at a pixel; see ``scoup.view.exact.what_is_at``."""
-        projection = self._pictures.projected(camera)
-        return what_is_at(self.field, self.codes.confidence, camera, pixel, self.vocabulary(), projection)
+        return what_is_at(self.view_of(camera), self.codes.confidence, pixel, self.vocabulary())
+
+    def view_of(self, camera: Camera) -> FieldView:
+        """Return the field as a camera sees it; the last view is kept."""
+        if self._view is None or self._view.camera.fingerprint() != camera.fingerprint():
+            self._view = self.field.at(camera)
+        return self._view
 
     def selection(
         self,
@@ -232,7 +237,7 @@ class ViewedField:
         if threshold is None or level is not None:
             return self.field.answer(question)
         levels = [answer.asked[0].level for answer in self.field.answer(self.question(texts, always))]
-        return [self.field.answer(question.one(number, level=own))[0] for number, own in enumerate(levels)]
+        return [self.field.answer(question.one(number, level=best))[0] for number, best in enumerate(levels)]
 
     def things(self) -> list[dict[str, Any]]:
         """Return the things of the scene as the page lists them (``page_things``)."""
@@ -264,7 +269,7 @@ class ViewedField:
         """Return a small picture of a view, [H, ``THUMBNAIL_WIDTH``, 3] uint8."""
         height = max(1, round(camera.height * THUMBNAIL_WIDTH / camera.width))
         small = camera.resized(THUMBNAIL_WIDTH, min(height, 4 * THUMBNAIL_WIDTH))
-        return as_picture(raster.render_colors(self.gaussians, small, self.field.project(small)))
+        return as_picture(self.field.at(small).renders.colors())
 
     @cached_property
     def _probe(self) -> list[str]:

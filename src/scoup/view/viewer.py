@@ -13,11 +13,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from scoup.base.errors import InputError, ScoupError
-from scoup.query.asking import Encoder
-from scoup.query.methods import FieldQueries
+from scoup.field.language_field import Encoder, LanguageField
+from scoup.view.decimation import MOST_GAUSSIANS
 from scoup.view.guard import Guard
 from scoup.view.page import page_files
-from scoup.view.shown import MOST_GAUSSIANS
 from scoup.view.viewed_field import ViewedField
 
 if TYPE_CHECKING:
@@ -68,8 +67,8 @@ class Viewer:
         guard = Guard.of(host)
         self.viewed, self.height = viewed, height
         self._socket = _bound(host, port)
-        shown = _shown_host(host)
-        self.address = f"http://{shown}:{self._socket.getsockname()[1]}{guard.prefix}/"
+        host_name = _shown_host(host)
+        self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
         config = uvicorn.Config(
             application(viewed, page, guard, remote),
             http=BoundedConnection,
@@ -143,7 +142,7 @@ class Viewer:
 
 
 def open_viewer(
-    field: FieldQueries,
+    field: LanguageField,
     encoder: Encoder | None = None,
     words: Sequence[str] | None = None,
     most: int = MOST_GAUSSIANS,
@@ -186,15 +185,15 @@ def _bound(host: str, port: int | None) -> socket.socket:
     refusal = ""
     for wanted in dict.fromkeys([address[1], 0 if port is None else address[1]]):
         # Of a socket that names TCP, asyncio sends small answers at once (TCP_NODELAY), 40 ms earlier.
-        found = socket.socket(family, kind, protocol)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound = socket.socket(family, kind, protocol)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            found.bind((address[0], wanted, *address[2:]))
+            bound.bind((address[0], wanted, *address[2:]))
         except OSError as error:
-            found.close()
+            bound.close()
             refusal = error.strerror or str(error)
         else:
-            return found
+            return bound
     raise InputError(f"{host}, port {port}: {refusal}; pass another `port`, or 0 for any that is free")
 
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
 from scoup.io.reading import existing_file, read_text
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
-from scoup.query.coded_scene import CodedScene
 from scoup.query.presence import Certainty
 from scoup.query.question import Question
 from scoup.view.packing import packed
@@ -46,7 +46,7 @@ def read_words(path: Path) -> tuple[str, ...]:
     return words
 
 
-def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: LanguageField, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
     """Return the file of words in an exported page (docs/formats.md, "Words of a page").
 
     Args:
@@ -82,14 +82,14 @@ def words_data(field: CodedScene, answers: Sequence[PageAnswer], effort: int = 9
 def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
     """Return how many things answer each word, [V, 1 + S]: without and with a level of choice; and their numbers, one
     after the other."""
-    found = [[answer.chosen_things, *answer.things] for answer in answers]
-    counts = [[0 if each is None else len(each) for each in row] for row in found]
-    numbers = [number for row in found for each in row for number in each or ()]
+    choices = [[answer.chosen_things, *answer.things] for answer in answers]
+    counts = [[0 if each is None else len(each) for each in row] for row in choices]
+    numbers = [number for row in choices for each in row for number in each or ()]
     return {"thing_counts": np.array(counts, np.uint16), "things": np.array(numbers, np.uint16)}
 
 
 def vocabulary_answers(
-    field: CodedScene, question: Question, progress: Progress = no_progress
+    field: LanguageField, question: Question, progress: Progress = no_progress
 ) -> list[PageAnswer]:
     """Return the answers to all words; arguments as for ``scene_answers``."""
     answers = []

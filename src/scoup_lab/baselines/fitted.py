@@ -16,7 +16,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.field.language_field import LanguageField
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.scene.codes import cosines_from_codes
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.things import ThingTable

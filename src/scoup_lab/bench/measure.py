@@ -87,7 +87,7 @@ class Timing:
     def median(self) -> float:
         return median(self.seconds)
 
-    def record(self) -> dict[str, float | int]:
+    def to_dict(self) -> dict[str, float | int]:
         """Return median, least and most seconds and the number of repetitions, for JSON."""
         return {
             "median_s": self.median,

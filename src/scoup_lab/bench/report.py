@@ -36,9 +36,9 @@ class Row:
             "threads": self.threads,
         }
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the record, for JSON."""
-        return {**self.setting(), **self.timing.record()}
+        return {**self.setting(), **self.timing.to_dict()}
 
 
 def ratios(rows: Iterable[Row]) -> dict[Row, float]:
@@ -61,7 +61,7 @@ def comparison(rows: Iterable[Row]) -> dict[str, list[dict[str, Any]]]:
     """Return the rows and their ratios, for JSON."""
     rows = list(rows)
     over = [{**row.setting(), f"time_over_{SPECIFICATION}": ratio} for row, ratio in ratios(rows).items()]
-    return {"rows": [row.record() for row in rows], "ratios": over}
+    return {"rows": [row.to_dict() for row in rows], "ratios": over}
 
 
 def stage_table(rows: Sequence[Row]) -> str:

@@ -13,8 +13,7 @@ import torch
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import check_output, load_cameras, load_gaussians, load_regions
-from scoup.query.question import Question
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import Question, TextVectors
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
@@ -146,7 +145,7 @@ def _labelled(scene: DemoScene, folder: Path) -> LabelledScene:
     return LabelledScene("", folder, folder, folder, scene.held_out, PROTOCOL, frames)
 
 
-def question_of(scene: DemoScene, labels: Sequence[str]) -> Question:
+def question_of(scene: DemoScene, labels: Sequence[str]) -> Question[list[str]]:
     """Return labels beside all words that have a vector, as `scoup query` compares them; presence is not judged."""
     words = [word for word in scene.words.texts if word not in CANONICAL]
     everyday = scene.text_vectors(words)
@@ -158,7 +157,7 @@ def answered(field: LanguageField, scene: DemoScene, labelled: LabelledScene) ->
     """Score what the field answers in the labelled views; presence is not judged."""
     pairs = []
     for frame, camera in labelled.frames:
-        for answer in field.answer(question_of(scene, frame.labels), camera) if frame.labels else ():
+        for answer in field.at(camera).answer(question_of(scene, frame.labels)) if frame.labels else ():
             point = torch.tensor([answer.point or (-1, -1)])
             hit = any_inside(point, frame.boxes[answer.text])
             level = field.level_index(answer.level)

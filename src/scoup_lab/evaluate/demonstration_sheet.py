@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup.raster import render_colors
 from scoup_lab.evaluate.demonstration import METHOD, DemoResult, question_of, rows_by_name
 from scoup_lab.evaluate.scores import PairScore
 
@@ -48,9 +47,9 @@ def _median_pair(result: DemoResult, name: str) -> PairScore:
 def _row(result: DemoResult, pair: PairScore) -> tuple[Picture, Picture, Picture]:
     scene, field = result.scene, result.field
     camera = scene.held_out[pair.frame]
-    projection = field.project(camera)
-    rgb = render_colors(field.gaussians, camera, projection)
-    (answer,) = field.answer(question_of(scene, [pair.label]), camera, projection=projection)
+    view = field.at(camera)
+    rgb = view.renders.colors()
+    (answer,) = view.answer(question_of(scene, [pair.label]))
     truth = mask_overlay(
         scene.mask(camera.name, pair.label),
         rgb,

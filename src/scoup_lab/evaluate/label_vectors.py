@@ -7,7 +7,7 @@ from pathlib import Path
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.models.text import TextEncoder
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scenes import SceneFiles
 

@@ -13,7 +13,7 @@ from scoup.base.digests import file_sha256
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import save_png
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
 from scoup.io import load_gaussians, load_regions
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import Method, MethodSettings

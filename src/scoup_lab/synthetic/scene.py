@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.query.view_masks import mask_box
+from scoup.query.view_answer import mask_box
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, Regions

@@ -15,14 +15,14 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.query.select import select_by_relevancy
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
+from scoup.query.votes import select_by_relevancy
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import Neighbourhood
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.metrics import iou
+from scoup_lab.evaluate.protocols.neighbourhood import Neighbourhood
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 

@@ -11,7 +11,7 @@ from scoup import raster
 from scoup.base.errors import InputError
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.models.words import with_everyday
-from scoup.query.text_vectors import TextVectors
+from scoup.query.question import TextVectors
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame

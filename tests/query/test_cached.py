@@ -11,9 +11,9 @@ from torch import Tensor
 
 from query.conftest import WORDS, random_vectors
 from scoup.base.native import native_core
+from scoup.field.cache import ENTRY_BYTES, Cache
 from scoup.field.language_field import LanguageField
-from scoup.query.recent import Recent
-from scoup.query.relevancy import relevancy
+from scoup.field.relevancy import relevancy
 from scoup.scene.code_sums import inverse_code_norms
 from scoup.scene.codes import SparseCodes, cosines_from_codes
 
@@ -77,14 +77,14 @@ def test_codes_that_change_are_noticed(field: LanguageField) -> None:
 
 def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> None:
     first = field.location(field.question("word 3", always=True))
-    expected, thing = first.record(), first.thing
+    expected, thing = first.to_dict(), first.thing
     assert field.question("word 3") is field.question("word 3")
     assert field.question("word 3") is not field.question("word 3", always=True)
     assert thing is not None
     first.answer.mask[:] = True
     thing.position[:] = thing.gaussians[:] = 0
     again = field.location(field.question("word 3", always=True))
-    assert again.record() == expected
+    assert again.to_dict() == expected
     assert not again.answer.mask.equal(first.answer.mask)
     either = field.question(["word 3", "word 4"], always=True)
     field.select(either).mask[:] = False
@@ -92,14 +92,14 @@ def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> N
     moved = field.with_gaussians(field.gaussians)
     field.thing_table = None
     assert field.location(field.question("word 3", always=True)).answer.threshold is not None
-    assert moved.location(moved.question("word 3", always=True)).record() == expected
+    assert moved.location(moved.question("word 3", always=True)).to_dict() == expected
     relevancy = field.answer("word 3").relevancy()
     field.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))
     assert not field.answer("word 3").relevancy().equal(relevancy)
 
 
 def test_many_questions_keep_memory_flat(field: LanguageField) -> None:
-    field.recent = Recent(256, 50_000)
+    field.cache = Cache(50_000)
     sizes = []
     dice = np.random.default_rng(0)
     for number in range(400):
@@ -111,27 +111,39 @@ def test_many_questions_keep_memory_flat(field: LanguageField) -> None:
             field.select(f"{one} and not {other}")
         else:
             field.location(random_vectors(16, seed=number))
-        sizes.append((len(field.recent), field.recent.bytes))
+        sizes.append((len(field.cache), field.cache.bytes))
     count, n_bytes = (max(each) for each in zip(*sizes, strict=True))
-    assert 20 < count <= 256
+    assert 20 < count <= 50_000 / ENTRY_BYTES
     assert 40_000 < n_bytes <= 50_000
-    assert len(field._cosines) == 0
 
 
 def test_what_is_kept_is_the_newest_within_bounds() -> None:
-    kept = Recent(3, 100)
+    entry = ENTRY_BYTES + 100
+    kept = Cache(3 * entry)
     for number in range(4):
-        kept.keep(number, str(number), 30)
-    assert [kept.get(number) for number in range(4)] == [None, "1", "2", "3"]
+        kept.keep(number, bytes([number]) * 100)
+    assert [(kept.get(number) or b"none")[:1] for number in range(4)] == [b"n", b"\1", b"\2", b"\3"]
     kept.get(1)
-    kept.keep(4, "4", 50)
-    assert [kept.get(number) for number in (1, 2, 3, 4)] == [None, None, "3", "4"] or kept.bytes <= 100
-    kept.keep(5, "5", 101)
+    kept.keep(4, bytes(100 + 1))  # a byte too many
+    assert [kept.get(number) is None for number in (1, 2, 3, 4)] == [False, True, True, False]
+    kept.keep(5, bytes(3 * entry))
     assert kept.get(5) is None
-    kept.keep(4, "new", 10)
-    assert (kept.get(4), kept.bytes <= 100) == ("new", True)
+    kept.keep(4, [torch.zeros(2), torch.zeros(3)])
+    assert kept.bytes == entry + ENTRY_BYTES + 20
     kept.clear()
     assert (len(kept), kept.bytes) == (0, 0)
+
+
+def test_parts_that_change_while_a_value_is_made_leave_nothing() -> None:
+    part, kept = torch.zeros(3), Cache(1 << 20)
+    assert kept.value("sum", lambda: part.add_(1).sum(), [part]) == 3
+    assert len(kept) == 0
+    assert kept.value("sum", lambda: part.sum() + 1, [part]) == 4
+    assert kept.value("sum", lambda: part.sum(), [part]) == 4
+    assert kept.value("sum", lambda: part.sum(), [part.clone()]) == 3  # another tensor
+    with torch.inference_mode():
+        part = torch.zeros(3)  # such tensors count no versions
+        assert kept.value("sum", lambda: part.sum(), [part]) == 0
 
 
 def test_several_threads_ask_one_field(field: LanguageField) -> None:
@@ -141,10 +153,10 @@ def test_several_threads_ask_one_field(field: LanguageField) -> None:
     def answers(asked: LanguageField, word: str) -> tuple[object, ...]:
         question = asked.question([word, "word 20"], always=True)
         return (
-            asked.location(word).record(),
-            asked.answer(word, 1).record(),
-            [thing.record() for thing in asked.things(word)],
-            asked.select(f"{word} and not word 20").record(),
+            asked.location(word).to_dict(),
+            asked.at(1).answer(word).to_dict(),
+            [thing.to_dict() for thing in asked.things(word)],
+            asked.select(f"{word} and not word 20").to_dict(),
             asked.label(question).counts(),
         )
 
@@ -166,9 +178,9 @@ def test_several_threads_ask_one_field(field: LanguageField) -> None:
 
 
 def test_a_smaller_look(field: LanguageField) -> None:
-    answer = field.answer(field.question("word 3", always=True), 0, scale=0.5)
-    height, width = field.answer(field.question("word 3", always=True), 0).mask.shape
+    answer = field.at(0, scale=0.5).answer(field.question("word 3", always=True))
+    height, width = field.at(0).answer(field.question("word 3", always=True)).mask.shape
     assert answer.mask.shape == (round(height / 2), round(width / 2))
     assert field.cameras is not None
     small = field.cameras.scaled(0.5)[0]
-    assert field.answer(field.question("word 3", always=True), small).record() == answer.record()
+    assert field.at(small).answer(field.question("word 3", always=True)).to_dict() == answer.to_dict()

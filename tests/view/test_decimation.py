@@ -11,7 +11,7 @@ from scoup import raster
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0, Gaussians
 from scoup.scene.rotations import rotation_matrices
-from scoup.view.shown import shown_gaussians
+from scoup.view.decimation import decimate
 from support import KINDS, examples, random_gaussians
 
 
@@ -43,7 +43,7 @@ def moments(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor, torch.Ten
 
 def test_what_fits_is_shown_as_it_is() -> None:
     gaussians = random_gaussians(100, 0)
-    shown = shown_gaussians(gaussians, 100)
+    shown = decimate(gaussians, 100)
     assert shown.rows.sort().values.tolist() == list(range(100))
     assert shown.gaussians.scales.equal(gaussians.scales[shown.rows])
     assert shown.gaussians.opacities.equal(gaussians.opacities[shown.rows])
@@ -52,7 +52,7 @@ def test_what_fits_is_shown_as_it_is() -> None:
 
 def test_a_merged_gaussian_has_the_moments_of_its_members() -> None:
     gaussians = cluster(20, 1)
-    shown = shown_gaussians(gaussians, 5)
+    shown = decimate(gaussians, 5)
     assert len(shown.rows) == 5
     merged = int(((shown.gaussians.means - 4.1).abs().amax(1) < 0.1).nonzero())
     members = gaussians.select(slice(0, 20))
@@ -72,7 +72,7 @@ def test_large_ones_and_other_colours_are_not_merged() -> None:
     gaussians = cluster(20, 2)
     gaussians.scales[3] = 3.0
     gaussians.sh[7] = -0.5 / SH_C0  # black
-    shown = shown_gaussians(gaussians, 7)
+    shown = decimate(gaussians, 7)
     assert {3, 7} <= set(shown.rows.tolist())
     for row in (3, 7):
         place = int((shown.rows == row).nonzero())
@@ -83,10 +83,10 @@ def test_large_ones_and_other_colours_are_not_merged() -> None:
 def test_different_things_are_not_merged() -> None:
     gaussians = cluster(20, 3)
     owners = torch.arange(24) % 2
-    shown = shown_gaussians(gaussians, 6, owners)
+    shown = decimate(gaussians, 6, owners)
     near = (shown.gaussians.means - 4.1).abs().amax(1) < 0.1
     assert sorted(owners[shown.rows[near]].tolist()) == [0, 1]
-    assert int((shown_gaussians(gaussians, 5).gaussians.means - 4.1).abs().amax(1).lt(0.1).sum()) == 1
+    assert int((decimate(gaussians, 5).gaussians.means - 4.1).abs().amax(1).lt(0.1).sum()) == 1
 
 
 @settings(max_examples=examples(30), deadline=None)
@@ -94,13 +94,13 @@ def test_different_things_are_not_merged() -> None:
 def test_any_gaussians(count: int, seed: int, most: int) -> None:
     gaussians = random_gaussians(count, seed, kinds=KINDS)
     drawable = gaussians.finite() & (gaussians.opacities > 0) & gaussians.quats.any(1)
-    shown = shown_gaussians(gaussians, most)
+    shown = decimate(gaussians, most)
     assert len(shown.gaussians) == len(shown.rows) <= most
     assert (len(shown.rows) > 0) == bool(drawable.any())
     assert drawable[shown.rows].all()
     assert len(set(shown.rows.tolist())) == len(shown.rows)
     assert shown.gaussians.finite().all()
-    again = shown_gaussians(gaussians, most)
+    again = decimate(gaussians, most)
     assert again.rows.equal(shown.rows)
     assert again.gaussians.means.equal(shown.gaussians.means)
 
@@ -124,4 +124,4 @@ def test_the_picture_is_nearer_than_without_the_smallest() -> None:
 
     cover = gaussians.opacities * gaussians.scales[:, :2].prod(1)
     largest = gaussians.select(cover.argsort(descending=True)[: count // 10])
-    assert error(shown_gaussians(gaussians, count // 10).gaussians) < 0.3 * error(largest)
+    assert error(decimate(gaussians, count // 10).gaussians) < 0.3 * error(largest)

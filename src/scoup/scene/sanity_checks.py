@@ -1,4 +1,4 @@
-"""Sanity checks of Gaussians: damaged numbers that are finite and so pass every other check."""
+"""Sanity checks of Gaussians: damaged numbers that are finite, and so pass every other check."""
 
 from __future__ import annotations
 

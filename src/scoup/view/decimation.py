@@ -25,19 +25,19 @@ _PAIRS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class PageGaussians:
     """The M Gaussians of a page, in an order in which neighbours are near, so that what is packed compresses well."""
 
     gaussians: Gaussians
     rows: Tensor  # [M] int64, of the field's Gaussian whose codes and things each has
 
 
-def shown_gaussians(
+def decimate(
     gaussians: Gaussians,
     most: int = MOST_GAUSSIANS,
     owners: Tensor | None = None,
     copies: NDArray[np.int64] | None = None,
-) -> Shown:
+) -> PageGaussians:
     """Return the Gaussians of a page, at most so many; without colours that depend on the direction.
 
     If more can be drawn, neighbours are merged: those in one cell of a grid that are small beside the cell, of a
@@ -59,7 +59,7 @@ def shown_gaussians(
         drawn, members = _merged(drawn, weight, group, most)
         rows = rows[members]
     order = morton_codes(torch.from_numpy(drawn.means))[0].numpy().argsort(kind="stable")
-    return Shown(drawn.select(order).gaussians(), torch.from_numpy(rows[order]))
+    return PageGaussians(drawn.select(order).gaussians(), torch.from_numpy(rows[order]))
 
 
 def drawable(gaussians: Gaussians) -> NDArray[np.bool_]:
@@ -193,17 +193,17 @@ def _merged(
     xx, yy, zz, xy, xz, yz = (mean(spread) for spread in spreads)
 
     chosen = np.sort((-total).argsort(kind="stable")[:most])
-    found = drawn.select(members[chosen])
+    merged = drawn.select(members[chosen])
     many = np.flatnonzero(sizes[chosen] > 1)
     own = chosen[many]
     covariances = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1)[own].reshape(-1, 3, 3)
     variances, axes = np.linalg.eigh(covariances)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
     scales = np.sqrt(variances.clip(min=0))
-    found.means[many] = means[own]
-    found.quats[many] = quats_of_rotations(torch.from_numpy(axes)).numpy()
-    found.scales[many] = scales
+    merged.means[many] = means[own]
+    merged.quats[many] = quats_of_rotations(torch.from_numpy(axes)).numpy()
+    merged.scales[many] = scales
     with np.errstate(divide="ignore"):
-        found.opacities[many] = (total[own] / (scales[:, 1] * scales[:, 2])).clip(max=_MOST_ALPHA)
-    found.colors[many] = colors[own]
-    return found, members[chosen]
+        merged.opacities[many] = (total[own] / (scales[:, 1] * scales[:, 2])).clip(max=_MOST_ALPHA)
+    merged.colors[many] = colors[own]
+    return merged, members[chosen]

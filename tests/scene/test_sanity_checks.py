@@ -9,7 +9,7 @@ import torch
 
 from scoup.io import load_gaussians
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.sanity import sanity_problems
+from scoup.scene.sanity_checks import sanity_problems
 from support import random_gaussians
 
 

@@ -1,23 +1,32 @@
-"""Labels: one of several words per Gaussian."""
+"""Which of several words fits each Gaussian, in the scene and in views."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
+from scoup.field.language_field import LanguageField
+from scoup.pictures import contact_sheet, region_overlay, stacked, swatch_legend
+from scoup.pictures.colors import Picture, label_colors
 from scoup.query.answer import Answer
-from scoup.query.answering import answer_scene
-from scoup.query.coded_scene import CodedScene
-from scoup.query.question import Question
+from scoup.query.answer_scene import answers_of
+from scoup.query.field_view import FieldView
+from scoup.query.question import Question, Several, as_question
 
 NONE = -1
 """The id of a Gaussian that no word fits."""
 NONE_NAME = "none"
+AT_A_TIME = 16  # words rendered together
+LEAST_ALPHA = 0.5  # of a pixel with a label
+COLUMNS, SHEET_WIDTH = 3, 1500
+MOST_VIEWS = 6  # on a sheet
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,23 +75,24 @@ class GaussianLabels:
 
     def counts(self) -> dict[str, int]:
         """Return the number of Gaussians per word, and of "none"."""
-        found = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
-        return {**dict(zip(self.names, found[1:], strict=True)), NONE_NAME: found[0]}
+        counts = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
+        return {**dict(zip(self.names, counts[1:], strict=True)), NONE_NAME: counts[0]}
 
 
-def label(field: CodedScene, question: Question) -> GaussianLabels:
-    """Return the word that fits each Gaussian best, or "none"; ``field.label`` calls this.
+def label(field: LanguageField, question: Question[Any] | str | Several) -> GaussianLabels:
+    """Return the word that fits each Gaussian best, or "none"; ``field.label`` documents it.
 
     A word applies to the Gaussians that ``answer_scene`` returns for it. Of several words for one Gaussian, the one
     answered by the finest level counts, for the name of a part says more than that of its whole; of words of one level
     the one with the largest score.
     """
-    names = question.texts
+    asked = as_question(field, question)
+    names = asked.texts
     if len(set(names)) < len(names) or NONE_NAME in names:
         raise InputError(
             f"labels need words that differ from each other and from {NONE_NAME!r} (got {', '.join(names)})"
         )
-    answers = answer_scene(field, question)
+    answers = answers_of(field, asked)
     return GaussianLabels(
         labels_of_answers(answers, field.levels),
         names,
@@ -104,3 +114,50 @@ def labels_of_answers(answers: Sequence[Answer], levels: Sequence[str]) -> Tenso
     for number in order:
         ids[answers[number].mask] = number
     return ids
+
+
+def label_map(view: FieldView, labels: GaussianLabels) -> Tensor:
+    """Return the word whose Gaussians contribute most to each pixel, [H, W] int32 on the CPU; ``NONE`` where Gaussians
+    without a word do, or where alpha is below ``LEAST_ALPHA``.
+    """
+    ids = labels.ids.to(view.field.codebook.device)
+    numbers = torch.arange(NONE, len(labels.names), device=ids.device, dtype=ids.dtype)
+    shape = view.camera.height, view.camera.width
+    most, painted = torch.full(shape, -1.0, device=ids.device), torch.zeros(shape, device=ids.device)
+    given = torch.full(shape, NONE, device=ids.device, dtype=ids.dtype)
+    for part in numbers.split(AT_A_TIME):
+        image, painted = raster.render_channels(view.projection, (ids[:, None] == part).float())
+        largest, places = image.max(2)
+        given = torch.where(largest > most, part[places], given)
+        most = torch.maximum(largest, most)
+    return torch.where(painted >= LEAST_ALPHA, given, NONE).int().cpu()
+
+
+class LabelSheet:
+    """Views with their label maps beside each other, over a legend of the words."""
+
+    def __init__(self, labels: GaussianLabels) -> None:
+        self._labels = labels
+        self._tiles: list[Picture] = []
+        self._names: list[str] = []
+
+    def add(self, view: str, numbers: Tensor, rgb: Tensor) -> None:
+        """Add a view by its name, its ``label_map`` and its colours [H, W, 3] float 0..1."""
+        self._tiles.append(region_overlay(numbers, rgb))
+        self._names.append(view)
+
+    def picture(self) -> Picture:
+        """Draw the sheet, [H, W, 3] uint8."""
+        sheet = contact_sheet(self._tiles, self._names, COLUMNS, SHEET_WIDTH)
+        counts = self._labels.counts()
+        order = sorted(range(len(self._labels.names)), key=lambda number: -counts[self._labels.names[number]])
+        used = [number for number in order if counts[self._labels.names[number]]]
+        colors = label_colors(len(self._labels.names))
+        legend = swatch_legend(
+            sheet.shape[1],
+            f"Labels of {len(self._labels.ids):,} Gaussians; grey: {NONE_NAME} of the words ({counts[NONE_NAME]:,}).",
+            "words",
+            [tuple(colors[number].tolist()) for number in used],
+            [self._labels.names[number] for number in used],
+        )
+        return stacked([sheet, legend])

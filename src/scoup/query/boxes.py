@@ -1,4 +1,4 @@
-"""Positions, boxes and spans of many things at once, from the Gaussians of each."""
+"""Where things are and how large: positions, boxes and spans of many at once, from the Gaussians of each."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class OrientedBox:
 
     __repr__ = brief
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the box as plain JSON values, rounded."""
         axes = [[round(each, 6) for each in row] for row in self.axes.tolist()]
         return {
@@ -61,7 +61,7 @@ class OrientedBox:
 
 
 @dataclass(frozen=True, eq=False)
-class ThingPoints:
+class PointSets:
     """The Gaussians of T things without strays, one thing after the other. M of them in all."""
 
     means: Array  # [M, 3]
@@ -69,7 +69,7 @@ class ThingPoints:
     starts: NDArray[np.int64]  # [T + 1], where each thing starts
 
     @classmethod
-    def of(cls, gaussians: Gaussians, members: Sequence[Tensor]) -> ThingPoints:
+    def of(cls, gaussians: Gaussians, members: Sequence[Tensor]) -> PointSets:
         """Make shapes of the Gaussians of each thing, by their numbers; weights are opacities."""
         rows = torch.cat([*members, torch.empty(0, dtype=torch.int64)]).cpu()
         chosen = gaussians.select(rows.to(gaussians.device)).to("cpu")
@@ -86,7 +86,7 @@ class ThingPoints:
         return cls(means[near], weights[near], kept)
 
     @classmethod
-    def of_one_thing(cls, points: Tensor, weights: Tensor) -> ThingPoints:
+    def of_one_thing(cls, points: Tensor, weights: Tensor) -> PointSets:
         """Make the shape of one thing from points [M, 3] and their weights [M], some above 0; no point is a stray."""
         return cls(points.numpy(), weights.numpy(), np.array([0, len(points)]))
 
@@ -111,15 +111,15 @@ class ThingPoints:
         values = self.means
         if axes is not None:
             values = np.einsum("mad,md->ma", axes[self.owners], values)
-        found = np.full((len(self), values.shape[1], len(shares)), np.nan)
+        ends = np.full((len(self), values.shape[1], len(shares)), np.nan)
         filled = np.flatnonzero(np.diff(self.starts))
         if len(filled):
             firsts, rows = self.starts[filled], np.searchsorted(filled, self.owners)
             for axis in range(values.shape[1]):
-                found[filled, axis] = _quantiles(
+                ends[filled, axis] = _quantiles(
                     np.ascontiguousarray(values[:, axis]), self.weights, firsts, rows, shares
                 )
-        return found
+        return ends
 
     def spans(self) -> Array:
         """[T, 3, 2] lower and upper end along each axis; NaN without Gaussians."""
@@ -172,12 +172,12 @@ class ThingPoints:
         ends = self.quantiles([(1 - INSIDE) / 2, (1 + INSIDE) / 2], axes)
         return ends[..., 1] - ends[..., 0]
 
-    def _sample(self, most: int) -> ThingPoints:
+    def _sample(self, most: int) -> PointSets:
         """Return every n-th Gaussian of each thing, about ``most`` of each."""
         counts = np.diff(self.starts)
         place = np.arange(len(self.means)) - np.repeat(self.starts[:-1], counts)
         some = place % np.repeat(np.maximum(1, counts // most), counts) == 0
-        return ThingPoints(self.means[some], self.weights[some], np.append(0, np.cumsum(some))[self.starts])
+        return PointSets(self.means[some], self.weights[some], np.append(0, np.cumsum(some))[self.starts])
 
     def _sums(self, values: Array) -> Array:
         return np.bincount(self.owners, values, len(self)).astype(np.float64)
@@ -208,7 +208,7 @@ def _quantiles(
     bins = np.minimum((values - low[rows]) / span[rows] * BINS, BINS - 1).astype(np.int64) + rows * BINS
     sums = np.zeros((len(firsts), BINS + 1))  # of all bins before
     sums[:, 1:] = np.bincount(bins, weights, len(firsts) * BINS).reshape(-1, BINS).cumsum(1)
-    found = np.empty((len(firsts), len(shares)))
+    quantiles = np.empty((len(firsts), len(shares)))
     for place, share in enumerate(shares):
         wanted = share * sums[:, -1]
         chosen = (sums[:, 1:-1] < wanted[:, None]).sum(1)
@@ -218,5 +218,5 @@ def _quantiles(
         starts = np.searchsorted(rows[members], np.arange(len(firsts) + 1))
         within = np.concatenate([[0.0], np.cumsum(weights[members])])
         at = np.searchsorted(within[1:], within[starts[:-1]] + wanted - below)
-        found[:, place] = values[members[np.clip(at, starts[:-1], starts[1:] - 1)]]
-    return found
+        quantiles[:, place] = values[members[np.clip(at, starts[:-1], starts[1:] - 1)]]
+    return quantiles

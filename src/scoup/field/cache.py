@@ -1,0 +1,115 @@
+"""The one cache: values that the next question to a field, or to one of its views, uses again."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, TypeVar
+
+from torch import Tensor
+
+Value = TypeVar("Value")
+Parts = Sequence[object]
+"""What values are made from: tensors, and objects that do not change."""
+
+ENTRY_BYTES = 512
+"""Counted for every entry, besides its tensors."""
+
+
+class Cache:
+    """Values by key, of at most ``most_bytes`` together; those used longest ago go first.
+
+    A field owns one, each of its views another. It is emptied once a part that its values are made from is replaced or
+    written to. Threads may share it. Copies start empty.
+
+    Example:
+        >>> cache = Cache(most_bytes=1 << 20)
+        >>> cache.value("zeros", lambda: torch.zeros(2)), cache.value("zeros", lambda: torch.ones(2))
+        (tensor([0., 0.]), tensor([0., 0.]))
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self.most_bytes = most_bytes
+        self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._bytes = 0
+        self._parts: tuple[tuple[object, int], ...] = ()
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[type[Cache], tuple[int]]:
+        return Cache, (self.most_bytes,)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of all values together."""
+        return self._bytes
+
+    def value(self, key: Hashable, make: Callable[[], Value], parts: Parts = ()) -> Value:
+        """Return the value of a key; ``make`` it from the parts if it is missing."""
+        found = self.get(key, parts)
+        if found is None:
+            state = _state(parts)
+            found = make()
+            if _same(state, _state(parts)):  # no thread has changed a part meanwhile
+                self.keep(key, found, parts)
+        return found
+
+    def get(self, key: Hashable, parts: Parts = ()) -> Any:
+        """Return the value of a key, or None."""
+        with self._lock:
+            self._check(parts)
+            if key not in self._values:
+                return None
+            self._values.move_to_end(key)
+            return self._values[key][0]
+
+    def keep(self, key: Hashable, value: Any, parts: Parts = ()) -> None:
+        """Store a value that was made from the parts, unless it is larger than the whole cache."""
+        n_bytes = ENTRY_BYTES + size_of(value)
+        with self._lock:
+            self._check(parts)
+            self._bytes -= self._values.pop(key, (None, 0))[1]
+            if n_bytes > self.most_bytes:
+                return
+            self._values[key] = value, n_bytes
+            self._bytes += n_bytes
+            while self._bytes > self.most_bytes:
+                self._bytes -= self._values.popitem(last=False)[1][1]
+
+    def clear(self) -> None:
+        """Remove all values."""
+        with self._lock:
+            self._empty()
+
+    def _empty(self) -> None:
+        self._values.clear()
+        self._bytes = 0
+
+    def _check(self, parts: Parts) -> None:
+        state = _state(parts)
+        if not _same(state, self._parts):
+            self._empty()
+            self._parts = state
+
+
+def size_of(value: Any) -> int:
+    """Return the bytes of a value: its ``nbytes``, or those of the items of a list or tuple."""
+    if isinstance(value, (list, tuple)):
+        return sum(map(size_of, value))
+    return len(value) if isinstance(value, bytes) else getattr(value, "nbytes", 0)
+
+
+def _state(parts: Parts) -> tuple[tuple[object, int], ...]:
+    """Return each part with how often it was written to; inference tensors do not count that."""
+    return tuple(
+        (part, part._version if isinstance(part, Tensor) and not part.is_inference() else 0) for part in parts
+    )
+
+
+def _same(one: Sequence[tuple[object, int]], other: Sequence[tuple[object, int]]) -> bool:
+    return len(one) == len(other) and all(
+        a is b and before == after for (a, before), (b, after) in zip(one, other, strict=True)
+    )

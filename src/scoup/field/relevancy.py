@@ -1,0 +1,184 @@
+"""Relevancy of Gaussians and pixels to queries (method.md, stage 3), without decoding, and what further queries reuse.
+
+A cosine is W A / sqrt(W G W^T). The norm depends on the codes, for pixels also on the projection; the largest cosine of
+the canonical phrases also on the phrases. Once both are known, a further query costs a sum of K products per Gaussian
+and level, or a render of one channel per level: each Gaussian's own product W A, which is linear in its code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.base.errors import InputError
+from scoup.scene.code_sums import (
+    atom_products,
+    best_code_cosines,
+    code_relevancy,
+    code_scores,
+    inverse_code_norms,
+)
+
+TEMPERATURE = 10.0
+MOST_CHANNELS = 18
+"""Further queries and phrases times levels: beyond, it takes longer to render channels than cosines."""
+
+
+def relevancy(
+    cosines: Tensor,  # [S, Q, ...]
+    canonical: Tensor,  # [S, P, ...]
+    temperature: float = TEMPERATURE,
+) -> Tensor:
+    """Return how much better a query fits than the best canonical phrase, [S, Q, ...] in 0..1; 0.5 is a draw.
+
+    It is min over k of exp(a q) / (exp(a q) + exp(a canon_k)), computed as sigmoid(a (q - max_k canon_k)). Where
+    nothing is rendered, all cosines are 0 and relevancy is 0.5.
+
+    Args:
+        cosines: of Q queries, per level; the trailing shape is free (pixels, Gaussians).
+        canonical: of P >= 1 canonical phrases.
+        temperature: a.
+    """
+    if cosines.dim() < 2 or cosines.dim() != canonical.dim():
+        raise InputError(
+            f"cosines {list(cosines.shape)} and canonical {list(canonical.shape)} must be [S, Q or P, ...]"
+        )
+    if cosines.shape[0] != canonical.shape[0] or cosines.shape[2:] != canonical.shape[2:]:
+        raise InputError(
+            f"cosines {list(cosines.shape)} and canonical {list(canonical.shape)} differ beyond axis 1"
+        )
+    if canonical.shape[1] == 0:
+        raise InputError("relevancy needs at least one canonical phrase")
+    # In place after the first step: maps of all pixels are large.
+    return (cosines - canonical.amax(1, keepdim=True)).mul_(temperature).sigmoid_()
+
+
+@dataclass(frozen=True, eq=False)
+class FieldCodes:
+    """The codes of N Gaussians."""
+
+    indices: Tensor  # [N, S, K]
+    weights: Tensor  # [N, S, K]
+    codebook: Tensor  # [S, L, D]
+
+    def inverse_norms(self) -> Tensor:
+        """Return 1 / sqrt(W G W^T), [N, S] float32; 0 without a code."""
+        return inverse_code_norms(self.indices, self.weights, self.codebook)
+
+    def coded(self) -> Tensor:
+        """Return which Gaussians have a code at each level, boolean [S, N]."""
+        found = torch.zeros(self.weights.shape[:2], dtype=torch.bool, device=self.weights.device)
+        for weights in self.weights.unbind(-1):
+            found |= weights > 0
+        return found.T.contiguous()
+
+    def atom_scores(self, vectors: Tensor) -> Tensor:
+        """Return the products [S, L, Q] of the atoms with vectors [Q, D]."""
+        return torch.stack([atom_products(atoms, vectors) for atoms in self.codebook])
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianCosines:
+    """Codes, and their largest cosine with canonical phrases."""
+
+    codes: FieldCodes
+    inverse_norms: Tensor  # [N, S]
+    best: Tensor  # [N, S]
+
+    @classmethod
+    def of(cls, codes: FieldCodes, inverse_norms: Tensor, canonical: Tensor) -> GaussianCosines:
+        """Compare codes with canonical phrases [P, D]."""
+        scores = codes.atom_scores(canonical)
+        return cls(
+            codes, inverse_norms, best_code_cosines(codes.indices, codes.weights, inverse_norms, scores)
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the largest cosines: codes and norms are counted by themselves."""
+        return self.best.nbytes
+
+    def relevancy(self, queries: Tensor) -> Tensor:
+        """Return the relevancy [S, Q, N] of each Gaussian to queries [Q, D]."""
+        codes = self.codes
+        # Query by query, so that its company does not change the last bit.
+        scores = [codes.atom_scores(query[None]) for query in queries] or [codes.atom_scores(queries)]
+        return code_relevancy(
+            codes.indices, codes.weights, self.inverse_norms, self.best, torch.cat(scores, 2), TEMPERATURE
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PixelCosines:
+    """What further queries reuse of the cosines of one view's pixels."""
+
+    inverse_norms: Tensor  # [H, W, S], 0 without a code
+    canonical: Tensor  # [P, D], the phrases of the last query
+    best: Tensor  # [H, W, S], their largest cosine
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all tensors."""
+        return self.inverse_norms.nbytes + self.canonical.nbytes + self.best.nbytes
+
+
+def pixel_relevancy(
+    projection: raster.Projection,
+    codes: FieldCodes,
+    queries: Tensor,
+    canonical: Tensor,
+    known: PixelCosines | None,
+) -> tuple[Tensor, PixelCosines]:
+    """Return the relevancy [S, Q, H, W] of each pixel to queries [Q, D] beside canonical phrases [P, D].
+
+    Args:
+        projection: to the view.
+        codes: of its Gaussians.
+        queries, canonical: of unit norm.
+        known: what the last call returned for this projection and these codes; None at first.
+
+    Returns:
+        The relevancy, and what to pass to the next call.
+    """
+    same_phrases = known is not None and torch.equal(known.canonical, canonical)
+    vectors = queries if same_phrases else torch.cat([queries, canonical])
+    if known is None or len(vectors) * len(codes.codebook) > MOST_CHANNELS:
+        return _rendered_in_full(projection, codes, queries, canonical)
+    cosines = _channel_cosines(projection, codes, vectors, known.inverse_norms)
+    of_queries, others = cosines[..., : len(queries)], cosines[..., len(queries) :]
+    if not same_phrases:
+        known = replace(known, canonical=canonical.clone(), best=others.amax(-1))
+    maps = of_queries.sub_(known.best[..., None]).mul_(TEMPERATURE).sigmoid_()
+    return maps.permute(2, 3, 0, 1).contiguous(), known
+
+
+def _rendered_in_full(
+    projection: raster.Projection, codes: FieldCodes, queries: Tensor, canonical: Tensor
+) -> tuple[Tensor, PixelCosines]:
+    both = torch.cat([queries, canonical])
+    cosines, norms = raster.render_cosines_and_norms(
+        projection, codes.indices, codes.weights, codes.codebook, both
+    )
+    of_queries, others = cosines[:, : len(queries)], cosines[:, len(queries) :]
+    known = PixelCosines(
+        torch.where(norms > 0, 1 / norms, 0.0).permute(1, 2, 0).contiguous(),
+        canonical.clone(),
+        others.amax(1).permute(1, 2, 0).contiguous(),
+    )
+    return relevancy(of_queries, others), known
+
+
+def _channel_cosines(
+    projection: raster.Projection, codes: FieldCodes, vectors: Tensor, inverse_norms: Tensor
+) -> Tensor:
+    """[H, W, S, Q] cosines with vectors [Q, D] by one rendered channel per vector and level.
+
+    They differ from those of ``raster.render_cosines`` only by rounding: sums over Gaussians and atoms have another
+    order.
+    """
+    values = code_scores(codes.indices, codes.weights, codes.atom_scores(vectors))  # [N, S, Q]
+    image = raster.render_values(projection, values.flatten(1))
+    return image.view(projection.height, projection.width, *values.shape[1:]).mul_(inverse_norms[..., None])

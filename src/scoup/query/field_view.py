@@ -1,0 +1,153 @@
+"""A field as one camera sees it: answers, relevancy and renders that share one projection."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, overload
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.field.cache import Cache
+from scoup.field.language_field import LanguageField
+from scoup.field.relevancy import PixelCosines, pixel_relevancy
+from scoup.field.renders import Vectors, checked_vectors, render_codes
+from scoup.query.answer import Answer, AskedText
+from scoup.query.answer_scene import answers_of
+from scoup.query.question import Question, Several, as_question
+from scoup.query.view_answer import ViewAnswer, ViewRenders, main_parts, mask_box, most_relevant_pixel
+from scoup.scene.cameras import Camera, Cameras
+
+INSIDE = 0.5
+"""A pixel belongs to an answer whose Gaussians contribute more than this share of it."""
+BYTES_PER_PIXEL = 8
+"""A view keeps so many bytes per pixel and level of what its next question reuses."""
+
+
+class FieldView:
+    """A field as one camera sees it, from ``field.at(camera)``. The first question takes longest: further ones reuse
+    its projection, norms and the cosines of the canonical phrases, and differ by rounding, about 1e-6.
+
+    Attributes:
+        camera: of the view.
+        projection: of the scene to it.
+        cache: what further questions reuse.
+
+    Example:
+        >>> view = field.at("view_00.png", scale=0.5)
+        >>> [view.answer(text).mask.shape for text in ("kettle", "wooden table")]
+        [torch.Size([15, 20]), torch.Size([15, 20])]
+    """
+
+    def __init__(
+        self, field: LanguageField, camera: Camera | str | int, scale: float = 1.0, backend: str | None = None
+    ) -> None:
+        self.field, self.camera = field, field.camera(camera)
+        if scale != 1.0:
+            self.camera = Cameras([self.camera]).scaled(scale)[0]
+        self.projection = field.project(self.camera, backend)
+        n_pixels = self.camera.width * self.camera.height
+        self.cache = Cache((1 << 20) + BYTES_PER_PIXEL * n_pixels * len(field.levels))
+
+    @overload
+    def answer(self, question: str | Question[str]) -> ViewAnswer: ...
+    @overload
+    def answer(self, question: Several | Question[Several]) -> list[ViewAnswer]: ...
+    def answer(self, question: str | Several | Question[Any]) -> ViewAnswer | list[ViewAnswer]:
+        """Return ``field.answer`` as this view shows it: mask, heat map, box, point."""
+        asked = as_question(self.field, question)
+        return asked.shaped(self.show(answers_of(self.field, asked)))
+
+    def show(self, answers: Sequence[Answer]) -> list[ViewAnswer]:
+        """Draw answers of the field. Nothing is decided again."""
+        masks = self.masks(answers)
+        asked = [one for answer in answers for one in answer.asked]
+        heats = iter(self._heats(asked))
+        views = []
+        for answer, mask in zip(answers, masks, strict=True):
+            heat = torch.stack([next(heats) for _ in answer.asked]).amax(0)
+            parts, largest = main_parts(mask)
+            point = most_relevant_pixel(heat, largest)
+            views.append(
+                ViewAnswer(answer, self.camera.name, mask, heat, parts, mask_box(parts), point, self.renders)
+            )
+        return views
+
+    def masks(self, answers: Sequence[Answer]) -> list[Tensor]:
+        """Return the pixels [H, W] boolean of each answer, on the CPU (``ViewAnswer.mask``)."""
+        size = self.camera.height, self.camera.width
+        masks = [torch.zeros(size, dtype=torch.bool) for _ in answers]
+        present = [number for number, answer in enumerate(answers) if bool(answer.mask.any())]
+        if not present:
+            return masks
+        wholes: list[Tensor] = []
+        places: list[int] = []
+        for number in present:
+            whole = counting_gaussians(self.field, answers[number])
+            # Those of most answers are the same, and are rendered once.
+            places.append(next((k for k, each in enumerate(wholes) if torch.equal(each, whole)), len(wholes)))
+            if places[-1] == len(wholes):
+                wholes.append(whole)
+        values = torch.stack([*wholes, *(answers[number].mask for number in present)], 1)
+        image = raster.render_values(self.projection, values.float().to(self.field.codebook.device)).cpu()
+        for column, (number, place) in enumerate(zip(present, places, strict=True), start=len(wholes)):
+            masks[number] = image[..., column] > INSIDE * image[..., place]
+        return masks
+
+    def relevancy(self, queries: Vectors, canonical: Vectors) -> Tensor:
+        """Return the relevancy of every pixel, [S, Q, H, W] float32; see ``field.relevancy``."""
+        field, parts = self.field, self.field.parts()
+        queries, canonical = checked_vectors(field.codes, field.embedding_model, queries, canonical)
+        known: PixelCosines | None = self.cache.get(PixelCosines, parts)
+        maps, known = pixel_relevancy(self.projection, field.codes, queries, canonical, known)
+        self.cache.keep(PixelCosines, known, parts)
+        return maps
+
+    @cached_property
+    def renders(self) -> ViewRenders:
+        """Colours and depth of the view."""
+        return ViewRenders(self.field, self.camera, self.projection)
+
+    def render_codes(self) -> Tensor:
+        """Render the coefficients of every level, [S, H, W, L] float32."""
+        return render_codes(self.projection, self.field.codes)
+
+    def shares(self, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what the Gaussians [N] boolean of a mask contribute to each pixel, and alpha, [H, W] each."""
+        members = mask.float()[:, None].to(self.field.codebook.device)
+        image, alpha = raster.render_channels(self.projection, members)
+        return image[..., 0], alpha
+
+    def is_visible(self) -> bool:
+        """Return whether a Gaussian with a code contributes to any pixel."""
+        return bool(raster.render_values(self.projection, self.field.coded()[:, None].float()).any())
+
+    def _heats(self, asked: Sequence[AskedText]) -> list[Tensor]:
+        """Return the relevancy [H, W] of each text at its level, on the CPU; texts of one question in one pass."""
+        heats: list[Tensor] = [torch.empty(0)] * len(asked)
+        for canonical in {id(one.question.canonical): one.question.canonical for one in asked}.values():
+            numbers = [number for number, one in enumerate(asked) if one.question.canonical is canonical]
+            maps = self.relevancy(
+                torch.cat([asked[number].question.queries for number in numbers]), canonical
+            )
+            for place, number in enumerate(numbers):
+                # A copy, so that the other levels can be freed.
+                heats[number] = maps[asked[number].level, place].clone().cpu()
+        return heats
+
+
+def counting_gaussians(field: LanguageField, answer: Answer) -> Tensor:
+    """Return the Gaussians [N] boolean whose contributions an answer must exceed half of.
+
+    They are those that belong to any thing of its level, or where the votes answer, that have a code there.
+    """
+    counting = answer.mask.clone()
+    for part in answer.parts or (answer,):  # of an expression
+        level = field.level_index(part.level)
+        if field.thing_table is None or part.threshold is not None:
+            counting |= field.coded_levels()[level].cpu()
+        else:
+            counting |= field.thing_table.owned[level].cpu()
+    return counting

@@ -1,0 +1,273 @@
+"""The answer to a text as one view shows it: mask, heat, box and point."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.base.html import card
+from scoup.base.native import native_core
+from scoup.base.records import rounded_vector
+from scoup.field.language_field import LanguageField
+from scoup.field.renders import render_depth
+from scoup.pictures import as_picture, heat_map, mask_overlay
+from scoup.query.answer import Answer
+from scoup.raster import Projection, render_colors
+from scoup.scene.cameras import Camera
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+LEAST_SHARE = 0.02
+"""A part of a mask with less than this share of the area of the largest part is a speck."""
+AVERAGED = 7
+"""Side of the box, in pixels, over which relevancy is averaged to find the most relevant pixel."""
+
+
+class ViewRenders:
+    """Colours and depth of one view, rendered when first asked for. The projection is not kept alive."""
+
+    def __init__(self, field: LanguageField, camera: Camera, projection: Projection) -> None:
+        self.field, self.camera = field, camera
+        self._projection = weakref.ref(projection)
+        self._depth: Tensor | None = None
+
+    def projection(self) -> Projection:
+        """Return the projection, made again if it has gone."""
+        return self._projection() or self.field.project(self.camera)
+
+    def colors(self) -> Tensor:
+        """Render the colours, [H, W, 3] float 0..1."""
+        return render_colors(self.field.gaussians, self.camera, self.projection())
+
+    def depth(self) -> Tensor:
+        """Render the depth once (``render_depth``)."""
+        if self._depth is None:
+            self._depth = render_depth(self.projection(), self.field.gaussians, self.camera)
+        return self._depth
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ViewAnswer:
+    """An answer of the scene as one view shows it. Tensors are on the CPU.
+
+    Example:
+        >>> field = scoup.LanguageField.load("f.scoup")
+        >>> seen = field.at("view_00").answer("kettle")
+        >>> seen.mask.dtype, seen.mask.shape == seen.heat.shape
+        (torch.bool, True)
+    """
+
+    answer: Answer
+    """Of the scene."""
+    view: str
+    """Name of the camera."""
+    mask: Tensor
+    """[H, W] boolean: the pixels to which the Gaussians of the answer contribute more than half. Of that, Gaussians of
+    no thing of its level do not count, such as haze before the camera."""
+    heat: Tensor
+    """[H, W] float32 relevancy at the level of the answer, 0..1."""
+    main_parts: Tensor
+    """[H, W] boolean, the mask without specks (``main_parts``)."""
+    box: tuple[int, int, int, int] | None
+    """(x0, y0, x1, y1) around the main parts in pixels, x1 and y1 one past the last; None if nothing is visible."""
+    point: tuple[int, int] | None
+    """(x, y), the most relevant pixel of the largest part; None if nothing is visible."""
+    source: ViewRenders | None = None
+    """Renders colours and depth of the view, for ``pictures`` and ``position``. Pickling drops it."""
+
+    @property
+    def text(self) -> str:
+        """What was asked."""
+        return self.answer.text
+
+    @property
+    def level(self) -> str:
+        """Name of the level that answers."""
+        return self.answer.level
+
+    @property
+    def score(self) -> float | None:
+        """As of ``Answer``: the same in every view."""
+        return self.answer.score
+
+    @property
+    def presence(self) -> bool:
+        """Whether the thing is in the scene."""
+        return self.answer.presence
+
+    @property
+    def visible(self) -> bool:
+        """Whether the thing is visible from here."""
+        return self.point is not None
+
+    @property
+    def coverage(self) -> float:
+        """Share of the view in the mask, 0..1."""
+        return int(self.mask.sum()) / max(1, self.mask.numel())
+
+    @property
+    def position(self) -> Tensor | None:
+        """The middle of the surface that the main parts show, [3] float64 world units; None if nothing is visible or
+        its depth is unknown. ``location`` finds the thing itself, from all sides."""
+        return (
+            None
+            if self.source is None
+            else mask_position(self.main_parts, self.source.depth(), self.source.camera)
+        )
+
+    def __repr__(self) -> str:
+        facts = f"point {self.point}, box {self.box}, {self.remark()}"
+        return f"ViewAnswer({self.text!r} in {self.view!r}: {facts if self.visible else self.remark()})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "source": None}  # which holds the scene
+
+    def _repr_html_(self) -> str:
+        return card(f"{self.text!r} in {self.view}", self.to_dict(), as_picture(self.pictures()["overlay"]))
+
+    def remark(self) -> str:
+        """Return level, score and coverage in a few words; or why nothing is shown."""
+        if not self.presence:
+            return self.answer.remark()
+        if not self.visible:
+            return "not visible from here"
+        parts = (f"level {self.level}", f"{self.coverage:.1%} of the view")
+        return ", ".join([*parts, self.answer.remark()] if self.score is not None else parts)
+
+    def pictures(self, rgb: Tensor | None = None) -> dict[str, np.ndarray | Tensor]:
+        """Draw the answer.
+
+        Args:
+            rgb: [H, W, 3] float 0..1, the background; by default the colours of the view, or black.
+
+        Returns:
+            "heat": the relevancy over the background, [.., .., 3] uint8; "mask": [H, W] boolean; "overlay": mask, box
+            and point over the background, [.., .., 3] uint8.
+        """
+        if rgb is None:
+            rgb = torch.zeros(*self.heat.shape, 3) if self.source is None else self.source.colors().cpu()
+        return {
+            "heat": heat_map(self.heat, rgb, self.text, self.level, float(self.heat.max())),
+            "mask": self.mask,
+            "overlay": mask_overlay(self.mask, rgb, self.box, self.point, self.text, self.remark()),
+        }
+
+    def crop(self, image: Tensor | ArrayLike | Image, margin: int = 0) -> Tensor | np.ndarray | None:
+        """Return the part of an image of the view [H, W, ...] in the box; None if nothing is visible.
+
+        Args:
+            image: of the view's size; a picture of Pillow becomes an array.
+            margin: pixels added on every side, as far as the image reaches.
+
+        Raises:
+            InputError: the image has another size, or the margin is negative.
+        """
+        pixels = image if isinstance(image, Tensor) else np.asarray(image)
+        if tuple(pixels.shape[:2]) != tuple(self.mask.shape) or margin < 0:
+            raise InputError(
+                f"an image of {list(pixels.shape)} with a margin of {margin} cannot be cropped by a view of "
+                f"{list(self.mask.shape)}"
+            )
+        if self.box is None:
+            return None
+        x0, y0, x1, y1 = self.box
+        return pixels[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the answer as plain JSON values, rounded."""
+        position = self.position
+        return {
+            **self.answer.verdict(),
+            "visible": self.visible,
+            "pixel": None if self.point is None else list(self.point),
+            "coverage": round(self.coverage, 6),
+            "box": None if self.box is None else list(self.box),
+            "position": None if position is None else rounded_vector(position.tolist()),
+        }
+
+
+def mask_box(mask: Tensor) -> tuple[int, int, int, int] | None:
+    """Return (x0, y0, x1, y1) around the true pixels of [H, W], x1 and y1 one past the last; None of an empty mask."""
+    if not mask.numel():
+        return None
+    bits = mask.view(torch.uint8)  # torch finds their largest much sooner than any of a boolean
+    rows, columns = bits.amax(1).nonzero()[:, 0], bits.amax(0).nonzero()[:, 0]
+    if not len(rows):
+        return None
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def main_parts(mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Return a mask [H, W] without specks, and its largest part.
+
+    Pixels that touch at a corner are connected. Things are often seen in pieces, with something in front of them, and
+    several may answer, so the largest part alone would be too little.
+    """
+    if not mask.any():
+        return mask, mask
+    parts, count = mask_parts(mask.numpy())
+    areas = np.bincount(parts.ravel(), minlength=count + 1)
+    areas[0] = 0
+    kept = areas >= LEAST_SHARE * areas.max()
+    kept[0] = False
+    return torch.from_numpy(kept[parts]), torch.from_numpy(parts == areas.argmax())
+
+
+def most_relevant_pixel(heat: Tensor, part: Tensor) -> tuple[int, int] | None:
+    """Return (x, y) of the largest averaged relevancy [H, W] within a part [H, W]; of equals the one nearest to their
+    mean; None if the part is empty.
+    """
+    if not part.any():
+        return None
+    averaged = torch.nn.functional.avg_pool2d(
+        heat[None], AVERAGED, stride=1, padding=AVERAGED // 2, count_include_pad=False
+    )[0]
+    values = torch.where(part, averaged, -torch.inf)
+    pixels = (values == values.max()).nonzero().flip(1)
+    # A pixel in the middle of a plateau says more than its first corner.
+    offsets = pixels.double() - pixels.double().mean(0)
+    x, y = pixels[int(offsets.square().sum(1).argmin())].tolist()
+    return x, y
+
+
+def mask_parts(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
+    """Return the connected part of each pixel of a mask [H, W], 0 outside, and how many parts there are.
+
+    Pixels that touch at a corner are connected. Parts are numbered from 1 by their first pixels, row by row. The
+    compiled core does the work; ``plain_mask_parts`` is its specification.
+    """
+    core = native_core()
+    if core is None:
+        return plain_mask_parts(mask)
+    return core.mask_parts(np.ascontiguousarray(mask).view(np.uint8))
+
+
+def plain_mask_parts(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
+    """``mask_parts`` by scipy, which takes half a second to import."""
+    from scipy import ndimage
+
+    parts = np.empty(mask.shape, np.int32)
+    count = int(ndimage.label(mask, np.ones((3, 3)), output=parts))  # pyright: ignore[reportArgumentType]
+    return parts, count
+
+
+def mask_position(mask: Tensor, depth: Tensor, camera: Camera) -> Tensor | None:
+    """Return the middle of the surface that a mask [H, W] shows, the median of its pixels along each axis, [3] float64
+    world units; None if no pixel of the mask has a depth.
+    """
+    rows, columns = (mask.cpu() & torch.isfinite(depth)).nonzero().unbind(1)
+    if not len(rows):
+        return None
+    distances = depth[rows, columns].double()
+    (fx, _, cx), (_, fy, cy) = camera.K[0].tolist(), camera.K[1].tolist()
+    seen = torch.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, torch.ones(len(rows))], 1).double()
+    rotation, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
+    return ((seen * distances[:, None] - shift) @ rotation).median(0).values
