@@ -112,6 +112,7 @@ def test_folders_that_are_no_region_sums():
     assert "not both" in refused(*build, "--sums", "precious", "--keep-sums", "precious", "--overwrite")
 
 
+@pytest.mark.usefixtures("quick_python")
 def test_parts_in_processes_of_their_own():
     """At the same time, one of them twice; then one build of all of them."""
     pytest.importorskip("filelock")
