@@ -156,13 +156,6 @@ def test_a_device_that_is_not_there():
         assert f"--device {device}" in err
 
 
-def test_the_command_itself(here):
-    command = [sys.executable, "-c", RUN, "info", "nowhere"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("error: nowhere: ")
-
-
 def test_file_names_of_texts():
     assert slug("Wooden  table!") == "wooden-table"
     assert slug("???") == "text"
