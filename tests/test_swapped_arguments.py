@@ -59,7 +59,6 @@ SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
     (lambda t: api.build(t.gaussians, t.cameras, t.regions, 3), "the argument settings is of type int"),
     (lambda t: api.region_sums(t.cameras, t.gaussians, t.regions), "region_sums: the argument gaussians is of"),
     (lambda t: api.region_sums(t.gaussians, t.path, t.regions), "region_sums: the argument cameras is of type str"),
-    (lambda t: api.update(t.field, t.field), "update: the argument sums is of type LanguageField"),
     (lambda t: api.LanguageField.load(t.path + "/f.scoup", t.path), "LanguageField.load: the argument gaussians is "
      "of type str, expected Gaussians (the order is path, gaussians); get one from scoup.load_gaussians(path)"),
     (lambda t: api.LanguageField.load(t.gaussians), "LanguageField.load: the argument path is of type Gaussians"),

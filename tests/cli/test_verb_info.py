@@ -26,7 +26,6 @@ def test_a_field():
     assert {key: record[key] for key in expected} == expected
     assert (record["embedding_model"], record["words"]) == ("", str(Path("scene/words.npz").absolute()))
     assert record["cameras"] == 4
-    assert record["region_sums"] is None
     assert record["geometry"] == str(Path("scene/point_cloud.ply").absolute())
     assert record["provenance"]["settings"]["n_atoms"] == 8
     out = run("info", "f.scoup")[1]

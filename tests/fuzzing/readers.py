@@ -226,7 +226,6 @@ READERS: Mapping[str, Reader] = {
     "field with a splat beside it": _field("linked.scoup"),
     "region sums": Reader(f"a.sums/{view_file('view_00.png')}", _sums, (), (of.SUMS,)),
     "scene of region sums": Reader("a.sums/scene.safetensors", _sums, (), (of.SUMS,)),
-    "codes of region sums": Reader("a.sums/codes.safetensors", _sums, (), (of.SUMS,)),
     "words.npz": _words("words.npz", "single.npz", "alike.npz", containers=(of.ZIP,), memory=TABLES),
     "words.json": _words("words.json"),
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),
