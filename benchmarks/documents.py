@@ -189,6 +189,7 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 """By name."""
 HIDDEN = {
+    "segmenters": "sam-vit-[bl]|sam2.1-(small|base-plus)",
     "extract": "at level [sml]",
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
@@ -199,7 +200,7 @@ HIDDEN = {
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)",
     "viewer": "exported words.*|program, bytes",
-    "city": "(load|coding|save), s",
+    "city": "(load|coding|region sums|vote|save), s",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 
