@@ -28,7 +28,7 @@ INNER = {
     "pictures": "colors",
     "query": "question view_answer votes",
     "raster": "view_sums",
-    "scene": "codes directions field_info gaussians neighbours regions things",
+    "scene": "codes directions gaussians neighbours regions things",
     "uplift": "build_settings provenance rasterise region_sums vote",
     "view": "export page viewed_field",
 }
