@@ -128,18 +128,19 @@ README_COLUMNS = {
 
 def bench() -> str:
     """Return the stages of the rasteriser as `scoup bench` measured them."""
-    rows = record("bench")["rows"]
     ratios = {
         (each["gaussians"], each["stage"], each["threads"]): 1 / each["time_over_reference"]
         for each in record("bench")["ratios"]
     }
-    body = []
-    for row in rows:
-        key = (row["gaussians"], row["stage"], row["threads"])
+    body: dict[tuple[int, str], list[str]] = {}
+    for row in record("bench")["rows"]:
         if row["backend"] != "reference":
-            cells = [f"{1e3 * row['median_s']:.1f}", f"{ratios[key]:.1f} x" if key in ratios else "-"]
-            body.append([f"{row['gaussians']:,}", row["stage"], str(row["threads"]), *cells])
-    return markdown(["Gaussians", "stage", "threads", "compiled core, ms", "reference takes"], body)
+            stage = row["gaussians"], row["stage"]
+            cells = body.setdefault(stage, [f"{row['gaussians']:,}", row["stage"]])
+            cells += [f"{1e3 * row['median_s']:.1f}", f"{ratios[(*stage, row['threads'])]:.1f} x"]
+    threads = dict.fromkeys(row["threads"] for row in record("bench")["rows"])
+    head = [head for each in threads for head in (f"ms, threads: {each}", "reference takes")]
+    return markdown(["Gaussians", "stage", *head], [*body.values()])
 
 
 def choices(of: Sequence[Choice]) -> str:
@@ -188,14 +189,18 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 """By name."""
 HIDDEN = {
+    "segmenters": "sam-vit-[bl]|sam2.1-(small|base-plus)",
+    "extract": "at level [sml]",
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "baselines": "visible-centre-pixel|top-contributors",
-    "ablations": "level by peak|two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
+    "lerf sized": "GB moved|by copying|GFLOP|by multiplying",
+    "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
+    "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)",
     "viewer": "exported words.*|program, bytes",
-    "city": "(load|coding|save), s",
+    "city": "(load|coding|region sums|vote|save), s",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 

@@ -1,4 +1,4 @@
-"""The protocols of docs/protocols.md word by word: loops over pixels, numpy only, nothing shared with the package."""
+"""The protocols of docs/evaluation.md word by word: loops over pixels, numpy only, nothing shared with the package."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from scoup_lab.evaluate.rules import DATASET_THRESHOLDS, MASK_RULES, MaskRule, m
 
 
 def test_rules_are_those_of_the_protocols() -> None:
-    """Box, threshold, mask smoothing and level rule, as docs/protocols.md states them."""
+    """Box, threshold, mask smoothing and level rule, as docs/evaluation.md states them."""
     assert {
         "scoup": MaskRule("scoup", 7, "inside", 0.6, 7, "peak", "inside"),
         "langsplatv2": MaskRule("langsplatv2", 29, "inside", 0.4, 7, "peak", "inside"),

@@ -1,4 +1,4 @@
-// The scene as it comes from Python (docs/formats.md, "Scene of a page").
+// The scene as it comes from Python (src/scoup/view/scene_data.py).
 import type { Packed, Tensor, TensorData } from "./safetensors";
 
 export interface CameraRecord {

@@ -117,15 +117,23 @@ def atomic_file(
 
 
 @contextmanager
-def reserved_output(path: str | Path, overwrite: bool = False) -> Iterator[None]:
+def reserved_output(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """Keep other processes from beginning long work on an output, which the block writes at its end.
 
-    Arguments and errors are those of ``atomic_path``; the output may exist only with ``overwrite``.
+    Yields the path of a hidden folder beside the output for files of the work, which is removed before and after the
+    block. Arguments and errors are those of ``atomic_path``.
     """
     path = check_output(path, overwrite)
+    work = path.with_name(hidden_name(path.name, "work"))
     with folder_made(path.parent, path), locked(path, kind="work.lock"):
         check_output(path, overwrite)  # another process may have written it meanwhile
-        yield
+        remove(work)
+        try:
+            yield work
+        except WriteError as error:
+            raise (error.at(path) if error.path.is_relative_to(work) else error) from error
+        finally:
+            remove(work)
 
 
 @contextmanager
@@ -133,8 +141,8 @@ def reserved_part(folder: Path, part: Part) -> Iterator[None]:
     """Keep other processes from making the same part of a folder; the folder is made if it is missing."""
     if folder.is_file():
         raise InputError(f"{folder}: is a file, not a folder; choose another output")
-    output = check_output(folder / f"part-{part}")
-    with folder_made(folder, folder), locked(output):
+    check_output(folder / f"part-{part}", overwrite=True)
+    with folder_made(folder, folder), locked(folder / f"part-{part}"):
         yield
 
 

@@ -94,27 +94,31 @@ class Build(BuildOptions, ViewOptions):
         check_output(out, self.overwrite)
         loaded = self._load(console)
         started = time.perf_counter()
-        with reserved_output(out, self.overwrite):
-            sums = self._region_sums(loaded)
+        with reserved_output(out, self.overwrite) as work:
+            sums = self._region_sums(loaded, work / "sums")
             field = self._build(console, loaded, sums)
             field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
         kept_sums = None if self.keep_sums is None else sums
         report_field(console, field, out, kept_sums, self.device, time.perf_counter() - started)
         return None
 
-    def _build(self, console: Console, loaded: _Loaded, sums: RegionSums | None) -> LanguageField:
+    def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> LanguageField:
         """Build with progress; what an interruption leaves is reported."""
         from scoup.field.language_field import LanguageField
         from scoup.uplift.build import build
 
         self._report_resumed(console, sums, len(loaded.regions))
         codebook = None if self.codebook is None else LanguageField.load(self.codebook)
-        with console.progress() as progress:
-            return build(
-                loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
-                embedding_model=loaded.model, words=loaded.words, geometry_path=loaded.source, sums=sums,
-                codebook=codebook, check_fit=not self.no_check_fit, progress=progress,
-            )  # fmt: skip
+        try:
+            with console.progress() as progress:
+                return build(
+                    loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
+                    embedding_model=loaded.model, words=loaded.words, geometry_path=loaded.source, sums=sums,
+                    codebook=codebook, check_fit=not self.no_check_fit, progress=progress,
+                )  # fmt: skip
+        finally:
+            if self.keep_sums is not None:
+                sums.flush()
 
     def _of_splat(self, console: Console) -> Build | None:
         """Make a scene of a splat alone; returns the build of that scene. None where there is a scene."""
@@ -145,7 +149,7 @@ class Build(BuildOptions, ViewOptions):
         from scoup.base.errors import InputError
         from scoup.base.parts import Part
         from scoup.uplift.build import check_scene
-        from scoup.uplift.rasterise import add_views, cameras_with_regions
+        from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums
 
         part = Part.parse(self.part or "")
         if self.keep_sums is None:
@@ -158,8 +162,7 @@ class Build(BuildOptions, ViewOptions):
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         chosen = part.of(views)
         with reserved_part(self.keep_sums, part):
-            sums = self._region_sums(loaded)
-            assert sums is not None
+            sums = open_sums(self.keep_sums, loaded.gaussians, loaded.regions, loaded.raster_preset)
             check_fit = not self.no_check_fit and bool(chosen) and not len(sums)
             check_scene(
                 loaded.gaussians, chosen, loaded.raster_preset, None, loaded.source, check_fit=check_fit
@@ -216,20 +219,19 @@ class Build(BuildOptions, ViewOptions):
             )
         return out
 
-    def _region_sums(self, loaded: _Loaded) -> RegionSums | None:
-        """The sums named; None for those of a temporary folder."""
+    def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
+        """The sums named, or those in a temporary folder."""
         from scoup.uplift.rasterise import open_sums
         from scoup.uplift.region_sums import RegionSums
 
         if self.sums is not None:
             return RegionSums.open(self.sums)
-        if self.keep_sums is None:
-            return None
-        return open_sums(self.keep_sums, loaded.gaussians, loaded.regions, loaded.raster_preset)
+        folder = self.keep_sums or temporary
+        return open_sums(folder, loaded.gaussians, loaded.regions, loaded.raster_preset)
 
-    def _report_resumed(self, console: Console, sums: RegionSums | None, views: int) -> None:
+    def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
-        if sums is None or not sums.writable or sums.path is None:
+        if self.keep_sums is None:
             return
         before = console.kept()
         console.kept = lambda: kept(len(sums), views, "views", otherwise=before)

@@ -277,7 +277,7 @@ def _bytes(included: Tensor | None) -> np.ndarray | None:
 
 def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:
     """Stretch values of any shape to 0..1 and cut off the lower half: clip(2 n - 1, 0, 1) with
-    n = (v - min) / (max - min + 1e-9) (protocols.md, LERF-OVS, step 2). Constant values become 0.
+    n = (v - min) / (max - min + 1e-9) (docs/evaluation.md). Constant values become 0.
 
     Pass minimum and maximum where these are only some of the values."""
     low = values.min() if low is None else low

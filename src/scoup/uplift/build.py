@@ -80,9 +80,9 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         >>> field.save("built.scoup")
     """
     check_arguments(
-        "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions),
-        codebook=(codebook, (LanguageField, type(None))),
-    )  # fmt: skip
+        "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
+    )
+    check_arguments("build", codebook=(codebook, (LanguageField, type(None))))
     settings = build_settings(settings)
     if codebook is not None:
         settings = replace(settings, n_atoms=codebook.n_atoms)
@@ -91,10 +91,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         if sums is None:
             folder = stack.enter_context(temporary_folder())
             sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
-            check_sums(sums, gaussians, regions, settings.raster_preset)
-        else:
-            check_sums(sums, gaussians, regions, settings.raster_preset)
-            stack.callback(sums.flush)
+        check_sums(sums, gaussians, regions, settings.raster_preset)
         views = cameras_with_regions(cameras, regions)
         regions = regions.select([camera.name for camera in views])
         embeddings = RegionEmbeddings.load(regions)

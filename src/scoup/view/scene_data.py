@@ -1,4 +1,22 @@
-"""The file from which the page shows a field: splat, codes, cameras (docs/formats.md, "Scene of a page")."""
+"""The file from which the page shows a field: splat, codes, cameras.
+
+Gzipped safetensors with JSON under ``scoup`` in the metadata; an exported page contains it as base64. Arrays run over
+components first; N Gaussians are shown, in Morton order.
+
+- means [3, 3, N] uint8: byte (most significant first), axis, Gaussian; 24-bit fractions from means_low to means_high.
+- scales [3, N] uint8: logarithms, 255ths between scales_low and scales_high. quats [4, N] int8, not normalised.
+- colors [3, N], opacities [N], confidence [S, N] uint8: 255ths.
+- code_indices [S, K, N]. code_weights [S, K, N] uint16: 65535ths of weights_scale, divided by the norm of the decoded
+  code, so that their sum with the scores of a text's atoms is the cosine.
+- owners [S, N] uint16: things; absent in a field without things.
+- canonical [S, P, L] float32: scores of the canonical phrases, if texts can be asked.
+- code_colors [S, 3, L], code_color_offsets [S, 3] float32: a code's colour is 0.08 + 0.9 times the offset plus the sum
+  over its atoms, cut to 0..1.
+
+A large scene comes in parts: the metadata of the first file add ``parts``, the numbers of merged Gaussians part by
+part, and ``most``, the most Gaussians that whole parts may have together. The file of a part has the tensors of N
+Gaussians, with a version and ranges of its own.
+"""
 
 from __future__ import annotations
 

@@ -47,7 +47,12 @@ def read_words(path: Path) -> tuple[str, ...]:
 
 
 def words_data(field: LanguageField, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
-    """Return the file of words in an exported page (docs/formats.md, "Words of a page").
+    """Return the file of words in an exported page, packed as ``scene_data`` packs the scene; V words.
+
+    gram [S, L, L] float16, inner products of atoms. scores [V, S, L] float16, of word and atoms. thresholds [V, S].
+    spans [V, S, 2], relevancies that rescaling takes to 0 and 1. levels, present, certainty [V] uint8 (255: not known).
+    score [V], gaussians [V] int32. With things: runner_up [V] uint16 (65535: none), runner_up_score [V], thing_counts
+    [V, 1 + S] and things [M] uint16 (``_things``). Other numbers are float32. Metadata: names, certainties.
 
     Args:
         field: that was asked.

@@ -187,7 +187,7 @@ def code_cosines(atoms: Tensor) -> Cosines:
 
 
 def resized_image(image: Tensor, width: int, height: int) -> Tensor:
-    """Return [height, width, C] of rendered channels [H, W, C], before anything is scaled to unit norm (protocols.md,
+    """Return [height, width, C] of rendered channels [H, W, C], before anything is scaled to unit norm (evaluation.md,
     Mip-NeRF360: "features resized to the label size"). *Choice*: bilinear, corners not aligned."""
     if tuple(image.shape[:2]) == (height, width):
         return image

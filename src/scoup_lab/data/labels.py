@@ -1,4 +1,4 @@
-"""Label files of LERF-OVS: what is where in a frame (docs/protocols.md)."""
+"""Label files of LERF-OVS: what is where in a frame (docs/evaluation.md)."""
 
 from __future__ import annotations
 

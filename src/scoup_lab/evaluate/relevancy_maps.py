@@ -1,4 +1,4 @@
-"""Points and masks from the relevancy maps of one view and query (docs/protocols.md, LERF-OVS, steps 1 to 4)."""
+"""Points and masks from the relevancy maps of one view and query (docs/evaluation.md, steps 1 to 4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rules of the papers, by which relevancy maps of a view become points and masks (docs/protocols.md)."""
+"""Rules of the papers, by which relevancy maps of a view become points and masks (docs/evaluation.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The LERF-OVS protocol: 2D masks and points from relevancy maps, against hand-drawn labels (docs/protocols.md).
+"""The LERF-OVS protocol: 2D masks and points from relevancy maps, against hand-drawn labels (docs/evaluation.md).
 
 Not to be mixed with the 3D-selection protocol: the same field scores very differently there.
 """

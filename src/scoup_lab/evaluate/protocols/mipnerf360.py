@@ -1,4 +1,4 @@
-"""The protocol of Mip-NeRF 360 with the GAGS annotations: masks from relevancy maps (docs/protocols.md).
+"""The protocol of Mip-NeRF 360 with the GAGS annotations: masks from relevancy maps (docs/evaluation.md).
 
 Labels are files as in LERF-OVS. Maps are made at the size of the labels (``scoup_lab.baselines.fitted.resized_image``);
 the level whose mask has the highest mean relevancy answers. There is no localisation.

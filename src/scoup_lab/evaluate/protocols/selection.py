@@ -1,5 +1,5 @@
 """The 3D-selection protocol: Gaussians are chosen by their own relevancy, and the silhouette of those chosen meets the
-2D label (docs/protocols.md, after VALA-3D).
+2D label (docs/evaluation.md, after VALA-3D).
 
 Never to be mixed with the 2D protocols: the same field scores very differently (LangSplat has 51.4 there and 9.66
 here).

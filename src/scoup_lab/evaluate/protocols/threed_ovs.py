@@ -1,4 +1,4 @@
-"""The 3D-OVS protocol: masks from relevancy maps of the two coarser levels, against drawn masks (docs/protocols.md).
+"""The 3D-OVS protocol: masks from relevancy maps of the two coarser levels, against drawn masks (docs/evaluation.md).
 
 Scores are means over all (frame, class) pairs; there is no localisation.
 """
