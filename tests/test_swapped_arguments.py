@@ -53,7 +53,7 @@ api: Any = scoup  # the calls below are wrong on purpose
 
 SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
     (lambda t: api.build(t.cameras, t.gaussians, t.regions), "build: the argument gaussians is of type Cameras, "
-     "expected Gaussians (the order is gaussians, cameras, regions, codebook); get one from scoup.load_gaussians"),
+     "expected Gaussians (the order is gaussians, cameras, regions); get one from scoup.load_gaussians(path)"),
     (lambda t: api.build(t.gaussians, t.regions, t.cameras), "build: the argument cameras is of type Regions"),
     (lambda t: api.build(t.gaussians, t.cameras, t.path), "build: the argument regions is of type str"),
     (lambda t: api.build(t.gaussians, t.cameras, t.regions, 3), "the argument settings is of type int"),
