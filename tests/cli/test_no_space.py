@@ -51,7 +51,7 @@ VERBS = {
     "build, more views": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "few.sums", "--codebook",
                           "f.scoup"),
     "transfer": ("transfer", "f.scoup", "edited.ply", "--out", "a.scoup"),
-    "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "40", "--height", "30", "--out", "own"),
+    "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "24", "--height", "18", "--out", "own"),
     "extract": ("extract", "scene", *FREE, "--out", "regions"),
     "convert": ("convert", "scene", "compact"),
     "query": ("query", "f.scoup", "kettle", "--out", "answers", "--camera", "all"),
