@@ -25,7 +25,8 @@ FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
 # A build in a process of its own that rasterises no third view: it waits, once two are in their files.
 STUCK = """
-import time
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell without job control has it ignored
 from scoup import raster
 from scoup.cli.app import entry
 from scoup.uplift.region_sums import RegionSums
@@ -62,7 +63,10 @@ def stuck(*arguments: object) -> Iterator[subprocess.Popen[str]]:
         line = process.stdout.readline()
         while line and not line.startswith("two views"):
             line = process.stdout.readline()
-        yield process
+        try:
+            yield process
+        finally:
+            process.kill()  # a test that fails must not wait for it
 
 
 @pytest.mark.parametrize(

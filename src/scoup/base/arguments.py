@@ -21,8 +21,6 @@ _MADE_BY = {
     "Question": "field.question(texts)",
 }
 """Type -> what gives one."""
-_SHOWN = {"CodedScene": "LanguageField"}
-"""Type -> the one that users know."""
 
 
 def check_arguments(function: str, **arguments: tuple[Any, type | tuple[type, ...]]) -> None:
@@ -36,7 +34,7 @@ def check_arguments(function: str, **arguments: tuple[Any, type | tuple[type, ..
         if isinstance(value, expected):
             continue
         types = expected if isinstance(expected, tuple) else (expected,)
-        wanted = "a path" if expected == PATH else _SHOWN.get(types[0].__name__, types[0].__name__)
+        wanted = "a path" if expected == PATH else types[0].__name__
         remedy = f"; get one from {_MADE_BY[wanted]}" if wanted in _MADE_BY else ""
         order = f" (the order is {', '.join(arguments)})" if len(arguments) > 1 else ""
         raise InputError(

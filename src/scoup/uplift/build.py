@@ -115,7 +115,8 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         )  # fmt: skip
         fit.check_coded(gaussian_codes.weights)
         record = build_record(settings, digest, sums, codes.reports, gaussian_codes.sharpness)
-        record |= {} if things is None else things.record(sums.levels)
+        if things is not None:
+            record["strays"] = dict(zip(sums.levels, things.strays, strict=False))
         table, geometry = (None if path is None else Path(path) for path in (words, geometry_path))
         field = LanguageField(
             gaussian_codes.indices,

@@ -50,7 +50,7 @@ def find_things(
         progress: called for the stage "things".
 
     Returns:
-        The table of things, and per level how many Gaussians lay apart from the thing they would belong to.
+        The table of things, and how many strays were cut.
 
     Raises:
         InputError: the sums do not know the rows of their regions.
@@ -85,13 +85,8 @@ class FoundThings:
     """The things of a scene."""
 
     table: ThingTable
-    strays: list[
-        int
-    ]  # per level, how many Gaussians lie apart from the thing they would belong to; [] if not known
-
-    def record(self, levels: Sequence[str]) -> dict[str, dict[str, int]]:
-        """Return what provenance says of them."""
-        return {"strays": dict(zip(levels, self.strays, strict=False))}
+    strays: list[int]
+    """Per level, how many Gaussians lie apart from the thing they would belong to; [] if the means are not known."""
 
 
 @dataclass(frozen=True, eq=False)
