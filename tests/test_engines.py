@@ -18,11 +18,12 @@ from typing import Any
 
 import pytest
 
-from cli_support import run, write_scene
+from test_part_examples import EXAMPLES, is_whole
+from test_part_examples import original as original
+from test_part_examples import parts_folder as parts_folder
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_python")]
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PATIENCE = 900  # seconds: machines that test may be busy
 # As the kernel does when memory runs out: it kills scoup, not the script that has started it.
 SCOUP = """#!/bin/sh
@@ -53,22 +54,10 @@ PartitionName=all Nodes={host} Default=YES
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder, with a scene and the field that one process builds of it; the programs are on the PATH."""
-    monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path / "scene", count=600)
-    assert run("build", "scene", "--out", "alone.scoup", "--model", "scene/words.npz")[0] == 0
-    programs = tmp_path / "programs"
-    programs.mkdir()
-    (programs / "scoup").write_text(SCOUP)
-    (programs / "scoup").chmod(0o755)
-    monkeypatch.setenv("PYTHON", sys.executable)
-    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
-    return tmp_path
-
-
-def is_whole() -> bool:
-    return Path("g.scoup").read_bytes() == Path("alone.scoup").read_bytes()
+def here(parts_folder: Path) -> Path:
+    """The folder of the other examples, with a program that is killed once."""
+    (parts_folder.parent / "programs" / "scoup").write_text(SCOUP)
+    return parts_folder
 
 
 def free_ports() -> tuple[int, int]:

@@ -80,9 +80,8 @@ def test_build_and_query(scene):
     assert "Place('kettle'" in printed
 
 
-def test_cut_out_a_thing(scene, tmp_path):
-    field, out = tmp_path / "f.scoup", tmp_path / "kettle.ply"
-    assert run("build", scene, "--out", field, "--epochs", 20, "--n-atoms", 8)[0] == 0
+def test_cut_out_a_thing(scene, field, tmp_path):
+    out = tmp_path / "kettle.ply"
     rest = tmp_path / "without.scoup"
     assert "of 150 Gaussians saved" in example(
         "02_cut_out_a_thing.py", field, scene / "words.npz", "kettle", out, rest
@@ -148,9 +147,7 @@ def test_every_example_is_run():
     assert all(path.name in tests for path in EXAMPLES.glob("*.py"))
 
 
-def test_things_for_robots(scene, tmp_path):
-    field = tmp_path / "f.scoup"
-    assert run("build", scene, "--out", field, "--epochs", 20, "--n-atoms", 8)[0] == 0
+def test_things_for_robots(scene, field):
     printed = json.loads(example("12_things_for_robots.py", field, scene / "words.npz", 2, "kettle"))
     loaded = scoup.LanguageField.load(field)
     thing = loaded.things(loaded.question("kettle", encoder=scene / "words.npz", always=True))[0]

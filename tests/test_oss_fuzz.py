@@ -26,13 +26,13 @@ def test_the_files_of_the_project() -> None:
         assert option in (ROOT / "native" / "CMakeLists.txt").read_text()
 
 
-TARGET = [sys.executable, str(FOLDER / "fuzz_readers.py")]
+TARGET = str(FOLDER / "fuzz_readers.py")
 
 
 @pytest.fixture(scope="module")
-def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def seeds(preloaded_python: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("seeds")
-    assert subprocess.run([*TARGET, "--seeds", str(folder)]).returncode == 0
+    assert subprocess.run([preloaded_python, TARGET, "--seeds", str(folder)]).returncode == 0
     return folder
 
 
@@ -44,6 +44,7 @@ def test_seeds_are_of_every_reader_and_container(seeds: Path) -> None:
 
 def test_the_target_reads_its_seeds_and_reaches_code(seeds: Path) -> None:
     pytest.importorskip("atheris", reason="needs atheris")
-    done = subprocess.run([*TARGET, "-runs=200", str(seeds)], capture_output=True, text=True)
+    command = [sys.executable, TARGET, "-runs=200", str(seeds)]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     assert max(int(number) for number in re.findall(r"cov: (\d+)", done.stderr)) > 1000

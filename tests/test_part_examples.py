@@ -46,7 +46,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def parts_folder(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The current folder, a copy of ``original``; scoup is on the PATH."""
     folder = Path(shutil.copytree(original, tmp_path / "here"))
     monkeypatch.chdir(folder)
@@ -70,10 +70,10 @@ def is_whole(field: str = "g.scoup") -> bool:
     return Path(field).read_bytes() == Path("alone.scoup").read_bytes()
 
 
-def test_slurm(here: Path) -> None:
+def test_slurm(parts_folder: Path) -> None:
     """With a stand-in that runs jobs at once; the first task is killed once."""
     for name, text in {"sbatch": SBATCH, "srun": SRUN}.items():
-        program = here.parent / "programs" / name
+        program = parts_folder.parent / "programs" / name
         program.write_text(text)
         program.chmod(0o755)
     submit = ("bash", EXAMPLES / "slurm.sh", "scene", "g.scoup", 3, "--model", "scene/words.npz")
@@ -90,7 +90,7 @@ def test_slurm(here: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no program make")
-def test_make(here: Path) -> None:
+def test_make(parts_folder: Path) -> None:
     make = ("make", "-f", EXAMPLES / "parts.mk", "SCENE=scene", "FIELD=g.scoup", "COUNT=3")
     options = ("BUILD=--model scene/words.npz --json",)
     assert "pass SCENE=FOLDER" in launched(*make[:-2], code=2)

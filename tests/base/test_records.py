@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base.records import record_text
+from support import examples
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -17,6 +18,7 @@ values = st.recursive(
 )
 
 
+@settings(max_examples=examples(40))
 @given(st.dictionaries(st.text(), values))
 def test_what_is_written_is_read_again(record: dict) -> None:
     assert json.loads(record_text(record)) == json.loads(json.dumps(record))

@@ -12,12 +12,11 @@ from pathlib import Path
 import pytest
 
 from cli.test_no_space import VERBS, entries
-from cli.test_no_space import original as original  # the fixture: a scene, fields, shards
+from cli.test_no_space import original as original  # the fixture: a scene, fields, region sums
 from cli_support import BUILD, RUN, run
 from scoup.cli import main
 
 pytestmark = pytest.mark.usefixtures("here")
-unix = pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
 
 
 @contextmanager
@@ -64,14 +63,13 @@ def test_warnings_that_nobody_reads_end_nothing() -> None:
     assert Path("a.scoup").is_file()
 
 
-@unix
 def in_a_shell(python: str, *words: str, ending: str) -> int:
     """The exit code of the command line."""
     command = f"set -o pipefail; '{python}' -c '{RUN}' {' '.join(words)} {ending}"
     return subprocess.run(["bash", "-c", command], check=False).returncode
 
 
-@unix
+@pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
 def test_shells_that_close_streams(preloaded_python: str) -> None:
     assert in_a_shell(preloaded_python, *BUILD, ending="| true") == 0
     assert in_a_shell(sys.executable, *BUILD, "--overwrite", ending="<&- >&- 2>&-") == 0

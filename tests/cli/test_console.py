@@ -99,7 +99,7 @@ def test_a_warning_is_told_once(capsys):
     [
         ("a: exists; pass `overwrite=True`", "a: exists; pass --overwrite"),
         ("to continue anyway, pass `check_fit=False`", "to continue anyway, pass --no-check-fit"),
-        ("add atoms (`new_atoms=8`)", "add atoms (--new-atoms 8)"),
+        ("learn more (`n_atoms=8`)", "learn more (--n-atoms 8)"),
         ("name it with `gaussians`; or `distorted='undistort'`", "name it with --gaussians; or --undistort"),
         ("pass `segmenter='felzenszwalb'`", "pass --segmenter felzenszwalb"),
         ("run `scoup view`; a`b.ply", "run `scoup view`; a`b.ply"),
@@ -154,13 +154,6 @@ def test_a_device_that_is_not_there():
         code, _, err = run("info", "f.scoup", "--device", device)
         assert code == 2
         assert f"--device {device}" in err
-
-
-def test_the_command_itself(here):
-    command = [sys.executable, "-c", RUN, "info", "nowhere"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("error: nowhere: ")
 
 
 def test_file_names_of_texts():

@@ -1,4 +1,4 @@
-"""What scoup build, update and info say of splats and cameras that do not fit."""
+"""What scoup build and info say of splats and cameras that do not fit."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from scoup.io.splats import formats
 from scoup.io.splats.ply import read_ply
 from scoup.raster import render_colors
 from scoup.scene.gaussians import Gaussians
-
-RANDOM = pytest.mark.filterwarnings("ignore:.*badly explained")  # the regions are random
 
 
 def photograph(scene: Path, splat: Path) -> None:

@@ -51,7 +51,7 @@ VERBS = {
     "build, more views": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "few.sums", "--codebook",
                           "f.scoup"),
     "transfer": ("transfer", "f.scoup", "edited.ply", "--out", "a.scoup"),
-    "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "40", "--height", "30", "--out", "own"),
+    "views": ("views", "scene/point_cloud.ply", "--views", "2", "--width", "24", "--height", "18", "--out", "own"),
     "extract": ("extract", "scene", *FREE, "--out", "regions"),
     "convert": ("convert", "scene", "compact"),
     "query": ("query", "f.scoup", "kettle", "--out", "answers", "--camera", "all"),
@@ -141,7 +141,7 @@ def remove(names: set[str]) -> None:
 
 
 SLOW = ("demo", "synthetic")
-LIKE_OTHERS = ("build with geometry", "build with sums", "extract, LangSplat", "animation, WebP")  # fmt: skip
+LIKE_OTHERS = ("build with geometry", "build with sums", "animation, WebP")
 TIMED = ("bench", "demo", "synthetic")  # what these write holds times, or takes long
 ALL = [pytest.param(verb, marks=pytest.mark.slow if verb in SLOW + LIKE_OTHERS else ()) for verb in VERBS]
 

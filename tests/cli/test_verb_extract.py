@@ -139,6 +139,7 @@ def test_convert_into_a_folder_that_extract_has_made(here) -> None:
     )
 
 
+@pytest.mark.usefixtures("quick_python")
 def test_parts_in_processes_of_their_own(here) -> None:
     photographs()
     parts = [("extract", "scene", *FREE, "--part", f"{number}/3", "--json") for number in (1, 2, 3)]

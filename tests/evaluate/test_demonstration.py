@@ -56,7 +56,8 @@ def test_without_its_page_the_demo_says_how_to_get_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page, "page_files", lambda: page_files(tmp_path))
-    code, printed, err = run("demo", "--out", tmp_path / "demo", *TINY)
+    least = ("--n-gaussians", 2000, "--width", 64, "--height", 48, "--views", 2)
+    code, printed, err = run("demo", "--out", tmp_path / "demo", *least)
     assert (code, err) == (0, "")
     assert not (tmp_path / "demo" / "demo.html").exists()
     assert "tools/build_viewer.py" in printed

@@ -54,13 +54,14 @@ SYSTEMS = [
     *(("lerf-ovs", system) for system in ("scoup", "langsplatv2", "langsplat")),
     *((data_set, system) for data_set in ("3d-ovs", "mipnerf360") for system in ("scoup", "langsplatv2")),
 ]
-ANY_MAPS = given(maps(), truths(), st.sampled_from(SYSTEMS))
 BY_MASK = {("3d-ovs", "scoup"): (0.3, 7), ("3d-ovs", "langsplatv2"): (0.25, 29),
            ("mipnerf360", "scoup"): (0.45, 7), ("mipnerf360", "langsplatv2"): (0.4, 29)}  # fmt: skip
 """Threshold and kernel of the protocols that choose the level by its mask; 3D-OVS leaves the finest level out."""
 
 
-def check(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
+@settings(max_examples=examples(100))
+@given(maps(), truths(), st.sampled_from(SYSTEMS))
+def test_protocols(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
     protocol = PIXELS[case[0]]
     (pair,) = protocol.score_frame(frame, torch.from_numpy(levels)[:, None], protocol.rule(case[1]))
     truth, boxes = frame.masks["cup"].numpy(), frame.boxes["cup"].tolist()
@@ -73,19 +74,6 @@ def check(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> No
         rules = rule.kernel, rule.border, rule.threshold, rule.smoothing, rule.smoothing_border
         iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)
-
-
-@settings(max_examples=examples(15))
-@ANY_MAPS
-def test_protocols(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
-    check(levels, frame, case)
-
-
-@pytest.mark.slow
-@settings(max_examples=examples(150))
-@ANY_MAPS
-def test_protocols_on_many_maps(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, str]) -> None:
-    check(levels, frame, case)
 
 
 @pytest.mark.parametrize("size", [(WIDTH * 2, HEIGHT * 3), (7, 5), (WIDTH + 1, HEIGHT - 1)])

@@ -5,13 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup import raster
 from scoup.base.errors import InputError
 from scoup.field.relevancy import relevancy
-from scoup.scene.codes import SparseCodes
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup_lab.baselines.fitted import FittedChannels, FittedField, embedding_cosines, resized_image
+from scoup_lab.baselines.fitted import FittedField, resized_image
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import mipnerf360
 from support import small_scene, unit
@@ -72,18 +70,3 @@ def test_features_are_resized_before_they_are_compared() -> None:
         assert torch.allclose(found[level], expected, atol=1e-5)
     same = fitted.relevancy(projection, queries, canonical, (40, 30))
     assert same.equal(field.relevancy(cameras[0], queries, canonical))
-
-
-def test_decoded_features_answer_as_their_field_does() -> None:
-    gaussians, cameras, regions = small_scene(count=80, views=2)
-    field = build(gaussians, cameras, regions, BuildSettings(n_atoms=8))
-    features = [
-        SparseCodes(field.code_indices[:, level], field.code_weights[:, level].float(), 8).to_dense() @ atoms
-        for level, atoms in enumerate(field.codebook)
-    ]
-    fitted, decoded = FittedField(field), FittedChannels(features, [embedding_cosines] * 3, 6144.0)
-    queries, canonical = unit(torch.randn(2, 16)), unit(torch.randn(3, 16))
-    projection = raster.project(gaussians, cameras[0])
-    for size in (None, (25, 19)):
-        found, expected = (each.relevancy(projection, queries, canonical, size) for each in (decoded, fitted))
-        assert torch.allclose(found, expected, atol=1e-4)

@@ -13,6 +13,7 @@ from scoup_lab.evaluate.protocols import lerf_ovs
 from scoup_lab.evaluate.protocols.selection import VALA_3D, score_scene, silhouette
 from scoup_lab.evaluate.scores import overall
 from support import make_camera, random_gaussians
+from uplift.edits import joined
 
 
 def blob(x: float, z: float, opacity: float = 0.99) -> Gaussians:
@@ -20,11 +21,6 @@ def blob(x: float, z: float, opacity: float = 0.99) -> Gaussians:
         torch.tensor([[x, 0.0, z]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.2),
         torch.tensor([opacity]), torch.zeros(1, 1, 3),
     )  # fmt: skip
-
-
-def joined(*parts: Gaussians) -> Gaussians:
-    names = ("means", "quats", "scales", "opacities", "sh")
-    return Gaussians(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
 
 
 def test_what_hides_a_thing_does_not_hide_its_silhouette() -> None:

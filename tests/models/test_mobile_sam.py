@@ -15,7 +15,7 @@ from torch import Tensor
 from mask_samples import smooth_image
 from scoup.base.errors import MissingFileError, ScoupError
 from scoup.models.mobile_sam import _empty_model
-from scoup.models.sam import SamImage, open_sam
+from scoup.models.sam import Sam, SamImage, open_sam
 from scoup.models.sam_decoder import SharedDecoder
 from tiny_models import lively
 
@@ -60,13 +60,25 @@ def weights(model) -> dict[str, Tensor]:
     }
 
 
-def test_weights_find_their_places(model, weights, tmp_path: Path) -> None:
-    path = tmp_path / "mobile_sam.pt"
+@pytest.fixture(scope="module")
+def opened(weights, tmp_path_factory: pytest.TempPathFactory) -> Sam:
+    path = tmp_path_factory.mktemp("weights") / "mobile_sam.pt"
     torch.save(weights, path)
-    opened = open_sam(str(path))
+    return open_sam(str(path))
+
+
+@pytest.fixture(scope="module")
+def encoded(opened: Sam) -> SamImage:
+    """An image at the real size: several heads, two layers, padding below."""
+    found = opened.encode(smooth_image(48, 100))
+    assert isinstance(found, SamImage)
+    return found
+
+
+def test_weights_find_their_places(model, opened: Sam, encoded: SamImage) -> None:
     own = opened.model.state_dict()
     assert all(torch.equal(own[name], value) for name, value in model.state_dict().items())
-    logits, iou = opened.encode(smooth_image(48, 80)).predict(POINTS)
+    logits, iou = encoded.predict(POINTS)
     assert logits.shape == (2, 3, 256, 256)
     assert iou.shape == (2, 3)
     record = opened.to_dict()
@@ -110,14 +122,8 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:
 
 
 def test_the_decoder_for_many_points_gives_the_numbers_of_transformers(
-    model, weights, tmp_path: Path
+    opened: Sam, encoded: SamImage
 ) -> None:
-    """At the real size: several heads, two layers, padding below."""
-    path = tmp_path / "mobile_sam.pt"
-    torch.save(weights, path)
-    opened = open_sam(str(path))
-    encoded = opened.encode(smooth_image(48, 100))
-    assert isinstance(encoded, SamImage)
     decoder = getattr(encoded.decode, "__self__")  # noqa: B009 - functions have no such attribute
     assert isinstance(decoder, SharedDecoder)
     prompts = POINTS * 4

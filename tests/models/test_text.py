@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from scoup.base.errors import (
-    InputError,
     ScoupError,
     ScoupWarning,
 )
@@ -145,8 +144,6 @@ def test_open_clip(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.testing.assert_close(encoder.encode(["apple"]), expected)
     with pytest.raises(ScoupError, match="not found"):
         TextEncoder.open("open_clip:X/y")
-    with pytest.raises(InputError, match="ARCHITECTURE"):
-        TextEncoder.open("open_clip:ViT-B-16")
 
 
 def test_everyday_words_of_a_model_are_a_fixed_list(clip_folder: Path) -> None:

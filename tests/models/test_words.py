@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 
 import torch
 from torch import Tensor
@@ -16,12 +15,12 @@ def test_canonical_phrases_are_the_papers() -> None:
     assert CANONICAL_PHRASES == ("object", "things", "stuff", "texture")
 
 
-def test_the_list_is_read_when_it_is_needed() -> None:
+def test_the_list_is_read_when_it_is_needed(preloaded_python: str) -> None:
     program = (
         "import scoup.models.text, scoup.models.words as words; assert 'EVERYDAY_WORDS' not in vars(words); "
         "assert words.EVERYDAY_WORDS is words.EVERYDAY_WORDS; assert not hasattr(words, 'OTHER_WORDS')"
     )
-    subprocess.run([sys.executable, "-c", program], check=True)
+    subprocess.run([preloaded_python, "-c", program], check=True)
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:

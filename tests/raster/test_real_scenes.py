@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from support import unit
 
 pytestmark = [pytest.mark.data, needs_native]
 
+Seen = tuple[Gaussians, Camera, tuple[raster.Projection, raster.Projection]]
 VIEWS = [("kitchen 5", "gsplat", 2), ("guitar 0", "inria", 1), ("garden 0", "gsplat", 2)]
 MORE_VIEWS = [
     ("kitchen 0", "inria", 1),
@@ -73,6 +75,15 @@ def load_camera(data_folder: Path, name: str, number: int, downscale: int, gauss
     return camera.resized(camera.width // downscale, camera.height // downscale)
 
 
+@functools.cache
+def seen(data_folder: Path, view: str, preset: str, downscale: int) -> Seen:
+    """A view of a scene by both backends."""
+    scene, number = view.split()[0], int(view.split()[1])
+    gaussians = load_scene(data_folder, scene)
+    camera = load_camera(data_folder, scene, number, downscale, gaussians)
+    return gaussians, camera, both(gaussians, camera, preset)
+
+
 def load_labels(data_folder: Path, scene: str, number: int, camera: Camera) -> torch.Tensor:
     """The view's region maps at three levels, nearest neighbour; blocks of regions where a scene has none."""
     if scene != "kitchen":
@@ -104,9 +115,7 @@ def codes_and_queries(count: int) -> tuple[torch.Tensor, ...]:
 )
 def test_flips_are_few_small_and_explained(data_folder, view, preset, downscale):
     scene, number = view.split()[0], int(view.split()[1])
-    gaussians = load_scene(data_folder, scene)
-    camera = load_camera(data_folder, scene, number, downscale, gaussians)
-    views = both(gaussians, camera, preset)
+    gaussians, camera, views = seen(data_folder, view, preset, downscale)
 
     values = torch.rand(len(gaussians), 3, generator=torch.Generator().manual_seed(number))
     images = []
@@ -125,10 +134,7 @@ def test_flips_are_few_small_and_explained(data_folder, view, preset, downscale)
 
 @pytest.mark.parametrize(("view", "preset", "downscale"), VIEWS)
 def test_cosines(data_folder, view, preset, downscale):
-    scene, number = view.split()[0], int(view.split()[1])
-    gaussians = load_scene(data_folder, scene)
-    camera = load_camera(data_folder, scene, number, downscale, gaussians)
-    views = both(gaussians, camera, preset)
+    gaussians, _, views = seen(data_folder, view, preset, downscale)
     given = codes_and_queries(len(gaussians))
     actual, expected = (raster.render_cosines(looked, *given).permute(2, 3, 0, 1) for looked in views)
     _, alpha = raster.render_channels(views[0], torch.zeros(len(gaussians), 0))

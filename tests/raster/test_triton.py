@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -145,7 +144,7 @@ def test_registers_that_are_read_before_they_are_written_are_found() -> None:
     assert unwritten(code) == ["UR9", "UR14", "UR22"]
 
 
-def test_triton_is_not_imported_for_a_cpu() -> None:
+def test_triton_is_not_imported_for_a_cpu(preloaded_python: str) -> None:
     program = (
         "import sys, torch, scoup; from scoup import raster; from scoup.scene.gaussians import Gaussians; "
         "from scoup.scene.cameras import Camera; "
@@ -156,7 +155,7 @@ def test_triton_is_not_imported_for_a_cpu() -> None:
         "found = {'triton', 'scoup.raster.triton.rendering', 'scoup.coding.triton.coder'} & set(sys.modules); "
         "sys.exit(bool(found))"
     )
-    subprocess.run([sys.executable, "-c", program], check=True)
+    subprocess.run([preloaded_python, "-c", program], check=True)
 
 
 def test_tensors_on_a_cpu_are_refused() -> None:

@@ -21,6 +21,10 @@ from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from support import KINDS, random_gaussians, small_scene, unit
 
+TITLES = (
+    "80 Gaussians", "3 cameras", "Regions of 3 views", "Text encoder", "Language field of 80 Gaussians", "word 3",
+)  # fmt: skip
+
 
 def pictures(page: str) -> list[np.ndarray]:
     found = re.findall(r"data:image/png;base64,([A-Za-z0-9+/=]+)", page)
@@ -35,27 +39,10 @@ def shown() -> dict[str, Any]:
     names = ["object", "things", "stuff", "texture", *(f"word {number}" for number in range(26))]
     encoder = TextEncoder.open(dict(zip(names, words, strict=True)))
     answer = field.at(0).answer(field.question("word 3", encoder=encoder, always=True))
-    return {
-        "80 Gaussians": gaussians,
-        "3 cameras": cameras,
-        "Regions of 3 views": regions,
-        "Text encoder": encoder,
-        "Language field of 80 Gaussians": field,
-        "word 3": answer,
-    }
+    return dict(zip(TITLES, (gaussians, cameras, regions, encoder, field, answer), strict=True))
 
 
-@pytest.mark.parametrize(
-    "title",
-    [
-        "80 Gaussians",
-        "3 cameras",
-        "Regions of 3 views",
-        "Text encoder",
-        "Language field of 80 Gaussians",
-        "word 3",
-    ],
-)
+@pytest.mark.parametrize("title", TITLES)
 def test_every_object_has_a_card_with_a_picture_and_one_line(shown: dict[str, Any], title: str) -> None:
     page = shown[title]._repr_html_()
     assert title in page

@@ -82,16 +82,9 @@ def test_scenes_are_what_they_always_were(made: DemoScene):
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_the_same_seed_gives_the_same_scene(name: str):
-    sizes: dict[str, Any] = {"n_gaussians": 2000, "width": 48, "height": 36, "n_building": 1, "n_held_out": 1}
-    first, again = (make_demo_scene(5, layout=LAYOUTS[name], **sizes) for _ in range(2))
-    assert first.gaussians.fingerprint() == again.gaussians.fingerprint()
-    assert torch.equal(first.gaussians.sh, again.gaussians.sh)
-    assert hash_of_masks(first) == MASKS[name][1]
-    for view, truth in first.part_maps.items():
-        assert np.array_equal(truth, again.part_maps[view])
-    for level in LEVELS:
-        assert torch.equal(first.regions.embeddings(level)[0], again.regions.embeddings(level)[0])
+def test_small_views_are_what_they_always_were(name: str):
+    scene = make_demo_scene(5, 2000, 48, 36, 1, 1, layout=LAYOUTS[name])
+    assert hash_of_masks(scene) == MASKS[name][1]
 
 
 def test_every_object_is_visible_and_can_be_queried(made: DemoScene):

@@ -23,7 +23,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
-from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup.uplift.merging import LEAST_IOU, LEAST_OVERLAP, ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
@@ -339,8 +339,12 @@ def test_zero_embeddings_merge_as_others(wall: Wall, things: ThingTable) -> None
     assert found.agreement[bare].tolist() == [1, 1, 1]
 
 
-def test_the_paper_has_no_things(wall: Wall) -> None:
-    settings = replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5)
+@pytest.mark.parametrize(
+    "settings",
+    [replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5), replace(SETTINGS, things=False)],
+    ids=["paper", "no things"],
+)
+def test_a_field_may_have_no_things(wall: Wall, settings: BuildSettings) -> None:
     assert not settings.things
     assert build(wall.gaussians, wall.cameras, wall.regions, settings, check_fit=False).thing_table is None
 
@@ -370,12 +374,6 @@ def test_kept_in_memory_or_in_files_they_are_the_same(wall: Wall, tmp_path: Path
         assert saved(built(wall, sums=sums), tmp_path / f"{number}.scoup") == expected
     sums = RegionSums.open(tmp_path / "b.sums")
     assert saved(built(wall, sums=sums), tmp_path / "again.scoup") == expected
-
-
-def test_a_field_without_things(wall: Wall) -> None:
-    settings = replace(SETTINGS, things=False)
-    field = build(wall.gaussians, wall.cameras[:4], wall.regions, settings, check_fit=False)
-    assert field.thing_table is None
 
 
 def test_things_of_random_regions_are_of_their_levels() -> None:
