@@ -110,6 +110,16 @@ def test_without_kept_sums_nothing_is_kept() -> None:
     assert names() == before
 
 
+def test_what_a_killed_build_leaves_goes_with_the_next() -> None:
+    before = names()
+    with stuck(*BUILD) as build:
+        build.kill()
+        build.communicate(timeout=HANGS)
+    assert names() - before == {".a.scoup.work", ".a.scoup.work.lock"}
+    assert run(*BUILD)[0] == 0
+    assert names() - before == {"a.scoup"}
+
+
 def test_verbs_that_find_their_output_in_use() -> None:
     run_json(*BUILD[:-1], "kept.scoup", "--keep-sums", "sums")
     Path("regions").mkdir()

@@ -131,7 +131,9 @@ def reserved_output(path: str | Path, overwrite: bool = False) -> Iterator[Path]
         try:
             yield work
         except WriteError as error:
-            raise (error.at(path) if error.path.is_relative_to(work) else error) from error
+            if not error.path.is_relative_to(work):
+                raise
+            raise error.at(path) from error
         finally:
             remove(work)
 
