@@ -361,8 +361,8 @@ class LanguageField:
         Example:
             >>> field.answer(field.question("kettle", always=True)).presence
             True
-            >>> [answer.text for answer in field.answer(["kettle", "wooden table"])]
-            ['kettle', 'wooden table']
+            >>> ", ".join(answer.text for answer in field.answer(["kettle", "wooden table"]))
+            'kettle, wooden table'
         """
         from scoup.query.answer_scene import answer
 

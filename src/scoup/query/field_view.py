@@ -37,8 +37,8 @@ class FieldView:
 
     Example:
         >>> view = field.at("view_00.png", scale=0.5)
-        >>> [view.answer(text).mask.shape for text in ("kettle", "wooden table")]
-        [torch.Size([15, 20]), torch.Size([15, 20])]
+        >>> {view.answer(text).mask.shape for text in ("kettle", "wooden table")}
+        {torch.Size([15, 20])}
     """
 
     def __init__(
