@@ -19,7 +19,7 @@ from scoup.base.errors import MissingFileError, ScoupError
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
 from scoup.io.image_folder import EXTENSIONS
-from scoup.io.images import open_image
+from scoup.io.images import open_image, rgb_image
 
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
 _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right after the turns
@@ -86,15 +86,14 @@ def _image_folders(scene: Path) -> list[Path]:
 def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
     """Decode a photograph: upright by its EXIF orientation, RGB, 8 bits; FileFormatError where it cannot be read.
 
-    Grey and palette images become RGB, 16-bit ones lose their lower byte, transparency is dropped. Images higher than
-    ``max_height`` (as stored) are reduced to it, widths truncated, as LangSplat does.
+    Images higher than ``max_height`` (as stored) are reduced to it, widths truncated, as LangSplat does.
     """
     from PIL import Image
 
     with open_image(path) as stored:
         width, height = stored.size
         orientation = int(stored.getexif().get(0x0112, 1))
-        rgb = _to_rgb(stored)
+        rgb = rgb_image(stored)
         if max_height is not None and height > max_height:
             size = (max(1, int(width / (height / max_height))), max_height)
             rgb = rgb.resize(size, Image.Resampling.BILINEAR)
@@ -105,17 +104,6 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
     if mirrored:
         upright = upright[:, ::-1]
     return Pixels(np.array(upright, order="C"), turns, mirrored, file_sha256(path))
-
-
-def _to_rgb(image: Any) -> Any:
-    from PIL import Image
-
-    if image.mode.startswith("I") or image.mode == "F":
-        values = np.asarray(image).astype(np.float64)
-        if image.mode == "F" or values.max(initial=0) > 65535 or values.min(initial=0) < 0:
-            raise ValueError(f"image mode {image.mode} is not supported")
-        return Image.fromarray((values / 256).astype(np.uint8)).convert("RGB")
-    return image.convert("RGB")
 
 
 def read_ahead(
