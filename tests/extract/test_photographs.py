@@ -115,6 +115,9 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     assert [item.name for item in find_photographs(tmp_path, folder / "images_2" / "left")] == ["c.png"]
     write_colmap(Cameras([make_camera(30, 20, name="b.png")]), folder / "sparse" / "0")
     assert [item.name for item in find_photographs(folder)] == ["b.png"]  # those of the cameras
+    (folder / "images_2" / "b.png").unlink()
+    with pytest.raises(FileFormatError, match="none of their photographs was found"):
+        find_photographs(folder)
     with pytest.raises(MissingFileError, match="no such scene"):
         find_photographs(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()

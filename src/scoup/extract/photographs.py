@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.digests import file_sha256
-from scoup.base.errors import MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
-from scoup.io.image_folder import EXTENSIONS
+from scoup.io.image_folder import EXTENSIONS, ImageFolder
 from scoup.io.images import open_image, rgb_image
 
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
@@ -62,16 +62,16 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
     if not scene.exists():
         raise MissingFileError(scene, "there is no such scene", "check the path")
     with suppress(MissingFileError):  # no cameras: all photographs of a folder
-        found = [Photograph(name, path) for name, path in camera_photographs(scene, images)]
-        if found:
-            return found
+        named = camera_photographs(scene, images)
+        if not named:
+            problem = "has cameras, but none of their photographs was found"
+            raise FileFormatError(
+                scene, problem, "pass the folder that their names are relative to as images"
+            )
+        return [Photograph(name, path) for name, path in named]
     folders = [Path(images)] if images is not None else _image_folders(scene)
     for folder in folders:
-        found = [
-            Photograph(path.relative_to(folder).as_posix(), path)
-            for path in sorted(folder.rglob("*"))
-            if path.suffix.lower() in EXTENSIONS and path.is_file() and not path.name.startswith(".")
-        ]
+        found = [Photograph(name, folder / name) for name in ImageFolder(folder).photographs()]
         if found:
             return found
     remedy = f"pass their folder as images ({', '.join(EXTENSIONS)})"
