@@ -32,6 +32,13 @@ def test_orientation_is_undone_for_models_and_put_back_for_cameras(tmp_path: Pat
         upright = np.asarray(ImageOps.exif_transpose(stored).convert("RGB"))
     assert (pixels.image == upright).all()
     assert (pixels.as_stored(pixels.image[..., 0].astype(np.int32)) == IMAGE[..., 0]).all()
+    left = np.arange(30) < 10  # stored; of twice the size
+    Image.fromarray(np.where(left, 0, 9).repeat(2)[None].repeat(40, 0).astype(np.uint8)).save(
+        tmp_path / "m.png"
+    )
+    masked = read_photograph(path, mask=tmp_path / "m.png").masked
+    assert masked is not None
+    assert (pixels.as_stored(masked) == left).all()
     assert pixels.digest == hashlib.sha256(path.read_bytes()).hexdigest()
 
 

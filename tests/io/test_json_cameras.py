@@ -73,6 +73,18 @@ def test_lens_settings_that_change_nothing(tmp_path):
     assert read_transforms(path, "undistort")[0].distortion == (0.1, 0.2, 0.3, 0.4)
 
 
+def test_masks_of_photographs(tmp_path):
+    save_images(some_cameras(1), tmp_path / "masks")
+    (tmp_path / "a").mkdir()
+    frame = {"mask_path": "masks/view_00.png"}
+    assert (
+        read_transforms(transforms(tmp_path, frame=frame))[0].mask_path == tmp_path / "masks" / "view_00.png"
+    )
+    for name in ("masks/none.png", "../masks/view_00.png"):
+        with pytest.warns(ScoupWarning, match=r"1 mask \(mask_path\) not found \(a\.png\)"):
+            assert read_transforms(transforms(tmp_path / "a", frame={"mask_path": name}))[0].mask_path is None
+
+
 def test_image_gives_size_and_extension(tmp_path):
     cameras = some_cameras(1, width=20, height=10)
     save_images(cameras, tmp_path / "images")

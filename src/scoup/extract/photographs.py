@@ -33,6 +33,8 @@ class Photograph:
     """As cameras name it."""
     path: Path
     """Of the file."""
+    mask: Path | None = None
+    """Of an image that is 0 where there are no regions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,7 @@ class Pixels:
     turns: int  # quarter turns against the clock
     mirrored: bool  # left to right, after the turns
     digest: str  # SHA-256 of the file
+    masked: NDArray[np.bool_] | None = None  # [H, W] where there are no regions, upright
 
     def as_stored(self, labels: NDArray[Any]) -> NDArray[Any]:
         """Turn labels [H, W] of the upright image to the orientation of the file."""
@@ -68,7 +71,7 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
             raise FileFormatError(
                 scene, problem, "pass the folder that their names are relative to as images"
             )
-        return [Photograph(name, path) for name, path in named]
+        return [Photograph(*each) for each in named]
     folders = [Path(images)] if images is not None else _image_folders(scene)
     for folder in folders:
         found = [Photograph(name, folder / name) for name in ImageFolder(folder).photographs()]
@@ -83,8 +86,10 @@ def _image_folders(scene: Path) -> list[Path]:
     return [scene / name for name in names if (scene / name).is_dir()] or [scene]
 
 
-def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
-    """Decode a photograph: upright by its EXIF orientation, RGB, 8 bits; FileFormatError where it cannot be read.
+def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None = None) -> Pixels:
+    """Decode a photograph and its mask: upright by the photograph's EXIF orientation, RGB, 8 bits.
+
+    FileFormatError where one cannot be read.
 
     Images higher than ``max_height`` (as stored) are reduced to it, widths truncated, as LangSplat does.
     """
@@ -100,10 +105,17 @@ def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
         array = np.asarray(rgb)
     mirrored = orientation in _MIRRORED
     turns = _MIRRORED.get(orientation, 0) if mirrored else _TURNS.get(orientation, 0)
-    upright = np.rot90(array, turns)
-    if mirrored:
-        upright = upright[:, ::-1]
-    return Pixels(np.array(upright, order="C"), turns, mirrored, file_sha256(path))
+
+    def upright(stored: NDArray[Any]) -> NDArray[Any]:
+        turned = np.rot90(stored, turns)
+        return np.array(turned[:, ::-1] if mirrored else turned, order="C")
+
+    masked = None
+    if mask is not None:
+        with open_image(mask) as stored:
+            brightest = Image.fromarray(np.asarray(rgb_image(stored)).max(2))
+        masked = upright(np.asarray(brightest.resize(rgb.size, Image.Resampling.NEAREST)) == 0)
+    return Pixels(upright(array), turns, mirrored, file_sha256(path), masked)
 
 
 def read_ahead(
@@ -121,7 +133,7 @@ def read_ahead(
 
         def fill() -> None:
             for item in islice(waiting, ahead - len(queue)):
-                queue.append((item, pool.submit(read_photograph, item.path, max_height)))
+                queue.append((item, pool.submit(read_photograph, item.path, max_height, item.mask)))
 
         try:
             fill()

@@ -8,12 +8,13 @@ import os
 import re
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from scoup.base.atomic import write_text
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.base.json_node import JsonNode
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
@@ -52,11 +53,18 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
     warn_of_outside(path, path.parent, paths)
     short = [name.rsplit("/", 1)[-1] for name in paths]
     names = short if len(set(short)) == len(short) else paths
-    cameras = []
+    cameras, unmasked = [], []
     for name, relative, frame in zip(names, paths, frames, strict=True):
         camera = _camera(name, relative, frame, content, distorted)
         if camera is not None:
+            mask = frame.get("mask_path")
+            if mask.value is not None:
+                camera = replace(camera, mask_path=find_beside(path.parent, portable_name(mask.text())))
+                unmasked += [camera.name] if camera.mask_path is None else []
             cameras.append(camera)
+    if unmasked:
+        what = f"{path}: {counted(len(unmasked), 'mask')} (mask_path) not found ({listed(unmasked)})"
+        warnings.warn(f"{what}; their photographs are taken whole", ScoupWarning, stacklevel=2)
     skipped = len(frames) - len(cameras)
     if skipped and not cameras:
         raise FileFormatError(
