@@ -20,6 +20,7 @@ from scoup.cli import main
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap
 from scoup.models.word_table import load_table, save_table
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.raster import render_colors
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import Regions
 from support import HANGS, small_scene, unit
@@ -39,8 +40,8 @@ RUN = "from scoup.cli.app import entry; entry()"
 
 
 def write_scene(folder: Path, count: int = 150, seed: int = 0, mark: str = "") -> Path:
-    """point_cloud.ply, images, sparse/0, language_features and words.npz of a random scene; names of views and words
-    begin with the mark."""
+    """point_cloud.ply, renders of it as images, sparse/0, language_features and words.npz of a random scene; names of
+    views and words begin with the mark."""
     gaussians, cameras, regions = small_scene(count, seed=seed)
     if mark:
         cameras = Cameras([replace(camera, name=mark + camera.name) for camera in cameras])
@@ -53,9 +54,8 @@ def write_scene(folder: Path, count: int = 150, seed: int = 0, mark: str = "") -
     save_gaussians(gaussians, folder / "point_cloud.ply")
     write_colmap(cameras, folder / "sparse" / "0")
     for camera in cameras:
-        save_png(
-            torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8), folder / "images" / camera.name
-        )
+        image = render_colors(gaussians, camera)
+        save_png((image * 255).byte(), folder / "images" / camera.name, overwrite=True)
     save_regions(regions, folder / "language_features")
     names = [*(mark + word for word in WORDS), *CANONICAL_PHRASES]
     vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))

@@ -10,27 +10,17 @@ from pathlib import Path
 import pytest
 
 from cli_support import BUILD, refused, run, run_json, write_scene
-from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png
+from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import formats
 from scoup.io.splats.ply import read_ply
-from scoup.raster import render_colors
 from scoup.scene.gaussians import Gaussians
-
-
-def photograph(scene: Path, splat: Path) -> None:
-    """Renders of a splat as the photographs of a scene."""
-    gaussians = load_gaussians(splat)
-    for camera in load_cameras(scene / "sparse" / "0", missing_images="keep"):
-        image = render_colors(gaussians, camera)
-        save_png((image * 255).byte(), scene / "images" / camera.name, overwrite=True)
 
 
 @pytest.fixture(autouse=True)
 def _scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scene with its own photographs, and another splat."""
+    """A scene, and another splat."""
     monkeypatch.chdir(tmp_path)
     write_scene(Path("scene"))
-    photograph(Path("scene"), Path("scene/point_cloud.ply"))
     write_scene(Path("elsewhere"), seed=9)
 
 

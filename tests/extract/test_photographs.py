@@ -14,7 +14,7 @@ from PIL import Image, ImageOps
 from mask_samples import smooth_image
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
-from scoup.io import write_colmap
+from scoup.io import load_image, write_colmap
 from scoup.scene.cameras import Cameras
 from support import make_camera
 
@@ -32,6 +32,13 @@ def test_orientation_is_undone_for_models_and_put_back_for_cameras(tmp_path: Pat
         upright = np.asarray(ImageOps.exif_transpose(stored).convert("RGB"))
     assert (pixels.image == upright).all()
     assert (pixels.as_stored(pixels.image[..., 0].astype(np.int32)) == IMAGE[..., 0]).all()
+    left = np.arange(30) < 10  # stored; of twice the size
+    Image.fromarray(np.where(left, 0, 9).repeat(2)[None].repeat(40, 0).astype(np.uint8)).save(
+        tmp_path / "m.png"
+    )
+    masked = read_photograph(path, mask=tmp_path / "m.png").masked
+    assert masked is not None
+    assert (pixels.as_stored(masked) == left).all()
     assert pixels.digest == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -43,6 +50,10 @@ def test_depths_and_modes(tmp_path: Path) -> None:
         "deep.png": (Image.fromarray(deep), grey),
         "deep.tif": (Image.fromarray(deep), grey),
         "wide.tif": (Image.fromarray(deep.astype(np.int32)), grey),
+        "wider.tif": (Image.fromarray(grey.astype(np.int32) << 23), grey),
+        "float.tif": (Image.fromarray(grey.astype(np.float32) / 255), grey),
+        "float_bytes.tif": (Image.fromarray(grey.astype(np.float32)), grey),
+        "float_deep.tif": (Image.fromarray(deep.astype(np.float32)), grey),
         "alpha.png": (Image.fromarray(np.dstack([IMAGE, grey])), None),
         "grey_alpha.png": (Image.fromarray(np.dstack([grey, grey]), "LA"), grey),
         "palette.png": (Image.fromarray(IMAGE).convert("P"), None),
@@ -58,6 +69,8 @@ def test_depths_and_modes(tmp_path: Path) -> None:
         wanted = IMAGE if expected is None else np.repeat(expected[..., None], 3, 2)
         worst = 60 if name in ("palette.png", "small.webp") else 1
         assert np.abs(pixels.astype(int) - wanted).max() <= worst, name
+        camera = make_camera(30, 20, image_path=tmp_path / name)
+        assert (load_image(camera).numpy() == pixels).all(), name
 
 
 def test_high_photographs_are_reduced_as_langsplat_does(tmp_path: Path) -> None:
@@ -68,7 +81,9 @@ def test_high_photographs_are_reduced_as_langsplat_does(tmp_path: Path) -> None:
 
 
 def test_what_is_no_photograph(tmp_path: Path) -> None:
-    Image.fromarray(np.random.default_rng(0).random((9, 9)).astype(np.float32)).save(tmp_path / "float.tif")
+    Image.fromarray(np.random.default_rng(0).random((9, 9)).astype(np.float32) - 0.5).save(
+        tmp_path / "float.tif"
+    )
     Image.fromarray(IMAGE).save(tmp_path / "whole.jpg")
     (tmp_path / "cut.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:300])
     (tmp_path / "text.png").write_text("no image")
@@ -107,6 +122,9 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     assert [item.name for item in find_photographs(tmp_path, folder / "images_2" / "left")] == ["c.png"]
     write_colmap(Cameras([make_camera(30, 20, name="b.png")]), folder / "sparse" / "0")
     assert [item.name for item in find_photographs(folder)] == ["b.png"]  # those of the cameras
+    (folder / "images_2" / "b.png").unlink()
+    with pytest.raises(FileFormatError, match="none of their photographs was found"):
+        find_photographs(folder)
     with pytest.raises(MissingFileError, match="no such scene"):
         find_photographs(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()

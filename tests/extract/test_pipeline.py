@@ -27,6 +27,7 @@ from scoup.extract import (
     registry,
 )
 from scoup.extract.felzenszwalb import Felzenszwalb
+from scoup.extract.photographs import Photograph
 from scoup.extract.plain_colors import PlainColors
 from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
@@ -88,6 +89,19 @@ def test_regions_are_read_back(tmp_path: Path) -> None:
             total += len(masks)
     assert report.regions == total
     assert json.loads((out / MANIFEST).read_text())["embedding_model"] == "colors"
+
+
+def test_what_is_masked_gets_no_regions(tmp_path: Path) -> None:
+    folder, cameras = scene(tmp_path, 1)
+    Image.fromarray(np.where(np.arange(20) < 12, 0, 255)[None].repeat(30, 0).astype(np.uint8)).save(
+        tmp_path / "m.png"
+    )
+    photograph = Photograph("0.png", folder / "images" / "0.png", tmp_path / "m.png")
+    extract([photograph], folder / "language_features", Blocks(), PlainColors())
+    item = scoup.load_regions(folder, cameras).load("0.png", "s")
+    assert (item.labels[:, :12] == -1).all()
+    assert (item.labels[:, 12:] >= 0).all()
+    assert len(item.embeddings) == 8  # of 12 squares of 8 pixels, those of columns 8 to 15 and 16 to 19
 
 
 def test_work_goes_on_where_it_stopped(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from io_samples import same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError
 from scoup.io import read_gltf
 from scoup.io.splats.axes import Axis, turned
-from scoup.io.splats.gltf_rotation import rotated_sh
+from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
 from scoup.scene.cameras import Camera

@@ -12,7 +12,7 @@ from gltf_samples import SPLATS, columns_of, foreign, packed, read_in_its_axes
 from io_samples import same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.splats.gltf import read_gltf_features
-from scoup.io.splats.gltf_rotation import quat_from_rotation, rotated_sh, rotation_from_quat
+from scoup.io.splats.rotation import quat_from_rotation, rotated_sh, rotation_from_quat
 from scoup.raster import view_colors
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import save_images, some_cameras
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
-from scoup.io.image_folder import ImageFolder
+from scoup.io.image_folder import ImageFolder, find_beside
 from scoup.io.images import image_size, load_image, read_mask, save_png
 from scoup.scene.cameras import Camera
 
@@ -64,18 +63,46 @@ def test_missing_and_damaged_images(tmp_path):
         load_image(camera_of(image_path=tmp_path / "a.png"))
 
 
-def test_images_are_found_by_any_name(tmp_path):
-    save_images(some_cameras(1), tmp_path / "left")
-    save_images(some_cameras(2), tmp_path / "right")
-    folder = ImageFolder(tmp_path)
+def touched(folder: Path, *names: str) -> ImageFolder:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"")
+    return ImageFolder(folder)
+
+
+def test_images_are_found_by_their_paths(tmp_path):
+    folder = touched(tmp_path, "left/view_00.png", "right/view_00.png", "right/view_01.png")
     assert len(folder) == 3
     assert folder.find("left/view_00.png") == tmp_path / "left" / "view_00.png"
     assert folder.find("left/view_00") == tmp_path / "left" / "view_00.png"
-    assert folder.find("view_01") == tmp_path / "right" / "view_01.png"
-    assert folder.find("elsewhere/view_01.jpg") == tmp_path / "right" / "view_01.png"
-    assert folder.find("view_00") is None  # there are two
-    assert folder.find("") is None
-    assert folder.find("..") is None
+    assert folder.find("view_01") == tmp_path / "right" / "view_01.png"  # the only one
+    assert folder.find("right/view_01.jpg") == tmp_path / "right" / "view_01.png"  # no .jpg there
+    for name in ("left/view_01.png", "elsewhere/view_01.png", "view_00", "", ".."):
+        assert folder.find(name) is None, name
+    left = ImageFolder(tmp_path / "left")
+    for name in ("left/view_00.png", "/old/machine/images/view_00.png", "../left/view_00.png"):
+        assert left.find(name) == tmp_path / "left" / "view_00.png"
+    half = touched(tmp_path / "images_2", "cam1/a.jpg", "b.JPG")
+    assert half.find("images/cam1/a.jpg") == tmp_path / "images_2" / "cam1" / "a.jpg"
+    assert half.find("b.jpg") == half.find("b") == tmp_path / "images_2" / "b.JPG"
+    assert half.find("a.jpg") is None  # beside those of no sub-folder
+
+
+def test_masks_and_depth_maps_are_never_photographs(tmp_path):
+    names = ("a.jpg", "a.jpg.png", "masks/a.jpg", "b.jpg.png", "masks/b.jpg", "depth/b.png", "c.png")
+    more = ("c.old.jpg", "d.jpg", "d.png", "._a.jpg")
+    folder = touched(tmp_path / "top", *names, *more)
+    assert folder.find("a") == tmp_path / "top" / "a.jpg"
+    for name in ("b", "b.jpg", "b.png", "c.jpg"):
+        assert folder.find(name) is None, name
+    assert folder.find("masks/b.jpg") == tmp_path / "top" / "masks" / "b.jpg"  # by its path anything
+    assert folder.photographs() == ["a.jpg", "c.old.jpg", "c.png", "d.jpg", "d.png"]
+    assert touched(tmp_path / "maps", "depth/a.png", "sky_masks/a.png").find("a.png") is None
+    assert (
+        touched(tmp_path / "both", "rgb/a.png", "depth/a.png").find("a")
+        == tmp_path / "both" / "rgb" / "a.png"
+    )
+    assert find_beside(tmp_path / "top", "b.jpg") is None
 
 
 def test_no_distortion_is_the_identity():

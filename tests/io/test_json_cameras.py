@@ -64,6 +64,27 @@ def test_angle_of_view_and_frame_intrinsics(tmp_path):
     assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width) == (40, 41, 30, 24, 64)
 
 
+def test_lens_settings_that_change_nothing(tmp_path):
+    straight = {"is_fisheye": False, "latlong": None, "ftheta_p0": 0.0, "k3": 0.0, "camera_model": "pinhole"}
+    assert not read_transforms(transforms(tmp_path, **straight))[0].distortion
+    path = transforms(tmp_path, is_fisheye=True, frame={"is_fisheye": False, "file_path": "fisheye/a.png"})
+    assert not read_transforms(path)[0].distortion
+    path = transforms(tmp_path, frame={"distortion_params": [0.1, 0.2, 0, 0, 0.3, 0.4]})
+    assert read_transforms(path, "undistort")[0].distortion == (0.1, 0.2, 0.3, 0.4)
+
+
+def test_masks_of_photographs(tmp_path):
+    save_images(some_cameras(1), tmp_path / "masks")
+    (tmp_path / "a").mkdir()
+    frame = {"mask_path": "masks/view_00.png"}
+    assert (
+        read_transforms(transforms(tmp_path, frame=frame))[0].mask_path == tmp_path / "masks" / "view_00.png"
+    )
+    for name in ("masks/none.png", "../masks/view_00.png"):
+        with pytest.warns(ScoupWarning, match=r"1 mask \(mask_path\) not found \(a\.png\)"):
+            assert read_transforms(transforms(tmp_path / "a", frame={"mask_path": name}))[0].mask_path is None
+
+
 def test_image_gives_size_and_extension(tmp_path):
     cameras = some_cameras(1, width=20, height=10)
     save_images(cameras, tmp_path / "images")
@@ -83,7 +104,16 @@ def test_image_gives_size_and_extension(tmp_path):
     ("changes", "message"),
     [
         ({"camera_model": "OPENCV_FISHEYE"}, "'OPENCV_FISHEYE'.*not supported"),
+        ({"is_fisheye": True}, "is_fisheye 'True', a lens that is not supported"),
+        ({"frame": {"is_fisheye": True}}, "is_fisheye"),
+        ({"latlong": True}, "latlong"),
+        ({"equirectangular": 1}, "equirectangular"),
+        ({"ftheta_p0": 0.0, "ftheta_p1": 0.02}, "ftheta_p1"),
+        ({"camera_type": "spherical"}, "camera_type 'spherical'"),
         ({"k3": 0.1}, "k3"),
+        ({"k6": 0.1}, "k6"),
+        ({"distortion_params": [0.1, 0, 0.2, 0, 0, 0]}, "k3"),
+        ({"distortion_params": [0.1, 0.2]}, "distortion_params"),
         ({"fl_x": None}, "neither fl_x nor camera_angle_x"),
         ({"w": 0}, "w is .*, expected a whole number from 1"),
         ({"w": 10**12}, "w is .*, expected a whole number from 1"),

@@ -53,6 +53,34 @@ def test_rows_without_a_rotation_are_dropped(tmp_path):
     assert same_gaussians(gaussians.select(torch.tensor([0])), gaussians.select(torch.tensor([1])))
 
 
+KSPLAT = struct.pack("<2B2x4IH", 0, 1, 1, 0, 0, 64, 0)  # as gaussforge writes it
+
+
+@pytest.mark.parametrize(
+    ("start", "kind"),
+    [
+        (KSPLAT, r"\.ksplat"), (b"\x1f\x8b\x08\0", "gzip"), (b"PK\x03\x04", "zip"), (b"NGSP\4\0\0\0", r"\.spz"),
+        (b"ply\nformat binary_little_endian 1.0\n", "PLY"), (b"glTF\2\0\0\0", r"\.glb"),
+        (b"\xef\xbb\xbf\n<!DOCTYPE html>" + b" " * 99, "a web page"), (b'{"a": 1}' + b" " * 88, "JSON"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64, "a pointer of Git LFS"),
+        (b"404: Not Found\n" + b" " * 81, "text"),
+    ],
+)  # fmt: skip
+def test_files_of_another_kind_are_named(tmp_path, start, kind):
+    content = start + np.random.default_rng(0).bytes(-len(start) % 32 + 64 * (len(start) < 60))
+    (tmp_path / "a.splat").write_bytes(content)
+    with pytest.raises(FileFormatError, match=rf"not a \.splat file; its content is {kind}"):
+        read_splat(tmp_path / "a.splat")
+
+
+def test_values_beyond_any_scene_are_refused(tmp_path):
+    (tmp_path / "a.splat").write_bytes(record() * 20 + record(center=(2e9, 0, 0)))
+    assert len(read_splat(tmp_path / "a.splat")) == 21
+    (tmp_path / "a.splat").write_bytes(record() * 9 + record(scale=(0.1, 2e9, 0.1)))
+    with pytest.raises(FileFormatError, match=r"not a \.splat file: 1 of 10 rows have values beyond"):
+        read_splat(tmp_path / "a.splat")
+
+
 def test_wrong_sizes(tmp_path):
     (tmp_path / "a.splat").write_bytes(record()[:-1])
     with pytest.raises(FileFormatError, match="31 bytes, which is not a multiple of 32"):

@@ -14,13 +14,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from io_samples import some_gaussians
+from io_samples import same_gaussians, some_gaussians
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.io import load_gaussians, write_ply, write_spz
 from scoup.io.splats.spz import MOST_BITS, read_spz
 from scoup.io.splats.spz_container import _unpacked
-from scoup.raster.spherical_harmonics import _basis
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.harmonics import sh_basis
+from scoup.scene.rotations import rotation_matrices
 from support import examples
 
 # Steps of the stored values, halved, with a little for float32.
@@ -151,7 +152,7 @@ def test_colours_turn_with_the_axes() -> None:
     )
     flipped = directions * torch.tensor([1.0, -1.0, -1.0])
     signs = torch.tensor([1.0 if sign == "+" else -1.0 for sign in "--+-++-+-+--+-+-+-++-+--"])
-    found, expected = _basis(flipped, 4), _basis(directions, 4) * signs
+    found, expected = sh_basis(flipped, 4), sh_basis(directions, 4) * signs
     # But for the last one, which the format's own tools turn, although it is even in both.
     assert torch.allclose(found[:, :23], expected[:, :23], atol=1e-5)
 
@@ -200,6 +201,60 @@ def test_the_same_gaussians_give_the_same_bytes(tmp_path: Path, version: int) ->
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
 
 
+AXES = struct.pack("<II", 0xADBE0003, 4)
+
+
+def extended(path: Path, record: bytes) -> Path:
+    """Put a record of an extension into a .spz file."""
+    content = path.read_bytes()
+    if content[:2] == b"\x1f\x8b":
+        body = bytearray(gzip.decompress(content))
+        body[14] |= 2
+        path.write_bytes(gzip.compress(bytes(body) + record))
+    else:
+        place = struct.unpack_from("<I", content, 16)[0] + len(record)
+        head = content[:14] + bytes([content[14] | 2, content[15]]) + struct.pack("<I", place)
+        path.write_bytes(head + content[20:32] + record + content[32:])
+    return path
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_declared_axes_are_obeyed(tmp_path: Path, version: int) -> None:
+    given = tame(5, 4 if version == 4 else 3, 3)
+    directions = torch.nn.functional.normalize(torch.randn(9, 3), dim=1)
+    ways = {"R": (0, 1), "L": (0, -1), "D": (1, 1), "U": (1, -1), "F": (2, 1), "B": (2, -1)}
+
+    def read(number: int) -> Gaussians:
+        write_spz(given, tmp_path / "a.spz", True, version)
+        return read_spz(extended(tmp_path / "a.spz", AXES + struct.pack("<I", number)))
+
+    stored = read(6)  # RDF: as they are in the file
+    assert same_gaussians(read(0), read(4))  # RUB
+    covariance = rotation_matrices(stored.quats) * stored.scales[:, None]
+    names = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU"
+    for number, name in enumerate(names.split(), 1):
+        found, matrix = read(number), torch.zeros(3, 3)
+        for column, letter in enumerate(name):
+            row, sign = ways[letter]
+            matrix[row, column] = sign
+        assert torch.allclose(found.means, stored.means @ matrix.T), name
+        axes = rotation_matrices(found.quats) * found.scales[:, None]
+        expected = matrix @ covariance @ covariance.mT @ matrix.T
+        assert torch.allclose(axes @ axes.mT, expected, atol=1e-4), name
+        if "U" not in name:  # where the format's own tools turn the last coefficient of degree 4
+            before = sh_basis(directions, stored.sh_degree) @ stored.sh[:, 1:]
+            after = sh_basis(directions @ matrix.T, stored.sh_degree) @ found.sh[:, 1:]
+            assert torch.allclose(before, after, atol=1e-4), name
+
+
+def test_extensions_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
+    write_spz(tame(5, 0, 3), tmp_path / "a.spz", version=4)
+    read_spz(extended(tmp_path / "a.spz", struct.pack("<II3f", 0xADBE0002, 12, 0, 1, 1)))  # of viewers only
+    extended(tmp_path / "a.spz", struct.pack("<II", 0x12340001, 3) + b"abc")
+    with pytest.warns(ScoupWarning, match=r"extension 0x12340001 \(3 bytes\) is unknown"):
+        read_spz(tmp_path / "a.spz")
+
+
 def packed(*header: int, body: bytes = b"") -> bytes:
     return gzip.compress(struct.pack("<IIIBBBB", *header) + body, mtime=0)
 
@@ -216,14 +271,18 @@ def packed(*header: int, body: bytes = b"") -> bytes:
         (packed(0x5053474E, 3, 2, 0, 12, 0, 0, body=bytes(20)), "does not contain the 2 Gaussians"),
         (packed(0x5053474E, 3, 1, 0, 12, 0, 0, body=bytes(21)), "does not contain the 1 Gaussians"),
         (packed(0x5053474E, 3, 2**32 - 1, 3, 12, 0, 0), "more than"),
-        (packed(0x5053474E, 3, 1, 0, 12, 2, 0, body=bytes(20)), "extensions"),
+        (packed(0x5053474E, 3, 1, 0, 12, 2, 0, body=bytes(23)), "extension that is cut short"),
+        (
+            packed(0x5053474E, 3, 1, 0, 12, 2, 0, body=bytes(20) + AXES + b"\x11\0\0\0"),
+            "axes of the unknown kind 17",
+        ),
         (packed(0x5053474E, 3, 1, 0, 12, 0, 0, body=bytes(20))[:-9], "does not contain|cannot be unpacked"),
         (struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 1, 0, 12, 0, 5, 32), "no whole table"),
         (struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 1, 0, 12, 0, 5, 8) + bytes(90), "no whole table"),
         (struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 1, 0, 12, 0, 5, 32) + bytes(90), "positions of 0 bytes"),
         (struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 5), "cut short, or its header"),
     ],
-    ids=map(str, range(15)),
+    ids=map(str, range(16)),
 )
 def test_damaged_files_are_named(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "a.spz").write_bytes(content)

@@ -144,7 +144,9 @@ def test_photographs_that_say_nothing_are_passed_over(tmp_path: Path):
     for path in (None, broken, black, tmp_path / "gone.png"):
         fit = measure_fit(gaussians, [replace(camera, image_path=path) for camera in cameras])
         assert not fit.compared.any()
-        assert fit.verdict is Verdict.FITS
+        assert fit.verdict is Verdict.NOT_JUDGED
+    with pytest.warns(ScoupWarning, match="a.ply: whether the cameras fit was not judged: no render"):
+        check_fit(gaussians, [replace(camera, image_path=black) for camera in cameras], splat="a.ply")
 
 
 def test_few_views_are_never_refused_for_their_photographs(tmp_path: Path):
@@ -154,7 +156,7 @@ def test_few_views_are_never_refused_for_their_photographs(tmp_path: Path):
         check_fit(gaussians, wrong[:1])
     with pytest.warns(ScoupWarning, match="3 of 3 renders tried look unlike their photographs"):
         check_fit(gaussians, wrong)
-    assert measure_fit(gaussians, []).verdict is Verdict.FITS
+    assert measure_fit(gaussians, []).verdict is Verdict.NOT_JUDGED
 
 
 @given(st.integers(1, 60))

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.digests import file_sha256
-from scoup.base.errors import MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
-from scoup.io.image_folder import EXTENSIONS
-from scoup.io.images import open_image
+from scoup.io.image_folder import EXTENSIONS, ImageFolder
+from scoup.io.images import open_image, rgb_image
 
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
 _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right after the turns
@@ -33,6 +33,8 @@ class Photograph:
     """As cameras name it."""
     path: Path
     """Of the file."""
+    mask: Path | None = None
+    """Of an image that is 0 where there are no regions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,7 @@ class Pixels:
     turns: int  # quarter turns against the clock
     mirrored: bool  # left to right, after the turns
     digest: str  # SHA-256 of the file
+    masked: NDArray[np.bool_] | None = None  # [H, W] where there are no regions, upright
 
     def as_stored(self, labels: NDArray[Any]) -> NDArray[Any]:
         """Turn labels [H, W] of the upright image to the orientation of the file."""
@@ -62,16 +65,16 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
     if not scene.exists():
         raise MissingFileError(scene, "there is no such scene", "check the path")
     with suppress(MissingFileError):  # no cameras: all photographs of a folder
-        found = [Photograph(name, path) for name, path in camera_photographs(scene, images)]
-        if found:
-            return found
+        named = camera_photographs(scene, images)
+        if not named:
+            problem = "has cameras, but none of their photographs was found"
+            raise FileFormatError(
+                scene, problem, "pass the folder that their names are relative to as images"
+            )
+        return [Photograph(*each) for each in named]
     folders = [Path(images)] if images is not None else _image_folders(scene)
     for folder in folders:
-        found = [
-            Photograph(path.relative_to(folder).as_posix(), path)
-            for path in sorted(folder.rglob("*"))
-            if path.suffix.lower() in EXTENSIONS and path.is_file() and not path.name.startswith(".")
-        ]
+        found = [Photograph(name, folder / name) for name in ImageFolder(folder).photographs()]
         if found:
             return found
     remedy = f"pass their folder as images ({', '.join(EXTENSIONS)})"
@@ -83,39 +86,36 @@ def _image_folders(scene: Path) -> list[Path]:
     return [scene / name for name in names if (scene / name).is_dir()] or [scene]
 
 
-def read_photograph(path: Path, max_height: int | None = 1080) -> Pixels:
-    """Decode a photograph: upright by its EXIF orientation, RGB, 8 bits; FileFormatError where it cannot be read.
+def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None = None) -> Pixels:
+    """Decode a photograph and its mask: upright by the photograph's EXIF orientation, RGB, 8 bits.
 
-    Grey and palette images become RGB, 16-bit ones lose their lower byte, transparency is dropped. Images higher than
-    ``max_height`` (as stored) are reduced to it, widths truncated, as LangSplat does.
+    FileFormatError where one cannot be read.
+
+    Images higher than ``max_height`` (as stored) are reduced to it, widths truncated, as LangSplat does.
     """
     from PIL import Image
 
     with open_image(path) as stored:
         width, height = stored.size
         orientation = int(stored.getexif().get(0x0112, 1))
-        rgb = _to_rgb(stored)
+        rgb = rgb_image(stored)
         if max_height is not None and height > max_height:
             size = (max(1, int(width / (height / max_height))), max_height)
             rgb = rgb.resize(size, Image.Resampling.BILINEAR)
         array = np.asarray(rgb)
     mirrored = orientation in _MIRRORED
     turns = _MIRRORED.get(orientation, 0) if mirrored else _TURNS.get(orientation, 0)
-    upright = np.rot90(array, turns)
-    if mirrored:
-        upright = upright[:, ::-1]
-    return Pixels(np.array(upright, order="C"), turns, mirrored, file_sha256(path))
 
+    def upright(stored: NDArray[Any]) -> NDArray[Any]:
+        turned = np.rot90(stored, turns)
+        return np.array(turned[:, ::-1] if mirrored else turned, order="C")
 
-def _to_rgb(image: Any) -> Any:
-    from PIL import Image
-
-    if image.mode.startswith("I") or image.mode == "F":
-        values = np.asarray(image).astype(np.float64)
-        if image.mode == "F" or values.max(initial=0) > 65535 or values.min(initial=0) < 0:
-            raise ValueError(f"image mode {image.mode} is not supported")
-        return Image.fromarray((values / 256).astype(np.uint8)).convert("RGB")
-    return image.convert("RGB")
+    masked = None
+    if mask is not None:
+        with open_image(mask) as stored:
+            brightest = Image.fromarray(np.asarray(rgb_image(stored)).max(2))
+        masked = upright(np.asarray(brightest.resize(rgb.size, Image.Resampling.NEAREST)) == 0)
+    return Pixels(upright(array), turns, mirrored, file_sha256(path), masked)
 
 
 def read_ahead(
@@ -133,7 +133,7 @@ def read_ahead(
 
         def fill() -> None:
             for item in islice(waiting, ahead - len(queue)):
-                queue.append((item, pool.submit(read_photograph, item.path, max_height)))
+                queue.append((item, pool.submit(read_photograph, item.path, max_height, item.mask)))
 
         try:
             fill()

@@ -114,12 +114,12 @@ def describe_masks(
     labels: dict[str, NDArray[np.int32]] = {}
     visible_masks: dict[str, Masks] = {}
     for level, found in masks.items():
-        painted = paint(found)
-        if segmenter.drop_hidden:
+        painted = _painted(found, photograph)
+        if segmenter.drop_hidden or photograph.masked is not None:
             visible = np.zeros(len(found) + 1, np.bool_)
             visible[painted + 1] = True
             found = found.select(visible[1:])
-            painted = paint(found)
+            painted = _painted(found, photograph)
         labels[level] = photograph.as_stored(painted)
         visible_masks[level] = found
     pixels = torch.from_numpy(photograph.image).to(embedder.device)
@@ -132,6 +132,11 @@ def describe_masks(
         }
     arrays = {level: rows.numpy() for level, rows in vectors.items()}
     return ViewRegions(name, labels, arrays, photograph.digest)
+
+
+def _painted(masks: Masks, photograph: Pixels) -> NDArray[np.int32]:
+    labels = paint(masks)
+    return labels if photograph.masked is None else np.where(photograph.masked, np.int32(-1), labels)
 
 
 def _embed_crops(crops: Iterator[Tensor], embedder: CropEmbedder) -> Tensor:

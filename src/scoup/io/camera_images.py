@@ -70,12 +70,12 @@ def attach_images(
 
 def image_files(
     cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
-) -> list[tuple[str, Path]]:
-    """Return the names of cameras that have image files, with these files, which are not opened."""
+) -> list[tuple[str, Path, Path | None]]:
+    """Return the names of cameras that have image files, with these files and their masks, which are not opened."""
     folder, factor = _choose_folder(roots, images, None)
     hint_first = images is None and (folder is None or factor == 1)
-    images_of = ((camera.name, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
-    return [(name, path) for name, path in images_of if path is not None]
+    images_of = ((camera, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
+    return [(camera.name, path, camera.mask_path) for camera, path in images_of if path is not None]
 
 
 def _choose_folder(

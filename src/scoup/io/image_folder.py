@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import posixpath
+import re
 import warnings
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from scoup.base.counts import counted, listed
@@ -14,8 +16,13 @@ from scoup.base.errors import ScoupWarning
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 
 
+_ASIDE = re.compile(
+    r"(^|[/_-])(masks?|depths?|normals?|seg|segmentations?|semantics?|labels?|alphas?|mattes?)([/_-]|$)", re.I
+)
+
+
 class ImageFolder:
-    """The image files below a folder, found by name with or without extension or sub-folder.
+    """The image files below a folder, found by their paths relative to it, as COLMAP names them.
 
     Args:
         folder: listed once; must exist.
@@ -24,31 +31,93 @@ class ImageFolder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._exact: dict[str, Path] = {}
-        self._loose: dict[str, set[Path]] = defaultdict(set)
+        self._stems: dict[tuple[str, str], list[Path]] = defaultdict(
+            list
+        )  # by (sub-folder, name without ending)
+        self._starts: dict[tuple[str, str], list[Path]] = defaultdict(
+            list
+        )  # (sub-folder, name to its first dot)
         for root, folders, files in os.walk(folder):
             folders.sort()
+            within = "" if Path(root) == folder else Path(root).relative_to(folder).as_posix()
             for file in sorted(files):
-                if not file.lower().endswith(EXTENSIONS):
+                stem, ending = _split(file)
+                if not ending:
                     continue
                 path = Path(root) / file
-                relative = path.relative_to(folder)
-                self._exact[relative.as_posix()] = path
-                for key in (file, relative.with_suffix("").as_posix(), relative.stem, file.split(".", 1)[0]):
-                    self._loose[key].add(path)
+                self._exact[posixpath.join(within, file)] = path
+                self._stems[within, stem].append(path)
+                if not _split(stem)[1]:  # x.jpg.png is most often the mask of x.jpg
+                    self._starts[within, file.split(".", 1)[0]].append(path)
+        self._folders = sorted({within for within, _ in self._stems})
+        # (sub-folder, ending, ending): images with both lie there, such as x.jpg and its mask x.png.
+        self._pairs = {
+            (within, one.suffix.lower(), other.suffix.lower())
+            for (within, _), paths in self._stems.items()
+            for one in paths
+            for other in paths
+            if one != other
+        }
 
     def __len__(self) -> int:
         return len(self._exact)
 
+    def photographs(self) -> list[str]:
+        """Return the paths of all images, sorted, but for hidden files, x.jpg.png and folders of masks and the like."""
+        return [
+            name
+            for name in sorted(self._exact)
+            if not (posixpath.basename(name).startswith(".") or _split(_split(name)[0])[1])
+            and not _ASIDE.search(posixpath.dirname(name))
+        ]
+
     def find(self, name: str) -> Path | None:
-        """Return the image of that name: exactly, else without its extension, else its last part alone if unique."""
-        if name in self._exact:
-            return self._exact[name]
-        pure = PurePosixPath(name)
-        for key in (name, pure.name, pure.with_suffix("").as_posix() if pure.name else name, pure.stem):
-            paths = self._loose.get(key, set())
-            if len(paths) == 1:
-                return next(iter(paths))
-        return None
+        """Return the image of that name: the file of that path.
+
+        Its ending may be another if the name has none, or no image of the sub-folder has both. A name without a folder
+        may be that of a single file in a sub-folder, unless images lie outside of these.
+        """
+        for place in self._places(name):
+            found = self._in(*posixpath.split(place))
+            if found is not None:
+                return found
+        if "/" in name or "" in self._folders:
+            return None
+        others = [self._in(within, name) for within in self._folders if not _ASIDE.search(within)]
+        paths = [path for path in others if path is not None]
+        return paths[0] if len(paths) == 1 else None
+
+    def _in(self, within: str, file: str) -> Path | None:
+        path = self._exact.get(posixpath.join(within, file))
+        if path is not None:
+            return path
+        stem, ending = _split(file)
+        paths = self._stems.get((within, stem), [])
+        if ending:
+            same = [path for path in paths if path.suffix.lower() == ending]
+            paths = same or [
+                path for path in paths if (within, ending, path.suffix.lower()) not in self._pairs
+            ]
+        elif not paths:
+            paths = self._starts.get((within, stem), [])
+        return paths[0] if len(paths) == 1 else None
+
+    def _places(self, name: str) -> Iterator[str]:
+        """Yield the name, and what follows this folder in it; of an absolute path or one with .., all ends."""
+        yield name
+        parts = PurePosixPath(name).parts
+        own = self.folder.absolute()
+        folders = (*own.parent.parts, re.sub(r"^images_\d+$", "images", own.name))
+        elsewhere = ".." in parts or PurePosixPath(name).is_absolute() or bool(PureWindowsPath(name).drive)
+        for count in range(1, len(parts)):
+            if elsewhere or folders[-count:] == parts[:count]:
+                yield "/".join(parts[count:])
+
+
+def _split(file: str) -> tuple[str, str]:
+    """Return a name without the ending of an image, and this ending in small letters; "" if it has none."""
+    stem, ending = os.path.splitext(file)
+    return (stem, ending.lower()) if ending.lower() in EXTENSIONS else (file, "")
 
 
 def is_outside(folder: Path, name: str) -> bool:
@@ -85,7 +154,8 @@ def find_beside(folder: Path, relative: str) -> Path | None:
     if is_outside(folder, relative):
         return None
     candidate = folder / relative
-    for end in ("", *EXTENSIONS, *(item.upper() for item in EXTENSIONS)):
+    added = () if _split(relative)[1] else (*EXTENSIONS, *(item.upper() for item in EXTENSIONS))
+    for end in ("", *added):
         path = f"{candidate}{end}"
         if os.path.isfile(path):
             return Path(path)

@@ -110,7 +110,7 @@ def read_mask(path: str | Path, above: int) -> np.ndarray:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with open_image(path) as image:
-            return np.asarray(image.convert("L")) > above
+            return np.asarray(rgb_image(image).convert("L")) > above
 
 
 def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = False) -> None:
@@ -185,6 +185,27 @@ def open_image(path: Path) -> Iterator[Any]:
         raise FileFormatError(path, f"cannot be decoded ({error})", "copy it again, or remove it") from error
 
 
+def rgb_image(image: Any) -> Any:
+    """Return an image of Pillow as 8-bit RGB: 16-bit values lose their lower byte, transparency is dropped.
+
+    Grey integers of 32 bits that fit in 16 count as 16-bit values. Grey floats are in 0..1, 0..255 or 0..65535, by
+    the largest one.
+
+    Raises:
+        ValueError: the values are in no such range.
+    """
+    from PIL import Image
+
+    if image.mode.startswith("I") or image.mode == "F":
+        values = np.asarray(image).astype(np.float64)
+        ranges = (1.0, 255.0, 65535.0) if image.mode == "F" else (65535.0, 2.0**31 - 1)
+        most = next((most for most in ranges if values.min() >= 0 and values.max() <= most), None)
+        if most is None:
+            raise ValueError("grey values outside of 0..1, 0..255 and 0..65535")
+        return Image.fromarray((values * (255.999 / most)).astype(np.uint8)).convert("RGB")
+    return image.convert("RGB")
+
+
 def _decode(path: Path, width: int, height: int) -> np.ndarray:
     from PIL import Image
 
@@ -192,7 +213,7 @@ def _decode(path: Path, width: int, height: int) -> np.ndarray:
         warnings.simplefilter("ignore")
         with open_image(path) as image:
             image.draft("RGB", (width, height))  # lets JPEG skip detail that would be thrown away
-            rgb = image.convert("RGB")
+            rgb = rgb_image(image)
             if rgb.size != (width, height):
                 rgb = rgb.resize((width, height), Image.Resampling.BICUBIC)
             return np.array(rgb)

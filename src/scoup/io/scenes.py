@@ -157,8 +157,11 @@ def _means_of(results: Path) -> np.ndarray | None:
         return None
 
 
-def camera_photographs(path: str | Path, images: str | Path | None = None) -> list[tuple[str, Path]]:
-    """Return names of a scene's cameras and their photographs, where there are any; the photographs are not opened.
+def camera_photographs(
+    path: str | Path, images: str | Path | None = None
+) -> list[tuple[str, Path, Path | None]]:
+    """Return names of a scene's cameras, their photographs where there are any, and the masks of these; no image is
+    opened.
 
     Args:
         path, images: as in ``load_cameras``.

@@ -51,6 +51,8 @@ class Camera:
     """OpenCV coefficients (k1, k2, p1, p2) of the *photograph*, empty for none. The camera itself is always an ideal
     pinhole; readers of images and region maps undistort with these (``io.cameras.undistort``). Only set where the user
     requested undistortion."""
+    mask_path: Path | None = None
+    """A mask of the photograph, if there is one: where it is 0, extraction makes no regions."""
 
     def __post_init__(self) -> None:
         for field, shape in (("viewmat", (4, 4)), ("K", (3, 3))):

@@ -46,6 +46,7 @@ class Verdict(Enum):
     """The conclusion from a ``Fit``."""
 
     FITS = "fits"
+    NOT_JUDGED = "not judged"
     DOUBTFUL = "doubtful"
     HOPELESS = "hopeless"
 
@@ -105,7 +106,7 @@ class Fit:
             return Verdict.HOPELESS
         compared = int(self.compared.sum())
         if not compared:
-            return Verdict.DOUBTFUL if self.blind.sum() > FEW * len(self.names) else Verdict.FITS
+            return Verdict.DOUBTFUL if self.blind.sum() > FEW * len(self.names) else Verdict.NOT_JUDGED
         if len(self.unlike) <= FEW * compared:
             return Verdict.FITS
         own = np.where(self.blind, 0.0, self.own)  # what sees nothing looks like nothing
@@ -154,7 +155,8 @@ def check_fit(
     backend: str | None = None,
     splat: str | Path | None = None,
 ) -> None:
-    """Raise an InputError for cameras that do not fit the splat, and warn of a doubtful fit.
+    """Raise an InputError for cameras that do not fit the splat, and warn of a doubtful fit, or of photographs with
+    which no render can be compared.
 
     ``splat`` is the file of the Gaussians, for messages.
     """
@@ -165,6 +167,12 @@ def check_fit(
         raise InputError(said)
     if fit.verdict is Verdict.DOUBTFUL:
         message = f"{where}may not fit the cameras: {fit.reason()}; {fit.remedies()}"
+        warnings.warn(message, ScoupWarning, stacklevel=3)
+    if fit.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
+        message = (
+            f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
+            "(unreadable, or without detail); check the photographs"
+        )
         warnings.warn(message, ScoupWarning, stacklevel=3)
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from scoup.base.atomic import write_text
-from scoup.base.counts import counted
+from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.base.json_node import JsonNode
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
@@ -26,6 +28,11 @@ _REMEDY = (
     "cameras.json is a list"
 )
 _PINHOLE_LIKE = {"PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"}
+_LENS = re.compile("camera|lens|projection")
+_BENT = re.compile("fisheye|f_?theta|lat_?long|equirect|ortho|panoram|spherical|omni|cylind", re.I)
+"""In keys and names of lenses that are not pinholes, of nerfstudio, instant-ngp and others."""
+_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")  # the first six are those of distortion_params
+_USED = ("k1", "k2", "p1", "p2")
 _FLIP = np.diag([1.0, -1.0, -1.0])  # OpenGL's camera looks along -z with y up
 
 
@@ -46,11 +53,18 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
     warn_of_outside(path, path.parent, paths)
     short = [name.rsplit("/", 1)[-1] for name in paths]
     names = short if len(set(short)) == len(short) else paths
-    cameras = []
+    cameras, unmasked = [], []
     for name, relative, frame in zip(names, paths, frames, strict=True):
         camera = _camera(name, relative, frame, content, distorted)
         if camera is not None:
+            mask = frame.get("mask_path")
+            if mask.value is not None:
+                camera = replace(camera, mask_path=find_beside(path.parent, portable_name(mask.text())))
+                unmasked += [camera.name] if camera.mask_path is None else []
             cameras.append(camera)
+    if unmasked:
+        what = f"{path}: {counted(len(unmasked), 'mask')} (mask_path) not found ({listed(unmasked)})"
+        warnings.warn(f"{what}; their photographs are taken whole", ScoupWarning, stacklevel=2)
     skipped = len(frames) - len(cameras)
     if skipped and not cameras:
         raise FileFormatError(
@@ -108,16 +122,8 @@ def _camera(
         own = frame.get(key)
         return content.get(key) if own.value is None else own
 
-    model = setting("camera_model").value
-    if model is not None and str(model) not in _PINHOLE_LIKE:
-        problem = f"camera model {str(model)[:40]!r} of frame {name!r} is not supported"
-        raise FileFormatError(
-            path, problem, "make pinhole images, for example with ns-process-data or colmap"
-        )
-    for coefficient in ("k3", "k4"):
-        if setting(coefficient).number(0.0):
-            problem = f"frame {name!r} has distortion {coefficient}, which is not supported"
-            raise FileFormatError(path, problem, "undistort the images with colmap image_undistorter")
+    keys = sorted({*content.object(), *frame.object()})
+    coefficients = _distortion(name, keys, setting)
     image_path = find_beside(path.parent, relative)
     if setting("w").value is None or setting("h").value is None:
         if image_path is None:
@@ -133,13 +139,36 @@ def _camera(
         setting("cx").number(width / 2),
         setting("cy").number(height / 2),
     )
-    coefficients = tuple(setting(key).number(0.0) for key in ("k1", "k2", "p1", "p2"))
     pose = setting("transform_matrix").numbers(4, 4)
     camera_to_world = pose[:3, :3] @ _FLIP
     with np.errstate(all="ignore"):
         viewmat = np.concatenate([camera_to_world.T, -camera_to_world.T @ pose[:3, 3:]], axis=1)
     named = name if os.path.splitext(name)[1] or image_path is None else name + image_path.suffix
     return make_camera(path, named, viewmat, intrinsics, (width, height), coefficients, distorted, image_path)
+
+
+def _distortion(name: str, keys: list[str], setting: Callable[[str], JsonNode]) -> tuple[float, ...]:
+    """Return (k1, k2, p1, p2) of a frame; any other lens is refused."""
+    for node in map(setting, keys):
+        key, value = node.place.rpartition(".")[2], node.value
+        if key == "camera_model":
+            refused = value is not None and str(value).upper() not in _PINHOLE_LIKE
+        else:
+            said = f"{key} {value}" if isinstance(value, str) and _LENS.search(key) else key
+            refused = bool(value and _BENT.search(said))
+        if refused:
+            problem = f"frame {name!r} has {key} {str(value)[:40]!r}, a lens that is not supported"
+            remedy = "make pinhole images, for example with ns-process-data or colmap"
+            raise FileFormatError(node.path, problem, remedy)
+    distortion = {key: setting(key).number(0.0) for key in _DISTORTION}
+    every = setting("distortion_params")
+    if every.value is not None:
+        distortion |= dict(zip(_DISTORTION, every.numbers(6).tolist(), strict=False))
+    for key, value in distortion.items():
+        if value and key not in _USED:
+            problem = f"frame {name!r} has distortion {key}, which is not supported"
+            raise FileFormatError(every.path, problem, "undistort the images with colmap image_undistorter")
+    return tuple(distortion[key] for key in _USED)
 
 
 def _focal(setting: Callable[[str], JsonNode], width: int, height: int) -> tuple[float, float]:

@@ -6,7 +6,7 @@ when it is read and written; all others keep the numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -22,14 +22,19 @@ Columns = dict[str, np.ndarray]
 
 def half_turn(columns: Mapping[str, np.ndarray], axis: Axis) -> Columns:
     """Return Gaussians in axes turned by 180 degrees: signs change, all other bits stay."""
-    signs = np.array([1 if name == axis else -1 for name in "xyz"], np.float32)
+    return flipped(columns, [1 if name == axis else -1 for name in "xyz"])
+
+
+def flipped(columns: Mapping[str, np.ndarray], signs: Sequence[int]) -> Columns:
+    """Return Gaussians in axes of which those with the sign -1 point the other way; all other bits stay."""
+    x, y, z = signs
     sh = columns["sh"]
     with np.errstate(all="ignore"):  # rows that are not finite are dropped later
         return {
             **columns,
-            "means": columns["means"] * signs,
-            "quats": columns["quats"] * np.array([1, *signs], np.float32),
-            "sh": sh * _sh_signs(sh.shape[1], axis)[:, None],
+            "means": columns["means"] * np.array(signs, np.float32),
+            "quats": columns["quats"] * np.array([1, y * z, x * z, x * y], np.float32),
+            "sh": sh * _sh_signs(sh.shape[1], x, y, z)[:, None],
         }
 
 
@@ -40,10 +45,10 @@ def turned(gaussians: Gaussians, axis: Axis) -> Gaussians:
     return Gaussians(**{name: torch.from_numpy(column) for name, column in half_turn(columns, axis).items()})
 
 
-def _sh_signs(count: int, axis: Axis) -> np.ndarray:
+def _sh_signs(count: int, x: int, y: int, z: int) -> np.ndarray:
     """Return the signs [count] of real spherical harmonics: products of the axes that each is odd in."""
-    odd = []
+    signs = []
     for degree in range(round(count**0.5)):
         for order in range(-degree, degree + 1):
-            odd.append({"x": degree + order + (order < 0), "y": degree + (order < 0), "z": order}[axis])
-    return np.array([-1 if number % 2 else 1 for number in odd], np.float32)
+            signs.append(x ** abs(order + (order < 0)) * y ** (order < 0) * z ** abs(degree + order))
+    return np.array(signs, np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 
 from scoup.base.json_node import JsonNode
 from scoup.io.splats.gltf_document import GltfDocument, extension
-from scoup.io.splats.gltf_rotation import rotation_from_quat
+from scoup.io.splats.rotation import rotation_from_quat
 
 SPLATS = "KHR_gaussian_splatting"
 

@@ -13,7 +13,7 @@ from scoup.io.splats.axes import Columns, half_turn
 from scoup.io.splats.gltf_accessors import Integers, accessor_count, read_accessor
 from scoup.io.splats.gltf_document import GltfDocument, extension
 from scoup.io.splats.gltf_nodes import SPLATS, Similarity
-from scoup.io.splats.gltf_rotation import rotated_quats, rotated_sh
+from scoup.io.splats.rotation import rotated_quats, rotated_sh
 from scoup.io.splats.spz import spz_columns
 
 SH_DEGREE = 3  # the highest that the extension knows
@@ -37,7 +37,7 @@ def read_primitive(document: GltfDocument, primitive: dict[str, Any]) -> Columns
             raise document.error(
                 f"has SH of a degree above {SH_DEGREE}, which glTF does not know", EXPORT_PLAIN
             )
-        return half_turn(columns, "y")  # the extension has them left, up, forward; .spz right, up, back
+        return half_turn(columns, "z")  # to left, up, forward
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict) or "POSITION" not in attributes:
         raise document.error("its Gaussians have no POSITION")

@@ -8,14 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.atomic import atomic_file
-from scoup.base.counts import counted
+from scoup.base.counts import counted, share_of
 from scoup.base.errors import FileFormatError, refused_read
 from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, unit_quats
-from scoup.io.splats.splat_format import SplatFormat
+from scoup.io.splats.splat_format import SplatFormat, kind_inside
 from scoup.scene.gaussians import SH_C0, Gaussians
 
 _ROW = np.dtype([("center", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
+_MOST = 1e9  # of a coordinate or scale
+_FEW = 0.05  # share of rows that may be damaged
 
 
 def read_splat(path: str | Path) -> Gaussians:
@@ -26,6 +28,11 @@ def read_splat(path: str | Path) -> Gaussians:
     """
     path = existing_file(path, "a .splat file")
     try:
+        with open(path, "rb") as stream:
+            kind = kind_inside(stream.read(64))
+        if kind:
+            problem = f"is not a .splat file; its content is {kind}"
+            raise FileFormatError(path, problem, "give it the ending of its kind, or export it again")
         size = os.path.getsize(path)
         if size % _ROW.itemsize or not size:
             problem = (
@@ -39,6 +46,11 @@ def read_splat(path: str | Path) -> Gaussians:
         rows = np.fromfile(path, dtype=_ROW)
     except OSError as error:
         raise refused_read(path, error) from error
+    values = np.concatenate([rows["center"], rows["scale"]], axis=1)
+    absurd = int((np.abs(values) > _MOST).any(1).sum())
+    if absurd > _FEW * len(rows):
+        problem = f"is not a .splat file: {share_of(absurd, len(rows), 'row')} have values beyond {_MOST:.0e}"
+        raise FileFormatError(path, problem, "copy or export it again")
     color = rows["color"].astype(np.float64) / 255.0
     return keep_finite(
         means=rows["center"],

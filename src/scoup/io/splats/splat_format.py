@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,41 @@ from scoup.io.splats.axes import Axis
 from scoup.scene.gaussians import Gaussians
 
 Preset = Literal["inria", "gsplat"]
+
+
+_BEGINNINGS = {
+    b"\x1f\x8b\x08": "gzip (a .spz, or an archive)", b"PK\x03\x04": "zip (a .sog, .usdz, or an archive)",
+    b"\x28\xb5\x2f\xfd": "zstd", b"7z\xbc\xaf": "7z", b"Rar!": "rar", b"ply\n": "PLY", b"ply\r": "PLY",
+    b"NGSP": ".spz", b"glTF": ".glb", b"PXR-USDC": "OpenUSD", b"\x93NUMPY": ".npy", b"\xff\xd8\xff": "JPEG",
+    b"\x89PNG": "PNG", b"RIFF": "WebP",
+}  # fmt: skip
+_TEXTS = {
+    "<": "a web page or other XML",
+    "{": "JSON",
+    "[": "JSON",
+    "version https://git-lfs": "a pointer of Git LFS",
+}
+_KSPLAT = struct.Struct("<2B2xI8xIH")  # version, sections, splats, level of compression
+
+
+def kind_inside(content: bytes) -> str:
+    """Return the kind of file by its first bytes, for formats that do not begin in a way of their own; "" if unknown.
+
+    Args:
+        content: the first 64 bytes.
+    """
+    for beginning, kind in _BEGINNINGS.items():
+        if content.startswith(beginning):
+            return kind
+    start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if start and start.isascii() and all(chr(byte).isprintable() or chr(byte).isspace() for byte in start):
+        text = start.decode("ascii")
+        return next((kind for beginning, kind in _TEXTS.items() if text.startswith(beginning)), "text")
+    if len(content) >= _KSPLAT.size:
+        major, minor, sections, splats, level = _KSPLAT.unpack_from(content)
+        if major == 0 and minor < 2 and 0 < sections < 1 << 16 and splats and level < 3:
+            return ".ksplat"
+    return ""
 
 
 def _any_name(path: Path) -> bool:

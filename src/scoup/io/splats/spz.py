@@ -1,7 +1,7 @@
 """Niantic's .spz: about 20 bytes per Gaussian, compressed; versions 1 to 4 (github.com/nianticlabs/spz).
 
-Axes in the file are those of OpenGL (right, up, back): y and z change their signs on the way, as in the format's own
-tools (``axes``).
+Axes in the file are those of OpenGL (right, up, back), unless it says others: y and z change their signs on the way, as
+in the format's own tools (``axes``).
 """
 
 from __future__ import annotations
@@ -17,13 +17,17 @@ from scoup.base.counts import share_of
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.io.reading import existing_file, read_bytes
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
-from scoup.io.splats.axes import Axis, Columns, half_turn
+from scoup.io.splats.axes import Axis, Columns, flipped, half_turn
+from scoup.io.splats.rotation import rotated_quats, rotated_sh
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz_container import SpzHeader, read_container, write_container
 from scoup.scene.gaussians import Gaussians
 
 VERSIONS = (1, 2, 3, 4)
 _AXIS: Axis = "x"
+_QUARTER = np.array(
+    [[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32
+)  # from right, back, down to right, down, front
 MOST_BITS = 16  # after the binary point of a coordinate
 _COLOR = 0.15  # of a base colour's coefficient in a byte
 _STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degrees
@@ -39,12 +43,11 @@ def read_spz(path: str | Path) -> Gaussians:
         ScoupWarning: rows with values that are not finite were dropped.
     """
     path = existing_file(path, "a .spz file")
-    columns = spz_columns(path, read_bytes(path))
-    return keep_finite(**half_turn(columns, _AXIS), source=str(path))[0]
+    return keep_finite(**spz_columns(path, read_bytes(path)), source=str(path))[0]
 
 
 def spz_columns(path: Path, content: bytes) -> Columns:
-    """Return the values in the bytes of a .spz file, in the file's axes.
+    """Return the values in the bytes of a .spz file.
 
     Args:
         path: for errors.
@@ -58,14 +61,25 @@ def spz_columns(path: Path, content: bytes) -> Columns:
         sh = np.empty((count, (header.degree + 1) ** 2, 3))
         sh[:, 0] = (byte["colors"] / 255.0 - 0.5) / _COLOR
         higher = (byte["sh"].astype(np.float64) - 128.0) / 128.0
-        sh[:, 1:] = _last_turned(higher.reshape(count, sh.shape[1] - 1, 3))
-        return {
+        higher = higher.reshape(count, sh.shape[1] - 1, 3)
+        sh[:, 1:] = _last_turned(higher) if "U" in header.axes else higher
+        columns = {
             "means": _positions(header, byte["positions"]).astype(np.float32),
             "quats": unit_quats(_quats(byte["rotations"])),
             "scales": scales_from_logs(byte["scales"] / 16.0 - 10.0),
             "opacities": (byte["alphas"][:, 0] / 255.0).astype(np.float32),
             "sh": sh.astype(np.float32),
         }
+    quarter = header.axes[1] in "FB"  # y points forward or back: turned about x
+    columns = flipped(columns, [1 if name in ("RBD" if quarter else "RDF") else -1 for name in header.axes])
+    if not quarter:
+        return columns
+    return {
+        **columns,
+        "means": columns["means"] @ _QUARTER.T,
+        "quats": rotated_quats(columns["quats"], _QUARTER),
+        "sh": rotated_sh(columns["sh"], _QUARTER),
+    }
 
 
 def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, version: int = 3) -> None:

@@ -6,12 +6,14 @@ from __future__ import annotations
 import gzip
 import io
 import struct
+import warnings
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scoup.base.errors import FileFormatError
+from scoup.base.counts import counted
+from scoup.base.errors import FileFormatError, ScoupWarning
 
 MAGIC = 0x5053474E  # "NGSP"
 ATTRIBUTES = ("positions", "alphas", "colors", "scales", "rotations", "sh")
@@ -20,7 +22,10 @@ _START = struct.Struct(
 )  # magic, version, count, SH degree, fraction bits, flags, reserved or streams
 _PLACE = struct.Struct("<I12x")  # of the table of streams; the rest of the header of version 4
 _STREAM = struct.Struct("<QQ")  # compressed and original size
-_HAS_EXTENSIONS = 2
+_RECORD = struct.Struct("<II")  # of an extension: type and bytes behind it
+_ANTIALIASED, _HAS_EXTENSIONS = 1, 2
+_ORBIT, _AXES = 0xADBE0002, 0xADBE0003  # limits of a viewer's camera; the axes of the values
+_MOST_RECORDS = 1 << 16  # bytes of the extensions of a version before 4
 _MOST_DEGREE = 4
 _ANY_WINDOW, _MOST_WINDOW = 1 << 23, 1 << 27  # bytes: of any stream by the usual levels of zstd, and of all
 _RATIO, _ANY_BYTES = (
@@ -38,6 +43,7 @@ class SpzHeader:
     count: int  # N, of Gaussians
     degree: int  # of the spherical harmonics, 0 to 4
     fraction_bits: int  # bits after the binary point of a coordinate
+    axes: str = "RUB"  # where x, y, z point: left or right, up or down, front or back
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -63,16 +69,14 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
     try:
         start = unpacker.decompress(content, _START.size)
         header, flags, _ = _header(path, start, len(content))
-        if flags & _HAS_EXTENSIONS:
-            problem = "has extensions in a version of .spz that does not say how long they are"
-            raise FileFormatError(path, problem, "export it again, as version 4 or without extensions")
         wanted = sum(header.sizes.values())
         body = unpacker.decompress(unpacker.unconsumed_tail, wanted) if wanted else b""
+        extended = flags & _HAS_EXTENSIONS
         # The checksum is behind the last byte, and is compared only when that is asked for.
-        more = unpacker.decompress(unpacker.unconsumed_tail, 1)
+        more = unpacker.decompress(unpacker.unconsumed_tail, _MOST_RECORDS if extended else 1)
     except zlib.error as error:
         raise FileFormatError(path, f"cannot be unpacked ({error})", _DAMAGED) from error
-    if len(body) != wanted or more or not unpacker.eof:
+    if len(body) != wanted or (more and not extended) or not unpacker.eof:
         raise FileFormatError(
             path, f"does not contain the {header.count:,} Gaussians of its header", _DAMAGED
         )
@@ -80,7 +84,7 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
     for name, size in header.sizes.items():
         parts[name] = body[place : place + size]
         place += size
-    return header, parts
+    return _extended(path, header, more), parts
 
 
 def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
@@ -103,8 +107,8 @@ def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
 
 
 def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
-    """Read a container of version 4; records of extensions before the table are skipped."""
-    header, _, count = _header(path, content, len(content))
+    """Read a container of version 4; records of extensions are before the table."""
+    header, flags, count = _header(path, content, len(content))
     if header.version < 4 or len(content) < _START.size + _PLACE.size:
         raise FileFormatError(path, "is cut short, or its header is damaged", _DAMAGED)
     (place,) = _PLACE.unpack_from(content, _START.size)
@@ -115,6 +119,8 @@ def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byte
         or count < len(ATTRIBUTES) - (not header.degree)
     ):
         raise FileFormatError(path, "has no whole table of streams", _DAMAGED)
+    if flags & _HAS_EXTENSIONS:
+        header = _extended(path, header, content[_START.size + _PLACE.size : place])
     parts = {}
     for number, (name, size) in enumerate(header.sizes.items()):
         if number >= count:
@@ -127,6 +133,38 @@ def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byte
         parts[name] = _unpacked(path, content[after : after + packed], size)
         after += packed
     return header, parts
+
+
+def _extended(path: Path, header: SpzHeader, records: bytes) -> SpzHeader:
+    """Return the header with what the records of extensions say; those that are not known get a warning."""
+    place = 0
+    while place < len(records):
+        kind, size = _RECORD.unpack_from(records.ljust(place + _RECORD.size, b"\0"), place)
+        start = place + _RECORD.size
+        place = start + size
+        if place > len(records):
+            raise FileFormatError(path, "has a record of an extension that is cut short", _DAMAGED)
+        if kind == _AXES:
+            number = int.from_bytes(records[start:place], "little")
+            if number > 16 or size != 4:
+                problem = f"has axes of the unknown kind {number}"
+                raise FileFormatError(path, problem, "export it again without SPZ_ADOBE_coordinate_system")
+            header = replace(header, axes=_axes(number))
+        elif kind != _ORBIT:
+            warnings.warn(
+                f"{path}: the extension {kind:#010x} ({counted(size, 'byte')}) is unknown and was not read; values "
+                "that it changes are wrong",
+                ScoupWarning,
+                stacklevel=2,
+            )
+    return header
+
+
+def _axes(number: int) -> str:
+    """Return where x, y, z point, by a number of the extension."""
+    bits = (number or 4) - 1  # 0: not said
+    x, height, depth = "LR"[bits & 1], "DU"[bits >> 1 & 1], "BF"[bits >> 2 & 1]
+    return f"{x}{'FB'[bits >> 2 & 1]}{height}" if bits & 8 else f"{x}{height}{depth}"
 
 
 def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, int]:
