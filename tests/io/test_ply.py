@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import contextlib
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from hypothesis.extra import numpy as arrays
 
 from io_samples import same_gaussians, some_gaussians
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.io import load_gaussians, save_gaussians, write_spz
 from scoup.io.splats.activation import (
     logits_from_opacities,
     logs_from_scales,
@@ -142,6 +145,43 @@ def test_order_extras_and_types_do_not_matter(tmp_path):
     assert same_gaussians(plain, read_ply(file_of(tmp_path / "c.ply", doubles)))
     assert same_gaussians(plain, read_ply(file_of(tmp_path / "d.ply", columns, "binary_big_endian")))
     assert same_gaussians(plain, read_ply(file_of(tmp_path / "e.ply", columns, "ascii")))
+
+
+def test_the_filter_of_mip_splatting_is_applied(tmp_path):
+    columns = raw_columns(5)
+    columns["filter_3D"] = np.array([0, 0.05, 0.5, 1e-3, 7], np.float32)
+    found = read_ply(file_of(tmp_path / "a.ply", columns))
+    raw = read_ply(
+        file_of(tmp_path / "b.ply", {name: columns[name] for name in columns if name != "filter_3D"})
+    )
+    before = raw.scales.double() ** 2
+    after = before + torch.from_numpy(columns["filter_3D"]).double()[:, None] ** 2
+    torch.testing.assert_close(found.scales, after.sqrt().float())
+    torch.testing.assert_close(
+        found.opacities, (raw.opacities * (before.prod(1) / after.prod(1)).sqrt()).float()
+    )
+    assert (found.antialiased, raw.antialiased) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("comment", "antialiased"),
+    [
+        ("SplatRenderMode: mip", True),
+        ("SplatRenderMode: default", False),
+        ("antialiased 1", True),
+    ],
+)
+def test_antialiasing_is_kept_by_ply_and_spz(tmp_path, comment, antialiased):
+    table = replace(table_from_gaussians(some_gaussians(3)), comments=(comment,))
+    write_ply_table(table, tmp_path / "a.ply")
+    gaussians = load_gaussians(tmp_path / "a.ply")
+    for name in ("b.ply", "b.compressed.ply", "b.spz"):
+        save_gaussians(gaussians.select([0, 1]), tmp_path / name)
+        assert load_gaussians(tmp_path / name).antialiased == antialiased, name
+    write_spz(gaussians, tmp_path / "c.spz", version=4)
+    assert load_gaussians(tmp_path / "c.spz", keep_axes=True).antialiased == antialiased
+    with pytest.warns(ScoupWarning) if antialiased else contextlib.nullcontext():
+        save_gaussians(gaussians, tmp_path / "b.splat")
 
 
 def test_windows_line_ends_and_comments(tmp_path):

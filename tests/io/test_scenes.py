@@ -24,6 +24,7 @@ from scoup.io.camera_sources import find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.inria import write_inria_cameras
 from scoup.io.cameras.nerfstudio import write_transforms
+from scoup.scene.sanity_checks import sanity_problems
 
 
 def colmap_scene(folder: Path, count: int = 3, images: str | None = "images", divisor: int = 1) -> Path:
@@ -204,6 +205,25 @@ def test_gaussians_of_every_kind(tmp_path):
     save_gaussians(gaussians, tmp_path / "point_cloud" / "iteration_5" / "point_cloud.ply")
     assert same_gaussians(load_gaussians(tmp_path), gaussians)
     assert splat_source(tmp_path).preset == "inria"
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ("cfg.yml", "antialiased: true\n"),
+        ("config.yml", "  model:\n    rasterize_mode: antialiased\n"),
+        ("cfg.yml", "antialiased: false\n"),
+    ],
+)
+def test_configurations_say_antialiased(tmp_path, config, said):
+    save_gaussians(some_gaussians(5), tmp_path / "a.ply")
+    (tmp_path / config).write_text(said)
+    gaussians = load_gaussians(tmp_path)
+    assert gaussians.antialiased == ("false" not in said)
+    assert (
+        any("trained with antialiasing" in text for text in sanity_problems(gaussians))
+        == gaussians.antialiased
+    )
 
 
 def test_no_gaussians(tmp_path):

@@ -26,6 +26,7 @@ def describe_gaussians(gaussians: Gaussians) -> dict[str, Any]:
     for problem in sanity_problems(gaussians):
         warnings.warn(problem, ScoupWarning, stacklevel=2)
     record: dict[str, Any] = {"gaussians": len(gaussians), "sh_degree": gaussians.sh_degree}
+    record |= {"antialiased": True} if gaussians.antialiased else {}
     if len(gaussians):
         record |= {
             "lowest": [round(value, 4) for value in gaussians.means.amin(0).tolist()],

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +20,7 @@ from scoup.io.cameras.gsplat_frame import in_gsplat_frame
 from scoup.io.cameras.inria import read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
-from scoup.io.cameras.training_run import GSPLAT_CONFIG
+from scoup.io.cameras.training_run import GSPLAT_CONFIG, trained_antialiased
 from scoup.io.reading import Distorted
 from scoup.io.splats.axes import turned
 from scoup.io.splats.formats import splat_source, written_format
@@ -55,6 +57,8 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
         raise FileFormatError(
             source.path, "contains no Gaussians with finite values", "export the splat again"
         )
+    trained = os.path.isdir(path) and trained_antialiased(Path(path))
+    gaussians = replace(gaussians, antialiased=gaussians.antialiased or trained)
     return _in_axes(gaussians, source.kind, keep_axes)
 
 
@@ -84,6 +88,11 @@ def save_gaussians(
     check_arguments("save_gaussians", gaussians=(gaussians, Gaussians), path=(path, PATH))
     kind = written_format(path)
     assert kind.write is not None
+    if gaussians.antialiased and not kind.keeps_antialiased:
+        message = (
+            f"{path}: this format cannot say that the splat was trained with antialiasing; .ply and .spz can"
+        )
+        warnings.warn(message, ScoupWarning, stacklevel=2)
     kind.write(_in_axes(gaussians, kind, keep_axes), Path(path), overwrite)
 
 

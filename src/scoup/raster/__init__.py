@@ -87,12 +87,11 @@ def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> Prepa
 def _moved_to_disk(gaussians: Gaussians, order: Tensor) -> Gaussians:
     """Return ``gaussians.select(order)`` in temporary files, of which a view touches what it sees."""
     moved: dict[str, Tensor] = {}
-    for field in dataclasses.fields(gaussians):
-        rows = getattr(gaussians, field.name)
-        moved[field.name] = torch.from_numpy(scratch_array(tuple(rows.shape), "float32"))
-        for into, part in zip(moved[field.name].split(AT_A_TIME), order.split(AT_A_TIME), strict=True):
+    for name, rows in gaussians.tensors().items():
+        moved[name] = torch.from_numpy(scratch_array(tuple(rows.shape), "float32"))
+        for into, part in zip(moved[name].split(AT_A_TIME), order.split(AT_A_TIME), strict=True):
             into.copy_(rows[part])
-    return Gaussians(**moved)
+    return dataclasses.replace(gaussians, **moved)
 
 
 def project(

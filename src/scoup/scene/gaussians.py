@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from scoup.base.errors import InputError
 from scoup.scene.fingerprint import geometry_fingerprint
 
 MAX_SH_DEGREE = 4
+TENSORS = ("means", "quats", "scales", "opacities", "sh")
 FAINT = 0.1  # opacity below which a Gaussian is not in the picture of a notebook
 SH_C0 = 0.28209479177387814  # the constant spherical harmonic: RGB = SH_C0 * sh[:, 0] + 0.5 at degree 0
 
@@ -44,12 +45,13 @@ class Gaussians:
     """[N] peak alpha, 0..1 (not logit). Values above 1 count as 1 when rasterised."""
     sh: Tensor
     """[N, B, 3] spherical-harmonic colour coefficients, B = (degree + 1)^2; RGB = max(0, SH + 0.5)."""
+    antialiased: bool = field(default=False, kw_only=True)
+    """Trained to be rasterised with compensated opacities (Mip-Splatting; ``rasterize_mode`` of gsplat)."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name, value in self.tensors().items():
             if isinstance(value, np.ndarray):
-                object.__setattr__(self, field.name, torch.from_numpy(np.asarray(value, np.float32)))
+                object.__setattr__(self, name, torch.from_numpy(np.asarray(value, np.float32)))
         count = self.means.shape[0] if self.means.dim() else -1
         expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
         for name, shape in expected.items():
@@ -66,14 +68,15 @@ class Gaussians:
             raise InputError(
                 f"Gaussians.sh has shape {list(self.sh.shape)}, expected [{count}, B, 3] with B in {sorted(bases)}"
             )
-        for field in fields(self):
-            tensor = getattr(self, field.name)
+        for name, tensor in self.tensors().items():
             if tensor.dtype != torch.float32:
-                raise InputError(f"Gaussians.{field.name} is {tensor.dtype}, expected torch.float32")
+                raise InputError(f"Gaussians.{name} is {tensor.dtype}, expected torch.float32")
             if tensor.device != self.means.device:
-                raise InputError(
-                    f"Gaussians.{field.name} is on {tensor.device}, means on {self.means.device}"
-                )
+                raise InputError(f"Gaussians.{name} is on {tensor.device}, means on {self.means.device}")
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the tensors by their names."""
+        return {name: getattr(self, name) for name in TENSORS}
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -87,7 +90,7 @@ class Gaussians:
         return round(self.sh.shape[1] ** 0.5) - 1
 
     def to(self, device: torch.device | str) -> Gaussians:
-        return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
+        return replace(self, **{name: tensor.to(device) for name, tensor in self.tensors().items()})
 
     def select(self, chosen: Tensor | ArrayLike | slice) -> Gaussians:
         """Return the Gaussians of a boolean mask [N], or of indices [M] in their order.
@@ -96,7 +99,7 @@ class Gaussians:
             InputError: as ``chosen_rows``.
         """
         chosen = chosen_rows(chosen, len(self)).to(self.device)
-        return Gaussians(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return replace(self, **{name: tensor[chosen] for name, tensor in self.tensors().items()})
 
     def __repr__(self) -> str:
         return f"Gaussians({len(self):,}, SH degree {self.sh_degree}, {self.device})"

@@ -43,4 +43,9 @@ def sanity_problems(gaussians: Gaussians) -> list[str]:
             "1/255), so nothing is visible; export the splat again, with opacities as training left them (in a PLY as "
             "logits)"
         )
+    if gaussians.antialiased:
+        problems.append(
+            "the splat was trained with antialiasing, which lowers opacities by size in pixels; SCOUP rasterises "
+            "without it, so small and distant Gaussians weigh too much; best train without it"
+        )
     return problems

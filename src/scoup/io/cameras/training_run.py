@@ -56,6 +56,18 @@ def gsplat_data(results: Path) -> tuple[Path, bool]:
     return _on_this_machine(named, results, config, remedy), normalised
 
 
+def trained_antialiased(folder: Path) -> bool:
+    """Return whether a configuration of gsplat or nerfstudio says that its splat was trained with antialiasing."""
+    for name, said in (
+        (GSPLAT_CONFIG, "^antialiased: *true"),
+        ("config.yml", "^ *rasterize_mode: *antialiased"),
+    ):
+        config = folder / name
+        if config.is_file() and re.search(said, read_text(config), re.MULTILINE):
+            return True
+    return False
+
+
 def _named_path(text: str) -> str | None:
     """Return the first path that a key ``data`` of nerfstudio's config names: a string, or a list of the parts of a
     path.

@@ -101,8 +101,7 @@ def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarra
     if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
         raise InputError(f"{path}: some Gaussians have values that are not finite; remove these first")
     arrays = {
-        name: getattr(gaussians, name).detach().cpu().numpy().astype(np.float64)
-        for name in ("means", "quats", "scales", "opacities", "sh")
+        name: tensor.detach().cpu().numpy().astype(np.float64) for name, tensor in gaussians.tensors().items()
     }
     return {**arrays, "opacities": arrays["opacities"].clip(0, 1)}
 
@@ -110,10 +109,7 @@ def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarra
 def linear_arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:
     """Return means, quats (unit norm), scales (positive), opacities (0 to 1) and sh as float32, for a format that has
     them as they are."""
-    arrays = {
-        name: getattr(gaussians, name).detach().cpu().numpy()
-        for name in ("means", "quats", "scales", "opacities", "sh")
-    }
+    arrays = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
     return {
         **arrays,
         "quats": unit_quats(arrays["quats"]),

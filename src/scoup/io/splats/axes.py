@@ -7,6 +7,7 @@ when it is read and written; all others keep the numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -40,9 +41,9 @@ def flipped(columns: Mapping[str, np.ndarray], signs: Sequence[int]) -> Columns:
 
 def turned(gaussians: Gaussians, axis: Axis) -> Gaussians:
     """Return ``half_turn`` of Gaussians, on the CPU."""
-    names = ("means", "quats", "scales", "opacities", "sh")
-    columns = {name: getattr(gaussians, name).detach().cpu().numpy() for name in names}
-    return Gaussians(**{name: torch.from_numpy(column) for name, column in half_turn(columns, axis).items()})
+    columns = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
+    turned_columns = half_turn(columns, axis)
+    return replace(gaussians, **{name: torch.from_numpy(column) for name, column in turned_columns.items()})
 
 
 def _sh_signs(count: int, x: int, y: int, z: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from scoup.io.splats.activation import (
     unit_quats,
 )
 from scoup.io.splats.ply_compressed import is_compressed, read_compressed
-from scoup.io.splats.ply_header import format_header, ply_type, read_header
+from scoup.io.splats.ply_header import MIP, format_header, ply_type, read_header
 from scoup.io.splats.ply_rows import read_large, read_rows
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
@@ -29,6 +30,10 @@ _CENTER = ("x", "y", "z")
 _BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+_FILTER = "filter_3D"
+_SAYS_MIP = re.compile(
+    r"SplatRenderMode:? *mip|antialiased[:=]? *(1|true)|rasterize_mode[:=]? *antialiased", re.I
+)
 _REQUIRED = (*_CENTER, *_BASE_COLOR, "opacity", *_SCALE, *_ROTATION)
 _CHUNK = 1 << 16
 
@@ -124,11 +129,20 @@ def _activated(table: PlyTable) -> dict[str, np.ndarray]:
     if rest:
         # The file is channel-major: all of red, then green, then blue.
         sh[:, 1:] = table.columns(rest).reshape(len(table), 3, bases - 1).transpose(0, 2, 1)
+    scales = scales_from_logs(table.columns(_SCALE, np.float64))
+    opacities = opacities_from_logits(table.columns(("opacity",), np.float64)[:, 0])
+    if _FILTER in table.names:
+        # Of Mip-Splatting: the least size that the photographs resolve, which widens a Gaussian and makes it fainter.
+        with np.errstate(all="ignore"):
+            before = scales.astype(np.float64) ** 2
+            after = before + table.columns((_FILTER,), np.float64) ** 2
+            scales = np.sqrt(after).astype(np.float32)
+            opacities = (opacities * np.sqrt((before / after).prod(1))).astype(np.float32)
     return {
         "means": table.columns(_CENTER),
         "quats": unit_quats(table.columns(_ROTATION)),
-        "scales": scales_from_logs(table.columns(_SCALE, np.float64)),
-        "opacities": opacities_from_logits(table.columns(("opacity",), np.float64)[:, 0]),
+        "scales": scales,
+        "opacities": opacities,
         "sh": sh,
     }
 
@@ -148,11 +162,13 @@ def read_ply(path: str | Path) -> Gaussians:
         and header.encoding != "ascii"
         and not is_compressed(header.dtype.names or ())
     ):
-        return read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
-    table = PlyTable(header.path, read_rows(header), header.comments)
-    if is_compressed(table.names):
-        return read_compressed(table.path, table.rows)
-    return gaussians_from_table(table)[0]
+        gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
+    elif is_compressed(header.dtype.names or ()):
+        gaussians = read_compressed(header.path, read_rows(header))
+    else:
+        gaussians = gaussians_from_table(PlyTable(header.path, read_rows(header)))[0]
+    said = any(_SAYS_MIP.search(comment) for comment in header.comments)
+    return replace(gaussians, antialiased=said or _FILTER in (header.dtype.names or ()))
 
 
 def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
@@ -171,7 +187,7 @@ def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
     every[:, -8] = logits_from_opacities(opacities)
     every[:, -7:-4] = logs_from_scales(values["scales"])
     every[:, -4:] = values["quats"]
-    return PlyTable(Path("<memory>"), rows)
+    return PlyTable(Path("<memory>"), rows, (MIP,) if gaussians.antialiased else ())
 
 
 def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
@@ -185,7 +201,8 @@ def write_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
 
 def as_stored(gaussians: Gaussians) -> Gaussians:
     """Return the Gaussians as ``read_ply`` gives them after ``write_ply``; doing it twice changes nothing."""
-    return gaussians_from_table(table_from_gaussians(gaussians))[0].to(gaussians.device)
+    stored = gaussians_from_table(table_from_gaussians(gaussians))[0].to(gaussians.device)
+    return replace(stored, antialiased=gaussians.antialiased)
 
 
 def _check_properties(table: PlyTable) -> tuple[str, ...]:
@@ -223,4 +240,4 @@ def _in_output(folder: Path) -> Path | None:
     return latest_point_cloud(folder) if is_output else None
 
 
-FORMAT = SplatFormat("Inria PLY", (".ply",), read_ply, write_ply, find=_in_output)
+FORMAT = SplatFormat("Inria PLY", (".ply",), read_ply, write_ply, find=_in_output, keeps_antialiased=True)

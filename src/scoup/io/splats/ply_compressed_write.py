@@ -10,6 +10,7 @@ from scoup.base.atomic import atomic_file
 from scoup.io.splats.activation import finite_arrays, unit_quats
 from scoup.io.splats.ply import read_ply
 from scoup.io.splats.ply_compressed import BLOCK, SH_RANGE
+from scoup.io.splats.ply_header import MIP
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import SH_C0, Gaussians
 
@@ -38,13 +39,13 @@ def write_compressed_ply(gaussians: Gaussians, path: str | Path, overwrite: bool
     higher = arrays["sh"][:, 1:].transpose(0, 2, 1).reshape(count, 3 * (arrays["sh"].shape[1] - 1))
     bytes_of_sh = np.floor((higher / SH_RANGE + 0.5) * 256.0).clip(0, 255).astype(np.uint8)
     with atomic_file(path, overwrite) as stream:
-        stream.write(_header(len(ranges[0]), count, higher.shape[1]))
+        stream.write(_header(len(ranges[0]), count, higher.shape[1], gaussians.antialiased))
         stream.write(np.concatenate(ranges, 1).astype("<f4").tobytes())
         stream.write(np.stack(words, 1).astype("<u4").tobytes())
         stream.write(bytes_of_sh.tobytes())
 
 
-def _header(blocks: int, count: int, n_rest: int) -> bytes:
+def _header(blocks: int, count: int, n_rest: int, antialiased: bool) -> bytes:
     chunk = [
         f"property float {end}_{prefix}{axis}"
         for prefix, axes in _RANGES
@@ -55,7 +56,7 @@ def _header(blocks: int, count: int, n_rest: int) -> bytes:
     lines = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment written by SCOUP",
+        f"comment {MIP if antialiased else 'written by SCOUP'}",
         f"element chunk {blocks}",
         *chunk,
     ]
@@ -96,4 +97,6 @@ def _rotation(quats: np.ndarray) -> np.ndarray:
     return largest << 30 | _word((others / np.sqrt(2.0) + 0.5).clip(0, 1), (10, 10, 10))
 
 
-FORMAT = SplatFormat("compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply)
+FORMAT = SplatFormat(
+    "compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply, keeps_antialiased=True
+)

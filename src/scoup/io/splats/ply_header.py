@@ -16,6 +16,9 @@ from scoup.io.reading import existing_file
 MAX_HEADER_BYTES = 1 << 16
 MAX_PROPERTIES = 4096
 
+MIP = "SplatRenderMode: mip"
+"""A comment in PLY files of splats that were trained with antialiasing, as Brush, gsplat and nerfstudio write it."""
+
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",

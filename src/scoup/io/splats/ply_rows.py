@@ -12,7 +12,7 @@ from scoup.base.errors import FileFormatError, refused_read
 from scoup.base.scratch import scratch_array
 from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader
-from scoup.scene.gaussians import Gaussians
+from scoup.scene.gaussians import TENSORS, Gaussians
 
 AT_A_TIME = 1 << 18  # rows of a large file
 
@@ -42,7 +42,7 @@ def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.
         count = end
     if count < header.count:
         warn_of_dropped(header.count - count, header.count, str(header.path), stacklevel=4)
-    return Gaussians(**{name: torch.from_numpy(values[:count]) for name, values in arrays.items()})
+    return Gaussians(*(torch.from_numpy(arrays[name][:count]) for name in TENSORS))
 
 
 def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:

@@ -77,5 +77,7 @@ class SplatFormat:
     """Whether a file with one of the endings is of this format, by its name."""
     find: Callable[[Path], Path | None] = _in_no_folder
     """Return the splat of a folder that a training has left: a file, or the folder itself; None if it is not one."""
+    keeps_antialiased: bool = False
+    """Whether its files say that a splat was trained with antialiasing."""
     in_scenes: bool = True
     """Whether a file of this format in the folder of a scene is its splat, and not a mesh."""

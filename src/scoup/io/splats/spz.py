@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,8 @@ def read_spz(path: str | Path) -> Gaussians:
         ScoupWarning: rows with values that are not finite were dropped.
     """
     path = existing_file(path, "a .spz file")
-    return keep_finite(**spz_columns(path, read_bytes(path)), source=str(path))[0]
+    header, columns = _columns(path, read_bytes(path))
+    return replace(keep_finite(**columns, source=str(path))[0], antialiased=header.antialiased)
 
 
 def spz_columns(path: Path, content: bytes) -> Columns:
@@ -52,6 +54,10 @@ def spz_columns(path: Path, content: bytes) -> Columns:
     Args:
         path: for errors.
     """
+    return _columns(path, content)[1]
+
+
+def _columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
     header, parts = read_container(path, content)
     count = header.count
     byte = {name: np.frombuffer(part, np.uint8).reshape(count, -1) for name, part in parts.items() if count}
@@ -73,8 +79,8 @@ def spz_columns(path: Path, content: bytes) -> Columns:
     quarter = header.axes[1] in "FB"  # y points forward or back: turned about x
     columns = flipped(columns, [1 if name in ("RBD" if quarter else "RDF") else -1 for name in header.axes])
     if not quarter:
-        return columns
-    return {
+        return header, columns
+    return header, {
         **columns,
         "means": columns["means"] @ _QUARTER.T,
         "quats": rotated_quats(columns["quats"], _QUARTER),
@@ -116,7 +122,7 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
             stacklevel=2,
         )
     bits = 0 if version == 1 else _fraction_bits(largest)
-    header = SpzHeader(version, len(means), degree, bits)
+    header = SpzHeader(version, len(means), degree, bits, gaussians.antialiased)
     with np.errstate(all="ignore"):
         parts = {
             "positions": _packed_positions(header, means),
@@ -210,4 +216,4 @@ def _bytes(values: np.ndarray) -> bytes:
     return np.clip(np.nan_to_num(np.rint(values), nan=0.0), 0, 255).astype(np.uint8).tobytes()
 
 
-FORMAT = SplatFormat("Niantic's .spz", (".spz",), read_spz, write_spz, axis=_AXIS)
+FORMAT = SplatFormat("Niantic's .spz", (".spz",), read_spz, write_spz, axis=_AXIS, keeps_antialiased=True)

@@ -43,6 +43,7 @@ class SpzHeader:
     count: int  # N, of Gaussians
     degree: int  # of the spherical harmonics, 0 to 4
     fraction_bits: int  # bits after the binary point of a coordinate
+    antialiased: bool = False  # rasterised with compensated opacities
     axes: str = "RUB"  # where x, y, z point: left or right, up or down, front or back
 
     @property
@@ -89,7 +90,14 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
 
 def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
     """Return the bytes of a file; the same for the same header and attributes."""
-    start = (MAGIC, header.version, header.count, header.degree, header.fraction_bits, 0)
+    start = (
+        MAGIC,
+        header.version,
+        header.count,
+        header.degree,
+        header.fraction_bits,
+        int(header.antialiased),
+    )
     if header.version < 4:
         packed = io.BytesIO()
         with gzip.GzipFile("", "wb", 9, packed, mtime=0) as stream:
@@ -185,7 +193,7 @@ def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, i
     if degree > _MOST_DEGREE or bits > 23:
         problem = f"says SH degree {degree} and {bits} bits of fractions, which cannot be"
         raise FileFormatError(path, problem, _DAMAGED)
-    header = SpzHeader(version, count, degree, bits)
+    header = SpzHeader(version, count, degree, bits, bool(flags & _ANTIALIASED))
     if sum(header.sizes.values()) > max(_ANY_BYTES, _RATIO * available):
         problem = f"says {count:,} Gaussians, more than {available:,} bytes can hold"
         raise FileFormatError(path, problem, _DAMAGED)
