@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.base.records import record_text
+from scoup.base.records import record_text, rounded_vector
 from support import examples
 
 values = st.recursive(
@@ -27,6 +27,13 @@ def test_what_is_written_is_read_again(record: dict) -> None:
 def test_lists_stay_on_a_line() -> None:
     record = {"a": {"b": [1, [2, "3, {"]], "c": {}}, "d": None}
     assert record_text(record) == '{\n "a": {\n  "b": [1, [2, "3, {"]],\n  "c": {}\n },\n "d": null\n}'
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(0.00123456789, 0.00123457), (12.3456789, 12.3457), (4649776.12345, 4649776.123)]
+)
+def test_positions_keep_six_digits_and_three_decimals(value: float, expected: float) -> None:
+    assert rounded_vector([value, 0]) == [expected, 0]
 
 
 def test_no_nan() -> None:

@@ -45,7 +45,7 @@ VERBS = {
     "build": Verb(("build", "scene", *QUICK, *OUT, "--keep-sums", "a.sums"),
                   (PLY, CAMERAS, IMAGES, LABELS, ROWS, PHOTO), ("a.scoup",)),
     "build --part": Verb(("build", "scene", "--keep-sums", "a.sums", "--part", "1/2"),
-                         (PLY, IMAGES, LABELS, ROWS, PHOTO), ()),
+                         (PLY, IMAGES, LABELS, ROWS), ()),
     "build --sums": Verb(("build", "scene", *QUICK, *OUT, "--sums", "kept.sums"),
                          (PLY, f"kept.sums/{SUMS}", LABELS, ROWS), ("a.scoup",)),
     "build --codebook": Verb(("build", "scene", *QUICK, *OUT, "--keep-sums", "few.sums", "--codebook", "kept.scoup"),

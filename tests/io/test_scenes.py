@@ -24,6 +24,7 @@ from scoup.io.camera_sources import find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.inria import write_inria_cameras
 from scoup.io.cameras.nerfstudio import write_transforms
+from scoup.io.splats.ply import table_from_gaussians, write_ply_table
 from scoup.scene.sanity_checks import sanity_problems
 
 
@@ -205,6 +206,21 @@ def test_gaussians_of_every_kind(tmp_path):
     save_gaussians(gaussians, tmp_path / "point_cloud" / "iteration_5" / "point_cloud.ply")
     assert same_gaussians(load_gaussians(tmp_path), gaussians)
     assert splat_source(tmp_path).preset == "inria"
+
+
+def test_far_from_the_origin_is_refused_and_5_km_are_not(tmp_path):
+    gaussians = some_gaussians(50)
+    for name, shift in (("near.ply", (5000.0, -4000.0, 0.0)), ("utm.ply", (500000.0, 4649776.0, 120.0))):
+        table = table_from_gaussians(gaussians)
+        for axis, value in zip("xyz", shift, strict=True):
+            table = table.with_column(axis, table.rows[axis].astype(np.float64) + value)
+        write_ply_table(table, tmp_path / name)
+    assert len(load_gaussians(tmp_path / "near.ply")) == 50
+    with pytest.raises(
+        FileFormatError,
+        match=r"utm\.ply: is too far .* of 4,649,776 are exact to 0\.5",
+    ):
+        load_gaussians(tmp_path / "utm.ply")
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ def record_text(record: Mapping[str, Any], depth: int = 1) -> str:
 
 
 def rounded_vector(values: Sequence[float]) -> list[float]:
-    """Return numbers rounded to six digits of the largest."""
+    """Return numbers rounded to six digits of the largest, but no coarser than three decimals."""
     largest = max((abs(value) for value in values), default=0.0)
     digits = 6 - math.ceil(math.log10(largest)) if largest > 0 and math.isfinite(largest) else 6
-    return [round(value, max(0, digits)) for value in values]
+    return [round(value, max(3, digits)) for value in values]

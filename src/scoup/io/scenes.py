@@ -28,6 +28,8 @@ from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 
+_COARSE = 0.1  # step of float32 as a share of the median scale, beyond which positions are wrong
+
 
 def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
     """Load a trained splat, on the CPU.
@@ -39,7 +41,8 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
 
     Raises:
         MissingFileError: there is nothing of the kind.
-        FileFormatError: the file is damaged or of a kind not supported.
+        FileFormatError: the file is damaged or of a kind not supported, or so far from the origin that float32 cannot
+            tell its Gaussians apart.
 
     Warns:
         ScoupWarning: rows were dropped because they are not finite, or the file is longer than it says.
@@ -57,9 +60,25 @@ def load_gaussians(path: str | Path, keep_axes: bool = False) -> Gaussians:
         raise FileFormatError(
             source.path, "contains no Gaussians with finite values", "export the splat again"
         )
+    _check_precision(source.path, gaussians)
     trained = os.path.isdir(path) and trained_antialiased(Path(path))
     gaussians = replace(gaussians, antialiased=gaussians.antialiased or trained)
     return _in_axes(gaussians, source.kind, keep_axes)
+
+
+def _check_precision(path: Path, gaussians: Gaussians) -> None:
+    """Raise a FileFormatError if float32 is too coarse for the positions of most Gaussians."""
+    largest = gaussians.means.abs().amax(1).median()
+    step = float(np.spacing(largest.numpy()))
+    scale = float(gaussians.scales.median())
+    if step > _COARSE * scale > 0:
+        middle = ", ".join(f"{-value:.0f}" for value in gaussians.means.median(0).values.tolist())
+        raise FileFormatError(
+            path,
+            f"is too far from the origin: coordinates of {float(largest):,.0f} are exact to {step:.2g}, but its "
+            f"Gaussians have a median scale of {scale:.2g}",
+            f"move splat and cameras by one offset, for example ({middle}), before float32 rounds them",
+        )
 
 
 def _in_axes(gaussians: Gaussians, kind: SplatFormat, keep_axes: bool) -> Gaussians:

@@ -17,6 +17,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.provenance import embedding_source
+from scoup.uplift.rasterise import open_sums
 from scoup_lab.evaluate.report import SUFFIXES, Report
 from scoup_lab.evaluate.scenes import SceneFiles
 
@@ -74,7 +75,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
             return _stored(path, gaussians, settings)
         regions = load_regions(scene.features, scene.cameras)
         model, words = embedding_source(scene.features, regions, source)
-        with reserved_output(path, overwrite=True):
+        with reserved_output(path, overwrite=True) as work:
             if path.is_file() and not self.rebuild:  # another process has built it meanwhile
                 return _stored(path, gaussians, settings)
             field = build(
@@ -85,6 +86,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
                 embedding_model=model,
                 words=words,
                 geometry_path=scene.splat,
+                sums=open_sums(work / "sums", gaussians, regions, settings.raster_preset),
                 progress=progress,
             )
             field.save(path, overwrite=True)
