@@ -1,5 +1,5 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
-# make test   create the environment, install, run the tests (two processes of one thread each, about five minutes)
+# make test   create the environment, install, run the tests (two processes of one thread each, about six minutes)
 # make test-all   the same, then all random examples, the exhaustive sweeps, and the engines that are installed (about half an hour)
 # make test-engines   the examples of many machines under Slurm (Debian's slurm-wlm and munge; needs root) and Ray
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
