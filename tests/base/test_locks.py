@@ -97,9 +97,9 @@ def test_what_another_process_has_just_finished_is_not_made_again(
 ) -> None:
     path = tmp_path / "a.scoup"
 
-    def locked_late(output: Path, wait: float) -> AbstractContextManager[None]:
+    def locked_late(output: Path, wait: float, kind: str) -> AbstractContextManager[None]:
         path.write_text("precious")  # between the first check and the lock
-        return locked(output, wait)
+        return locked(output, wait, kind)
 
     monkeypatch.setattr("scoup.base.atomic.locked", locked_late)
     with pytest.raises(OutputExistsError), atomic_file(path):

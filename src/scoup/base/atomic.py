@@ -83,9 +83,8 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
         WriteError: the system refuses.
     """
     path = check_output(path, overwrite)
-    hidden = temporary_path(path)
     with (
-        temporary_output(path, overwrite),
+        temporary_output(path, overwrite) as hidden,
         refusals_named(path, hidden),
         refusals_named(path, hidden / path.name),
     ):
@@ -109,8 +108,7 @@ def atomic_file(
         wait: seconds to wait for another process that writes it.
     """
     path = check_output(path, overwrite)
-    temporary = temporary_path(path)
-    with temporary_output(path, overwrite, wait), refusals_named(path, temporary):
+    with temporary_output(path, overwrite, wait) as temporary, refusals_named(path, temporary):
         with _Output(temporary) as stream:
             yield cast(BinaryIO, stream)
         _appear(temporary, path, overwrite, flush)
@@ -124,18 +122,13 @@ def reserved_output(path: str | Path, overwrite: bool = False) -> Iterator[Path]
     block. Arguments and errors are those of ``atomic_path``.
     """
     path = check_output(path, overwrite)
-    work = path.with_name(hidden_name(path.name, "work"))
-    with folder_made(path.parent, path), locked(path, kind="work.lock"):
-        check_output(path, overwrite)  # another process may have written it meanwhile
-        remove(work)
+    with temporary_output(path, overwrite, kind="work", lock="work.lock") as work:
         try:
             yield work
         except WriteError as error:
             if not error.path.is_relative_to(work):
                 raise
             raise error.at(path) from error
-        finally:
-            remove(work)
 
 
 @contextmanager
@@ -149,20 +142,21 @@ def reserved_part(folder: Path, part: Part) -> Iterator[None]:
 
 
 @contextmanager
-def temporary_output(path: Path, overwrite: bool = False, wait: float = 0.0) -> Iterator[None]:
-    """Keep other processes from writing an output; remove its temporary file or folder before and after the block."""
-    with folder_made(path.parent, path), locked(path, wait):
+def temporary_output(
+    path: Path, overwrite: bool = False, wait: float = 0.0, kind: str = "partial", lock: str = "lock"
+) -> Iterator[Path]:
+    """Keep other processes from writing an output, and yield the path of a temporary file or folder beside it.
+
+    What is there is removed before and after the block. ``kind`` and ``lock`` are the endings of the two hidden names.
+    """
+    temporary = path.with_name(hidden_name(path.name, kind))
+    with folder_made(path.parent, path), locked(path, wait, lock):
         check_output(path, overwrite)  # another process may have written it meanwhile
-        remove(temporary_path(path))
+        remove(temporary)
         try:
-            yield
+            yield temporary
         finally:
-            remove(temporary_path(path))
-
-
-def temporary_path(path: Path) -> Path:
-    """Return the path of the temporary file or folder of an output, beside it."""
-    return path.with_name(hidden_name(path.name, "partial"))
+            remove(temporary)
 
 
 def _appear(temporary: Path, path: Path, overwrite: bool, flush: bool = True) -> None:

@@ -14,7 +14,6 @@ from scoup.base.atomic import (
     folder_made,
     refusals_named,
     temporary_output,
-    temporary_path,
 )
 from scoup.base.file_names import slug
 
@@ -39,8 +38,7 @@ def staged(folder: Path, files: Sequence[str] = (), overwrite: bool = False) -> 
     # In the nearest existing folder: on the same file system, moving is only renaming.
     home = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
     work = home / slug(" ".join([folder.name, *files[:1]]))
-    hidden = temporary_path(work)
-    with temporary_output(work, overwrite=True), refusals_named(folder, hidden):
+    with temporary_output(work, overwrite=True) as hidden, refusals_named(folder, hidden):
         hidden.mkdir()
         yield hidden
         found = [str(path.relative_to(hidden)) for path in sorted(hidden.rglob("*")) if path.is_file()]
