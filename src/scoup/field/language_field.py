@@ -639,5 +639,5 @@ class LanguageField:
         if gaussians is not None:
             loaded.attach(gaussians, f"{path} with the Gaussians given")
         elif parts.gaussians is not None:
-            loaded.attach(parts.gaussians, f"{path}, the Gaussians embedded in it")
+            loaded.attach(parts.gaussians, known=True)  # the file is checked: their fingerprint, too
         return loaded
