@@ -57,6 +57,11 @@ class Codebook:
         if rows.shape[1] != self.atoms.shape[1]:
             raise InputError(f"rows have {rows.shape[1]} dimensions, the codebook has {self.atoms.shape[1]}")
         rows = rows.to(self.atoms.device)
-        codes = encode(rows, self.atoms, self.codes.k)
-        cosines = decoded_cosines(rows, self.atoms, codes)
-        return Encoded(codes, cosines, (cosines < self.report.explained_from) & rows.any(1))
+        return encode_rows(rows, self.atoms, self.codes.k, self.report.explained_from)
+
+
+def encode_rows(rows: Tensor, atoms: Tensor, k: int, threshold: float) -> Encoded:
+    """``Codebook.encode`` of unit rows [R, D]: ``threshold`` is the cosine below which a row is badly explained."""
+    codes = encode(rows, atoms, k)
+    cosines = decoded_cosines(rows, atoms, codes)
+    return Encoded(codes, cosines, (cosines < threshold) & rows.any(1))

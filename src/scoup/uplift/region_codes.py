@@ -17,8 +17,8 @@ from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.progress import Progress, no_progress
 from scoup.base.version import VERSION
 from scoup.coding import CodingReport, fit_codes
-from scoup.coding.encode import encode
-from scoup.coding.report import decoded_cosines, report_on
+from scoup.coding.codebook import encode_rows
+from scoup.coding.report import report_on
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
@@ -125,14 +125,14 @@ def code_regions(
                 "extract them with the model of that field"
             )
         rows, atoms = normalise_embeddings(rows.to(device)), atoms.to(device)
-        found = encode(rows, atoms, k)
-        report = report_on(rows, atoms, found, CODEBOOK_OF_FIELD)
-        explained_from = field.info.provenance.get("coding", {}).get(level, {}).get("explained_from")
-        if isinstance(explained_from, float):
-            report = replace(report, explained_from=explained_from)
-            cosines = decoded_cosines(rows, atoms, found)
-            _warn_of_badly_explained(((cosines < explained_from) & rows.any(1)).cpu(), places)
-        codes.append(found.to("cpu"))
+        threshold = field.info.provenance.get("coding", {}).get(level, {}).get("explained_from")
+        known = isinstance(threshold, float)
+        coded = encode_rows(rows, atoms, k, threshold if known else 0.0)
+        report = report_on(rows, atoms, coded.codes, CODEBOOK_OF_FIELD)
+        if known:
+            report = replace(report, explained_from=threshold)
+            _warn_of_badly_explained(coded.badly_explained.cpu(), places)
+        codes.append(coded.codes.to("cpu"))
         reports.append(_to_dict(report))
     return RegionCodes(field.codebook.cpu(), codes, embeddings.rows, reports)
 
