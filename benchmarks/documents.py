@@ -26,6 +26,7 @@ from benchmarks.city import Cities
 from benchmarks.documents_summaries import ablations, answers, baselines
 from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
+from benchmarks.gpu import Gpu
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import Query
 from benchmarks.study import Study
@@ -172,6 +173,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
+    "gpu": (Gpu, "gpu-nvidia-h200"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {

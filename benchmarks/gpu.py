@@ -79,7 +79,7 @@ class Gpu(Study):
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         yield from self._view(known)
-        for name, run in self._parts().items():
+        for name, run in self._parts(known).items():
             if name not in known:
                 try:
                     yield name, run()
@@ -87,11 +87,13 @@ class Gpu(Study):
                     yield name, _reason(error)
                     self._require_device()
 
-    def _parts(self) -> dict[str, Callable[[], Row]]:
+    def _parts(self, known: Mapping[str, Any]) -> dict[str, Callable[[], Row]]:
         """Return the rows that are not of one view."""
 
         @cache
         def built() -> BuiltScene:
+            if "reason" in known.get("build", {}):
+                raise RuntimeError("the build failed")
             return build_scene(self.n_gaussians, self.views, self.width, self.height, self.device)
 
         tests = cache(partial(KernelTests, self.tests))
@@ -154,7 +156,7 @@ class Gpu(Study):
             [name, milliseconds(seconds), f"{seconds / base:.3g}" if base else "-"] for name, seconds in timed
         ]
         notes = [
-            f"* {name}: {of.get('reason', of.get('value', json.dumps(of)))}"
+            f"* {name}: {str(of.get('reason', of.get('value', json.dumps(of))))[:90]}"
             for name, of in rows.items()
             if "median_s" not in of
         ]
@@ -162,7 +164,7 @@ class Gpu(Study):
 
 
 def _reason(error: Exception) -> Row:
-    return {"reason": " ".join(f"{type(error).__name__}: {error}".split())[:400]}
+    return {"reason": " ".join(f"{type(error).__name__}: {error}".split())[:200]}
 
 
 def renders(work: Workload, backend: str) -> Runs:
