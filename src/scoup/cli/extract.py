@@ -140,9 +140,10 @@ def _list_models(console: Console) -> None:
 
     rows = {
         title: [
-            {**choice.cells(), "weights": choice.weights(), "what it is": choice.what} for choice in choices
+            {**entry.cells(), "weights": entry.weights(), "what it is": entry.help}
+            for entry in table.values()
         ]
-        for title, choices in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS))
+        for title, table in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS))
     }
     for records in rows.values():
         lines = [list(records[0]), *(list(record.values()) for record in records)]
