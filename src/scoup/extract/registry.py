@@ -87,7 +87,7 @@ EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
     ),
     ModelEntry(
         f"{dense.PREFIX}{_TIPS}", _open_dense, size="784 MB", file=(_TIPS, "model.safetensors"),
-        help="TIPSv2 B/14: patches aligned with text; l14, so400m14, g14 are larger", licence="Apache-2.0",
+        help="TIPSv2 B/14: patches aligned with text; l14, so400m14, g14 are larger", licence="Apache-2.0, CC-BY-4.0",
         extra="models",
     ),
     ModelEntry(

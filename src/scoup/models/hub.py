@@ -108,7 +108,9 @@ class Pretrained:
     @cached_property
     def config(self) -> Any:
         try:
-            return self.transformers.AutoConfig.from_pretrained(self.model_id, **self.options)
+            # Code of a repository is never run, nor asked for on the terminal.
+            options = {**self.options, "trust_remote_code": False}
+            return self.transformers.AutoConfig.from_pretrained(self.model_id, **options)
         except ValueError as error:
             record, _ = self.transformers.PretrainedConfig.get_config_dict(self.model_id, **self.options)
             kind = record.get("model_type")
