@@ -42,12 +42,6 @@ class Registry(Mapping[str, EntryOf], Generic[EntryOf]):
         group: of the entry points.
         kind: class of the entries.
         own: those of the project.
-
-    Example:
-        >>> from scoup.base.registry import Entry, Registry
-        >>> fruits = Registry("fruit", "orchard.fruits", Entry, [Entry("apple"), Entry("dried:FRUIT")])
-        >>> list(fruits), fruits.find("dried:plum").name
-        (['apple', 'dried:FRUIT'], 'dried:FRUIT')
     """
 
     def __init__(self, what: str, group: str, kind: type[EntryOf], own: Iterable[EntryOf]) -> None:

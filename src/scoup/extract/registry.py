@@ -4,56 +4,48 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 
 from scoup.base.registry import Registry
 from scoup.extract import felzenszwalb, plain_colors
+from scoup.extract.automatic_masks import SamSegmenter
+from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
 from scoup.io.regions.manifest import read_manifest
 from scoup.models import dense, mobile_sam, onnx_dense, onnx_sam, sam
-from scoup.models.entry import HubEntry, ModelEntry
+from scoup.models.entry import Device, HubEntry, ModelEntry
 from scoup.models.hub import ONNX, OPEN_CLIP
 from scoup.models.image import open_image_model
 from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 
-if TYPE_CHECKING:
-    from scoup.extract.automatic_masks import SamSegmenter
-    from scoup.extract.dense import DenseEmbedder
-
 
 def _open_sam(
-    name: str,
-    revision: str | None,
-    device: torch.device | str,
-    settings: MaskSettings,
-    with_default: bool,
-) -> SamSegmenter:
-    from scoup.extract.automatic_masks import SamSegmenter
-
-    is_exported = name.startswith(ONNX)
-    model = (
-        onnx_sam.open_onnx_sam(name) if is_exported else sam.open_sam(name, revision, device, settings.half)
-    )
+    name: str, revision: str | None, device: Device, settings: MaskSettings, with_default: bool
+) -> Segmenter:
+    if name.startswith(ONNX):
+        return SamSegmenter(onnx_sam.open_onnx_sam(name), settings, with_default)
+    model = sam.open_sam(name, revision, device, settings.half, _hub_id(SEGMENTERS, name))
     return SamSegmenter(model, settings, with_default)
 
 
-def _open_dense(name: str, revision: str | None, device: torch.device | str) -> DenseEmbedder:
-    from scoup.extract.dense import DenseEmbedder
+def _hub_id(table: Registry[ModelEntry], name: str) -> str:
+    """Return the id of the model that a name is short for; "" if it is not short."""
+    file = table.find(name).file
+    return "" if file is None else file[0]
 
+
+def _open_dense(name: str, revision: str | None, device: Device) -> Embedder:
     return DenseEmbedder(dense.open_dense_model(name, revision, device))
 
 
-def _open_onnx_dense(name: str, revision: str | None, device: torch.device | str) -> DenseEmbedder:
-    from scoup.extract.dense import DenseEmbedder
-
+def _open_onnx_dense(name: str, revision: str | None, device: Device) -> Embedder:
     return DenseEmbedder(onnx_dense.open_onnx_dense(name.removeprefix(dense.PREFIX)))
 
 
-def _sam(name: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
-    file = (sam.SHORT_NAMES[name], "model.safetensors")
+def _sam(name: str, hub_id: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
+    file = (f"facebook/{hub_id}", "model.safetensors")
     return ModelEntry(name, _open_sam, size=size, file=file, help=help, licence=licence, extra="models")
 
 
@@ -65,14 +57,14 @@ SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
         sam.MOBILE_SAM, _open_sam, size="41 MB", seconds=10.6, file=(mobile_sam.HUB_ID, mobile_sam.FILE),
         help="MobileSAM: the default without a GPU", licence="Apache-2.0", extra="models",
     ),
-    _sam("sam-vit-b", "SAM ViT-B", "375 MB"),
-    _sam("sam-vit-l", "SAM ViT-L", "1.2 GB"),
-    _sam("sam-vit-h", "SAM ViT-H, as LangSplat: the default on a GPU", "2.6 GB"),
-    _sam("sam2.1-tiny", "SAM 2.1 Hiera-T", "156 MB"),
-    _sam("sam2.1-small", "SAM 2.1 Hiera-S", "184 MB"),
-    _sam("sam2.1-base-plus", "SAM 2.1 Hiera-B+", "323 MB"),
-    _sam("sam2.1-large", "SAM 2.1 Hiera-L", "898 MB"),
-    _sam("sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
+    _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
+    _sam("sam-vit-l", "sam-vit-large", "SAM ViT-L", "1.2 GB"),
+    _sam("sam-vit-h", "sam-vit-huge", "SAM ViT-H, as LangSplat: the default on a GPU", "2.6 GB"),
+    _sam("sam2.1-tiny", "sam2.1-hiera-tiny", "SAM 2.1 Hiera-T", "156 MB"),
+    _sam("sam2.1-small", "sam2.1-hiera-small", "SAM 2.1 Hiera-S", "184 MB"),
+    _sam("sam2.1-base-plus", "sam2.1-hiera-base-plus", "SAM 2.1 Hiera-B+", "323 MB"),
+    _sam("sam2.1-large", "sam2.1-hiera-large", "SAM 2.1 Hiera-L", "898 MB"),
+    _sam("sam3", "sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
     HubEntry("FOLDER or hub id", _open_sam, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
     ModelEntry(
         f"{ONNX}FOLDER", _open_sam, seconds=45.7, extra="onnx",
@@ -164,13 +156,13 @@ def open_pair(
     manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}
 
-    def revision_of(role: str, name: str, given: str | None) -> str | None:
+    def revision_of(table: Registry[ModelEntry], name: str, given: str | None) -> str | None:
         # The manifest names a model by its hub id.
-        same = begun.get(role) in (name, sam.SHORT_NAMES.get(name, name.removeprefix(dense.PREFIX)))
-        return given or (begun.get(f"{role}_revision") or None if same else None)
+        same = begun.get(table.what) in (name, name.removeprefix(dense.PREFIX), _hub_id(table, name))
+        return given or (begun.get(f"{table.what}_revision") or None if same else None)
 
-    first = revision_of("segmenter", segmenter, revisions[0])
-    second = revision_of("embedder", embedder, revisions[1])
+    first = revision_of(SEGMENTERS, segmenter, revisions[0])
+    second = revision_of(EMBEDDERS, embedder, revisions[1])
     return (
         open_segmenter(segmenter, settings, first, device, with_default),
         open_embedder(embedder, second, device),

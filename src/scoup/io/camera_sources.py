@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.base.registry import Registry
-from scoup.io.cameras import colmap, inria, nerfstudio
-from scoup.io.cameras.camera_format import CameraFormat
-from scoup.io.cameras.colmap import is_model
-from scoup.io.cameras.inria import read_cfg_args
+from scoup.base.registry import Entry, Registry
+from scoup.io.cameras.colmap import is_model, read_colmap
+from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras
+from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import TRAINED_FRAME
 from scoup.io.cameras.training_run import (
     GSPLAT_CONFIG,
@@ -20,12 +20,45 @@ from scoup.io.cameras.training_run import (
     is_nerfstudio_run,
     nerfstudio_data,
 )
+from scoup.io.reading import Distorted
+from scoup.scene.cameras import Cameras
 
-CAMERA_FORMATS = Registry(
-    "camera format", "scoup.camera_formats", CameraFormat, (colmap.FORMAT, inria.FORMAT, nerfstudio.FORMAT)
-)
 _SPARSE = ("sparse", "sparse_pc")  # COLMAP's folder of models, and what nerfstudio makes of it
 _MOST_FOLDERS = 100  # looked into for scenes
+
+
+@dataclass(frozen=True)
+class CameraFormat(Entry):
+    """A format of cameras: how to recognise and read it."""
+
+    read: Callable[[Path, Distorted], Cameras]
+    """Takes a file (of COLMAP a folder), and what to do about lens distortion."""
+    takes: Callable[[Path], bool]
+    """Whether an existing file is of this format; the first format that takes a file reads it."""
+    files: tuple[str, ...] = ()
+    """Names of its files in the folder of a scene."""
+
+
+def _is_of_model(path: Path) -> bool:
+    return path.suffix.lower() in (".bin", ".txt") and is_model(path.parent)
+
+
+def _is_list(path: Path) -> bool:
+    if path.suffix.lower() != ".json":
+        return False
+    with open(path, "rb") as stream:
+        return stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
+
+
+_COLMAP = CameraFormat("colmap", read_colmap, _is_of_model)
+# A list is Inria's, any other JSON nerfstudio's, whatever the file is called.
+_INRIA = CameraFormat("inria", lambda path, _: read_inria_cameras(path), _is_list, ("cameras.json",))
+_NERFSTUDIO = CameraFormat(
+    "nerfstudio", read_transforms, lambda path: path.suffix.lower() == ".json", ("transforms.json",)
+)
+CAMERA_FORMATS = Registry(
+    "camera format", "scoup.camera_formats", CameraFormat, (_COLMAP, _INRIA, _NERFSTUDIO)
+)
 
 
 @dataclass(frozen=True)
@@ -166,9 +199,9 @@ def _source_of_file(path: Path) -> CameraSource:
     if kind is None:
         names = " or ".join(_file_names())
         raise FileFormatError(path, "is not a known kind of camera file", f"use {names}")
-    if kind is colmap.FORMAT:
+    if kind is _COLMAP:
         return CameraSource(kind.name, folder, (scene_folder(folder),))
-    return CameraSource(kind.name, path, _inria_roots(folder) if kind is inria.FORMAT else (folder,))
+    return CameraSource(kind.name, path, _inria_roots(folder) if kind is _INRIA else (folder,))
 
 
 def _inria_roots(folder: Path) -> tuple[Path, ...]:

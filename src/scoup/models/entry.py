@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from scoup.base.registry import Entry
@@ -14,6 +15,9 @@ from scoup.models.hub import ModelIdentity, is_cached
 
 Encode = Callable[[list[str]], Tensor]
 """Phrases to vectors [Q, D]."""
+Texts = tuple[Encode, ModelIdentity]
+"""The text half of an embedder, and what its vectors depend on."""
+Device = torch.device | str
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class ModelEntry(Entry):
     open: Callable[..., Any]
     """Takes name, revision and device; a segmenter also takes ``MaskSettings`` and whether to make the level default.
     Returns an object with the methods of ``scoup.extract.interfaces``."""
-    texts: Callable[..., tuple[Encode, ModelIdentity]] | None = None
+    texts: Callable[[str, str | None, Device], Texts] | None = None
     """Takes name, revision and device, and returns the text half of an embedder; None if it has none."""
     size: str = ""
     """Of the weights in 32 bits."""

@@ -10,11 +10,10 @@ from torch import Tensor
 from scoup.base.counts import counted
 from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.base.registry import Registry
-from scoup.models.entry import Encode, HubEntry, ModelEntry
+from scoup.models.entry import Device, HubEntry, ModelEntry, Texts
 from scoup.models.hub import (
     ONNX,
     OPEN_CLIP,
-    ModelIdentity,
     ModelRequest,
     load_open_clip,
     load_pretrained,
@@ -28,21 +27,17 @@ GROUP = "scoup.embedders"  # of the entry points
 _ALTERNATIVE = "use a table file of text embeddings"
 
 
-def open_text_model(
-    name: str, revision: str | None, device: torch.device | str
-) -> tuple[Encode, ModelIdentity]:
+def open_text_model(name: str, revision: str | None, device: Device) -> Texts:
     """Open the text half of an embedder, by the name that regions record."""
     entry = TEXT_MODELS.find(name)
     if entry.texts is None:
         raise ScoupError(
-            f"{name}: this image encoder has no text model; pass a table with the vectors of the words"
+            f"{name}: this image encoder has no text model; pass a table of the vectors of words"
         )
     return entry.texts(name, revision, device)
 
 
-def _open_clip_texts(
-    name: str, revision: str | None, device: torch.device | str
-) -> tuple[Encode, ModelIdentity]:
+def _open_clip_texts(name: str, revision: str | None, device: Device) -> Texts:
     request = ModelRequest("text model", name, _ALTERNATIVE, revision=revision)
     identity = open_clip_identity(request)
     model, tokenizer = load_open_clip(request, device, with_tokenizer=True)
@@ -54,21 +49,17 @@ def _open_clip_texts(
     return encode, identity
 
 
-def _pretrained_texts(
-    name: str, revision: str | None, device: torch.device | str
-) -> tuple[Encode, ModelIdentity]:
+def _pretrained_texts(name: str, revision: str | None, device: Device) -> Texts:
     request = ModelRequest("text model", name, _ALTERNATIVE, revision=revision)
     identity, tower, tokenizer = load_pretrained(
         request, lambda files: (files.identity(), load_tower(files, "text"), files.tokenizer())
     )
     tower.model.to(device)
     limit = int(tower.config.max_position_embeddings)
-    # CLIP and TIPS do not attend to padding. SigLIP does: it was trained at full length and without a mask.
-    padding, wanted = (
-        ("longest", ("input_ids", "attention_mask"))
-        if tower.kind in ("clip", "tips")
-        else ("max_length", ("input_ids",))
-    )
+    # SigLIP attends to padding, for it was trained at full length and without a mask; CLIP and TIPS do not.
+    padding, wanted = "longest", ("input_ids", "attention_mask")
+    if tower.kind in ("siglip", "naflex"):
+        padding, wanted = "max_length", ("input_ids",)
 
     def encode(phrases: list[str]) -> Tensor:
         _warn_of_long(phrases, [len(ids) for ids in tokenizer(phrases)["input_ids"]], limit)
@@ -97,9 +88,5 @@ ANY_OPEN_CLIP = ModelEntry(
     f"{OPEN_CLIP}ARCHITECTURE/PRETRAINED", open_clip_image_model, _open_clip_texts, extra="open-clip",
     help="any model of open_clip",
 )  # fmt: skip
-TEXT_MODELS = Registry(
-    "text model or table file",
-    GROUP,
-    ModelEntry,
-    (HUB, ANY_OPEN_CLIP, ModelEntry(f"{ONNX}FILE", open_onnx_dense)),
-)
+_NO_TEXTS = ModelEntry(f"{ONNX}FILE", open_onnx_dense)
+TEXT_MODELS = Registry("text model or table file", GROUP, ModelEntry, (HUB, ANY_OPEN_CLIP, _NO_TEXTS))

@@ -8,7 +8,6 @@ import numpy as np
 
 from scoup.base.errors import FileFormatError, MissingFileError
 from scoup.io.cameras import colmap_binary, colmap_text
-from scoup.io.cameras.camera_format import CameraFormat
 from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import Distorted, check_finite, existing_folder, make_camera, sorted_cameras
@@ -169,10 +168,3 @@ def _quaternion(rotation: np.ndarray) -> tuple[float, ...]:
     )
     best = np.linalg.eigh(symmetric)[1][:, -1]
     return tuple((best if best[0] >= 0 else -best).tolist())
-
-
-def _is_of_model(path: Path) -> bool:
-    return path.suffix.lower() in (".bin", ".txt") and is_model(path.parent)
-
-
-FORMAT = CameraFormat("colmap", read_colmap, _is_of_model)

@@ -12,7 +12,6 @@ import numpy as np
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.io.cameras.camera_format import CameraFormat, begins_with
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
     MAX_IMAGE_SIDE,
@@ -111,12 +110,3 @@ def latest_point_cloud(folder: str | Path) -> Path:
 def portable_name(name: str) -> str:
     """Return an image name with forward slashes and without leading ./ whichever system wrote it."""
     return str(PurePosixPath(name.replace("\\", "/")))
-
-
-# A list is Inria's, any other JSON nerfstudio's, whatever the file is called.
-FORMAT = CameraFormat(
-    "inria",
-    lambda path, distorted: read_inria_cameras(path),
-    lambda path: begins_with(path, ".json", b"["),
-    ("cameras.json",),
-)

@@ -17,7 +17,6 @@ from scoup.base.atomic import write_text
 from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.base.json_node import JsonNode
-from scoup.io.cameras.camera_format import CameraFormat
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
 from scoup.io.image_folder import find_beside, warn_of_outside
 from scoup.io.images import image_size
@@ -190,8 +189,3 @@ def _tangent(angle: JsonNode) -> float:
     if not 1e-6 < tangent < 1e6:
         raise angle.error("an angle of view in radians")
     return tangent
-
-
-FORMAT = CameraFormat(
-    "nerfstudio", read_transforms, lambda path: path.suffix.lower() == ".json", ("transforms.json",)
-)
