@@ -154,7 +154,7 @@ def test_bad_json(tmp_path):
         path.write_text(text)
         with pytest.raises(FileFormatError, match=r"cameras\.json"):
             read_inria_cameras(path)
-    path.write_bytes(b"\xff\xfe\x00[")
+    path.write_bytes(b"\xff\x00[")
     with pytest.raises(FileFormatError, match="not a text file"):
         read_inria_cameras(path)
     with pytest.raises(MissingFileError):
