@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from io_samples import camera_difference, same_gaussians, some_cameras, some_gaussians
-from scoup.base.errors import FileFormatError, ScoupWarning
-from scoup.io import as_stored, load_cameras, load_gaussians, save_gaussians, write_colmap
+from io_samples import camera_difference, same_gaussians, save_images, some_cameras, some_gaussians
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.extract import find_photographs
+from scoup.io import (
+    as_stored,
+    load_cameras,
+    load_gaussians,
+    save_gaussians,
+    write_colmap,
+    write_inria_cameras,
+    write_transforms,
+)
 from scoup.io.cameras.colmap import read_tracks
 from scoup.io.reading import read_text
+from scoup.scene.cameras import Cameras
 
 
 @pytest.mark.parametrize(
@@ -99,3 +111,58 @@ def test_one_line_per_image(tmp_path: Path) -> None:
     (tmp_path / "points3D.txt").write_text("7 0 0 0 1 2 3 0 3 0\n")
     assert camera_difference(load_cameras(tmp_path, missing_images="keep"), cameras) < 1e-12
     assert read_tracks(tmp_path)[1] == [["view_02.png"]]
+
+
+def test_a_nerf_synthetic_scene(tmp_path: Path) -> None:
+    for part, count in (("train", 3), ("test", 2)):
+        cameras = some_cameras(count)
+        save_images(cameras, tmp_path / part)
+        write_transforms(cameras, tmp_path / "transforms.json", overwrite=True)
+        content = json.loads((tmp_path / "transforms.json").read_text())
+        for frame in content["frames"]:
+            frame["file_path"] = frame["file_path"].replace("images", f"./{part}").removesuffix(".png")
+        (tmp_path / f"transforms_{part}.json").write_text(json.dumps(content))
+    (tmp_path / "transforms.json").unlink()
+    loaded = load_cameras(tmp_path)
+    assert camera_difference(loaded, some_cameras(3)) < 1e-12
+    assert loaded[0].image_path == tmp_path / "train/view_00.png"
+    assert [item.path for item in find_photographs(tmp_path)] == [camera.image_path for camera in loaded]
+    (tmp_path / "transforms_train.json").unlink()
+    with pytest.raises(MissingFileError, match=r"pass the file itself: .*transforms_test.json"):
+        load_cameras(tmp_path)
+    assert len(load_cameras(tmp_path / "transforms_test.json")) == 2
+
+
+@pytest.mark.parametrize(("end", "gone", "has"), [(".bin", "images", "cameras"), (".txt", "images", "cameras"),
+                                                  (".bin", "cameras", "images")])  # fmt: skip
+def test_half_a_colmap_model(tmp_path: Path, end: str, gone: str, has: str) -> None:
+    write_colmap(some_cameras(2), tmp_path / "sparse/0", text=end == ".txt")
+    (tmp_path / "sparse/0" / f"{gone}{end}").unlink()
+    for folder in (tmp_path, tmp_path / "sparse/0"):
+        with pytest.raises(MissingFileError, match=f"sparse/0: has {has}{end} but not {gone}{end}"):
+            load_cameras(folder)
+
+
+def test_names_that_inrias_code_has_cut(tmp_path: Path) -> None:
+    write_inria_cameras(some_cameras(2), tmp_path / "cameras.json")
+    path = tmp_path / "cameras.json"
+    path.write_text(path.read_text().replace("view_01.png", "0000").replace("view_00.png", "0000"))
+    with pytest.raises(
+        FileFormatError, match=r"two cameras are named '0000'.*use the scene that the splat was trained on"
+    ):
+        load_cameras(path)
+
+
+def test_cameras_are_found_by_names_of_any_form() -> None:
+    one, two, three = some_cameras(3)
+    cameras = Cameras(
+        replace(camera, name=name)
+        for camera, name in zip(
+            (one, two, three), ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png"), strict=True
+        )
+    )
+    assert cameras["cam1/0"] is cameras["cam1/0.png"] is cameras[0]
+    for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
+        assert cameras[name] is cameras[2]
+    with pytest.raises(UnknownNameError, match=r"nearest names: 'cam1/0\.png', 'cam2/0\.png'"):
+        cameras["0"]

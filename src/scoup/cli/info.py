@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,8 +38,9 @@ class Info(Common):
 
 
 def _folder(path: Path) -> dict[str, Any]:
+    from scoup.base.errors import ScoupWarning
     from scoup.io.describe import describe_folder
-    from scoup.uplift.fit import measure_fit
+    from scoup.uplift.fit import fit_problem, measure_fit
     from scoup.uplift.storage.paths import ENDING, SCENE
 
     if (path / f"{SCENE}{ENDING}").exists():
@@ -47,7 +49,10 @@ def _folder(path: Path) -> dict[str, Any]:
     if not (folder.splat and folder.gaussians and folder.cameras):
         return folder.record
     # As a build would find them.
-    fit = measure_fit(folder.gaussians, list(folder.cameras), folder.splat.preset)
+    cameras = [camera for camera in folder.cameras if camera.image_path] or list(folder.cameras)
+    fit = measure_fit(folder.gaussians, cameras, folder.splat.preset)
+    if problem := fit_problem(fit, cameras, folder.splat.path):
+        warnings.warn(problem, ScoupWarning, stacklevel=2)
     return {**folder.record, "fit": fit.describe()}
 
 
@@ -68,11 +73,10 @@ def _splat(path: Path) -> dict[str, Any]:
 
 
 def _cameras(path: Path) -> dict[str, Any]:
-    from scoup.io import load_cameras
     from scoup.io.describe import describe_cameras, describe_unreadable
+    from scoup.io.scenes import all_cameras
 
-    cameras = load_cameras(path, distorted="undistort", missing_images="keep")
-    return {"kind": "cameras", **describe_cameras(cameras), **describe_unreadable(path)}
+    return {"kind": "cameras", **describe_cameras(all_cameras(path)), **describe_unreadable(path)}
 
 
 def _word_table(path: Path) -> dict[str, Any]:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.camera_sources import find_cameras, where_cameras_are
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.io.camera_sources import find_cameras
 from scoup.io.images import image_fault
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians
+from scoup.io.scene_parts import usual_features
+from scoup.io.scenes import all_cameras, camera_photographs, load_gaussians
 from scoup.io.splats.formats import SplatSource, splat_source
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
@@ -96,18 +96,34 @@ class DescribedFolder:
     cameras: Cameras | None
 
 
+def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
+    """Return the regions of cameras; where a build would find none, it warns of the reason."""
+    folder = usual_features(path)
+    if not folder.is_dir():
+        return {}
+    try:
+        regions = load_regions(folder, cameras)
+    except InputError as error:
+        if isinstance(error, FileFormatError) and not isinstance(error, MissingFileError):
+            raise
+        warnings.warn(str(error), ScoupWarning, stacklevel=3)
+        return {}
+    counts = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
+    return {"views_with_regions": len(regions), "regions": counts}
+
+
 def describe_folder(path: Path) -> DescribedFolder:
     """Return a scene, or what there is of one; or region features alone. Missing parts are left out."""
     record: dict[str, Any] = {}
     splat, gaussians, cameras = None, None, None
-    with suppress(MissingFileError):
+    no_cameras = MissingFileError(path, "")
+    try:
         record["cameras_from"] = str(find_cameras(path).path)
-        cameras = load_cameras(path, distorted="undistort", missing_images="keep")
+        cameras = all_cameras(path)
         record |= describe_cameras(cameras) | describe_unreadable(path)
-        with suppress(MissingFileError):
-            regions = load_regions(path, cameras)
-            record["views_with_regions"] = len(regions)
-            record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
+        record |= _describe_regions_of(path, cameras)
+    except MissingFileError as error:
+        no_cameras = error
     try:
         splat = splat_source(path)
         gaussians = load_gaussians(splat.path)
@@ -120,7 +136,7 @@ def describe_folder(path: Path) -> DescribedFolder:
     if not record:
         raise FileFormatError(
             path,
-            f"contains nothing that SCOUP reads: it has no cameras and no region features, and {no_splat}",
-            where_cameras_are(path),
+            f"contains nothing that SCOUP reads: it has no region features, {no_splat}, and {no_cameras.problem}",
+            no_cameras.remedy,
         )
     return DescribedFolder({"kind": "scene", **record}, splat, gaussians, cameras)

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import unicodedata
 import warnings
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
@@ -141,7 +142,7 @@ def make_camera(
     matrix_of_camera = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     try:
         return Camera(
-            name=name,
+            name=unicodedata.normalize("NFC", name),
             viewmat=torch.from_numpy(viewmat),
             K=torch.tensor(matrix_of_camera, dtype=torch.float64),
             width=size[0],
@@ -153,11 +154,11 @@ def make_camera(
         raise FileFormatError(path, str(error), "the file is damaged") from error
 
 
-def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
-    """Return the cameras in order of their names."""
+def sorted_cameras(path: Path, cameras: list[Camera], remedy: str = "rename one of the images") -> Cameras:
+    """Return the cameras in order of their names; ``remedy`` is that of equal names."""
     if not cameras:
         raise FileFormatError(path, "contains no cameras", "register at least one image")
     try:
         return Cameras(sorted(cameras, key=lambda camera: camera.name))
     except InputError as error:
-        raise FileFormatError(path, str(error), "rename one of the images") from error
+        raise FileFormatError(path, str(error), remedy) from error

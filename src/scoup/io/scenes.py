@@ -158,6 +158,21 @@ def load_cameras(
         raise InputError(f"distorted is {distorted!r}, expected 'refuse' or 'undistort'")
     if missing_images not in ("skip", "keep"):
         raise InputError(f"missing_images is {missing_images!r}, expected 'skip' or 'keep'")
+    source, cameras = _posed_cameras(path, distorted, dataparser_transforms)
+    warn = missing_images == "skip"
+    return attach_images(cameras, source.path, source.roots, images, downscale, missing_images, warn)
+
+
+def all_cameras(path: str | Path) -> Cameras:
+    """Return the cameras of a scene, those without an image too, with the warnings that ``load_cameras`` gives."""
+    source, cameras = _posed_cameras(path, "undistort")
+    return attach_images(cameras, source.path, source.roots, None, None, "keep", warn=True)
+
+
+def _posed_cameras(
+    path: str | Path, distorted: Distorted, dataparser_transforms: str | Path | None = None
+) -> tuple[CameraSource, Cameras]:
+    """Return the cameras of a scene in the frame of its splat."""
     source = find_cameras(path)
     if source.others:
         others = ", ".join(str(other) for other in source.others)
@@ -167,14 +182,14 @@ def load_cameras(
             ScoupWarning,
             stacklevel=2,
         )
-    cameras = _read(source, distorted)
     frame = source.frame if dataparser_transforms is None else Path(dataparser_transforms)
+    cameras = _read(replace(source, frame=frame), distorted)
     if frame is not None and frame.name == GSPLAT_CONFIG:
         cameras = in_gsplat_frame(cameras, source.path, _means_of(frame.parent))
     elif frame is not None:
         transforms = source.path if source.format == "nerfstudio" else None
         cameras = in_trained_frame(cameras, frame, transforms)
-    return attach_images(cameras, source.path, source.roots, images, downscale, missing_images)
+    return source, cameras
 
 
 def _means_of(results: Path) -> np.ndarray | None:
@@ -202,5 +217,5 @@ def _read(source: CameraSource, distorted: Distorted) -> Cameras:
     if source.format == "colmap":
         return read_colmap(source.path, distorted)
     if source.format == "nerfstudio":
-        return read_transforms(source.path, distorted)
+        return read_transforms(source.path, distorted, by_nerfstudio=source.frame is not None)
     return read_inria_cameras(source.path)

@@ -117,8 +117,8 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
     endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS, langsplat.RECORD_ENDING)
     places = (path.relative_to(target) for path in target.rglob("*") if not path.is_dir())
     others = (place for place in places if not place.name.endswith(endings))
-    shown = (str(place) for place in others if not any(part.startswith(".") for part in place.parts))
-    if foreign := sorted(islice(shown, 4)):
+    shown = (place.parts[0] for place in others if not any(part.startswith(".") for part in place.parts))
+    if foreign := sorted(set(islice(shown, 1000))):
         raise InputError(
             f"{target}: contains other files than region features ({listed(foreign)}); use a folder for them alone, "
             f"such as {target / f'{FOLDER_NAME}_{manifest.layout}'}"
