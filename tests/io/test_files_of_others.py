@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 from io_samples import camera_difference, same_gaussians, save_images, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
@@ -23,7 +27,9 @@ from scoup.io import (
 )
 from scoup.io.cameras.colmap import read_tracks
 from scoup.io.reading import read_text
+from scoup.io.splats.ply import read_ply_table, write_ply_table
 from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import SH_C0
 
 
 @pytest.mark.parametrize(
@@ -166,3 +172,71 @@ def test_cameras_are_found_by_names_of_any_form() -> None:
         assert cameras[name] is cameras[2]
     with pytest.raises(UnknownNameError, match=r"nearest names: 'cam1/0\.png', 'cam2/0\.png'"):
         cameras["0"]
+
+
+def changed_columns(path: Path, gone: str, **added: np.ndarray) -> None:
+    """Rewrite a PLY without some properties, and with others."""
+    table = read_ply_table(path)
+    kept = [name for name in table.names if not re.fullmatch(gone, name)]
+    table = replace(table, rows=table.rows[kept].astype([(name, table.rows.dtype[name]) for name in kept]))
+    for name, column in added.items():
+        table = table.with_column(name, column)
+    write_ply_table(table, path, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("gone", "added", "change"),
+    [
+        (
+            "scale_2",
+            {},
+            {"scales": lambda given: torch.cat([given.scales[:, :2], torch.full((5, 1), 1e-6)], 1)},
+        ),
+        ("scale_[12]", {}, {"scales": lambda given: given.scales[:, :1].expand(-1, 3)}),
+        ("f_dc_.", {"red": 255, "green": 0, "blue": 51}, {}),
+        ("f_dc_.", {"red": 1.0, "green": 0.0, "blue": 0.2}, {}),
+        ("f_dc_.", {"red": 65535, "green": 0, "blue": 13107}, {}),
+    ],
+)
+def test_splats_with_other_properties(tmp_path: Path, gone: str, added: Any, change: Any) -> None:
+    given = some_gaussians(5, 1)
+    save_gaussians(given, tmp_path / "a.ply")
+    kinds = {float: np.float32, int: np.uint16 if 65535 in added.values() else np.uint8}
+    columns = {name: np.full(5, value, kinds[type(value)]) for name, value in added.items()}
+    changed_columns(tmp_path / "a.ply", gone, **columns)
+    found = load_gaussians(tmp_path / "a.ply")
+    expected = given.tensors() | {name: function(given) for name, function in change.items()}
+    if added:
+        expected["sh"] = given.sh.clone()
+        expected["sh"][:, 0] = (torch.tensor([1.0, 0.0, 0.2]) - 0.5) / SH_C0
+    for name, tensor in found.tensors().items():
+        torch.testing.assert_close(tensor, expected[name], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("gone", "added", "said"),
+    [
+        ("rot_.", (), "lacks rot_0, .*; export the trained splat again"),
+        ("f_dc_.", ("red",), "lacks f_dc_0"),
+        ("scale_0", (), "lacks scale_0"),
+        ("f_dc_.", ("f_anchor_feat_0", "scale_3"), "anchors of Scaffold-GS"),
+        ("(scale|rot|f_dc)_.|opacity", ("red", "green", "blue"), "not a point cloud or mesh"),
+    ],
+)
+def test_what_no_splat_lacks(tmp_path: Path, gone: str, added: tuple[str, ...], said: str) -> None:
+    save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
+    changed_columns(tmp_path / "a.ply", gone, **dict.fromkeys(added, np.zeros(5, np.uint8)))
+    with pytest.raises(FileFormatError, match=said):
+        load_gaussians(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    "name", ["trbf_center", "trbf_scale_0", "motion_3", "t", "scale_3", "nu_degree", "beta"]
+)
+def test_gaussians_that_are_not_plain(tmp_path: Path, name: str) -> None:
+    save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
+    changed_columns(tmp_path / "a.ply", "", semantic_0=np.zeros(5), label=np.zeros(5, np.int32))
+    assert len(load_gaussians(tmp_path / "a.ply")) == 5
+    changed_columns(tmp_path / "a.ply", "", **{name: np.zeros(5, np.float32)})
+    with pytest.warns(ScoupWarning, match=f"change with time or have another kernel \\({name}\\)"):
+        load_gaussians(tmp_path / "a.ply")

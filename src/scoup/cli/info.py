@@ -88,13 +88,21 @@ def _word_table(path: Path) -> dict[str, Any]:
 
 
 def _json(path: Path) -> dict[str, Any]:
+    from scoup.base.errors import FileFormatError
     from scoup.io.reading import read_json
+    from scoup.io.splats.formats import is_splat_name
 
+    if is_splat_name(path):
+        return _splat(path)
     if path.name in ("transforms.json", "cameras.json"):
         return _cameras(path)
     content = read_json(path, "cameras or a word table").value
-    has_frames = isinstance(content, dict) and "frames" in content
-    return (_cameras if isinstance(content, list) or has_frames else _word_table)(path)
+    if isinstance(content, list) or (isinstance(content, dict) and "frames" in content):
+        return _cameras(path)
+    if isinstance(content, dict) and any(isinstance(value, list) for value in content.values()):
+        return _word_table(path)
+    problem = "is JSON of another kind than cameras (with frames) or a word table (lists of numbers by names)"
+    raise FileFormatError(path, problem, "name the file of the splat, cameras or words itself")
 
 
 def _region_sums(path: Path) -> dict[str, Any]:
