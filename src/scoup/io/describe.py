@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from scoup.io.scenes import all_cameras, camera_photographs, load_gaussians
 from scoup.io.splats.formats import SplatSource, splat_source
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import codes_problem
 from scoup.scene.sanity_checks import sanity_problems
 
 
@@ -69,6 +71,7 @@ def describe_regions(store: RegionStore) -> dict[str, Any]:
     for view in views:
         counts.update(view.counts)
     dims = sorted({view.dim for view in views})
+    _warn_of_codes(dims)
     return {
         "kind": "region features",
         "layout": store.layout,
@@ -96,6 +99,11 @@ class DescribedFolder:
     cameras: Cameras | None
 
 
+def _warn_of_codes(dims: Iterable[int]) -> None:
+    for problem in filter(None, map(codes_problem, dims)):
+        warnings.warn(problem, ScoupWarning, stacklevel=3)
+
+
 def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
     """Return the regions of cameras; where a build would find none, it warns of the reason."""
     folder = usual_features(path)
@@ -108,7 +116,9 @@ def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
             raise
         warnings.warn(str(error), ScoupWarning, stacklevel=3)
         return {}
-    counts = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
+    embeddings = {level: regions.embeddings(level)[0] for level in regions.levels}
+    _warn_of_codes({rows.shape[1] for rows in embeddings.values()})
+    counts = {level: len(rows) for level, rows in embeddings.items()}
     return {"views_with_regions": len(regions), "regions": counts}
 
 

@@ -27,11 +27,11 @@ from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import LEAST_EMBEDDING
 
 LEARNED_FROM = 16_384  # rows from which a codebook is learned
 ROWS_AT_A_TIME = 65_536
 TOP_K = 4  # LangSplatV2's
-LEAST_EMBEDDING = 64  # numbers of a model's; fewer are codes of an autoencoder, or of instances
 LEVELS = ("s", "m", "l")
 _LEVEL_FOLDER = re.compile(r"(.*)_([123])")
 
