@@ -143,7 +143,12 @@ def describe_folder(path: Path) -> DescribedFolder:
         no_splat = error.problem
     if "cameras" not in record and (store := RegionStore.open(path)).stems():
         record |= describe_regions(store)
+    broken = bool(no_cameras.problem) and not no_cameras.problem.startswith("contains no cameras")
+    if broken and record:  # half of a model, or data of a training that are gone
+        warnings.warn(str(no_cameras), ScoupWarning, stacklevel=2)
     if not record:
+        if broken:
+            raise no_cameras
         raise FileFormatError(
             path,
             f"contains nothing that SCOUP reads: it has no region features, {no_splat}, and {no_cameras.problem}",
