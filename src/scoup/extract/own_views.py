@@ -64,7 +64,7 @@ def choose_cameras(
 
     Example:
         >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
-        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4)
+        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4, up=(0, -1, 0))
         >>> len(cameras)
         4
     """
@@ -159,7 +159,7 @@ def save_views(
 
     Example:
         >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
-        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4)
+        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4, up=(0, -1, 0))
         >>> shown = scoup.save_views(gaussians, cameras, "views")
         >>> shown.once >= shown.often
         True
