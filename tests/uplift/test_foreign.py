@@ -103,9 +103,7 @@ def test_checkpoints_with_a_feature_per_gaussian(tmp_path: Path, layout: str) ->
     assert field.gaussians.fingerprint() == read_langsplat(path).gaussians.fingerprint()
     assert float((field.gaussian_features(0) * expected).sum(1).mean()) > 0.95
     if layout == "langsplat":
-        with pytest.raises(
-            FileFormatError, match="has 3 numbers per Gaussian: codes, as of LangSplat's autoencoder"
-        ):
+        with pytest.raises(FileFormatError, match="has 3 numbers per Gaussian and not embeddings"):
             field_from_langsplat([path])
     with pytest.raises(FileFormatError, match=r"checkpoint of Inria's code or a relative.*scoup convert"):
         load_gaussians(path)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.digests import file_sha256
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
 from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder
@@ -65,9 +65,12 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
     if not scene.exists():
         raise MissingFileError(scene, "there is no such scene", "check the path")
     with suppress(MissingFileError):  # no cameras: all photographs of a folder
-        named = camera_photographs(scene, images)
+        named, searched = camera_photographs(scene, images)
+        if named and searched:
+            message = f"{scene}: cameras without a photograph have no regions ({searched})"
+            warnings.warn(message, ScoupWarning, stacklevel=2)
         if not named:
-            problem = "has cameras, but none of their photographs was found"
+            problem = f"has cameras, but none of their photographs was found ({searched})"
             raise FileFormatError(
                 scene, problem, "pass the folder that their names are relative to as images"
             )

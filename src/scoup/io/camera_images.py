@@ -60,9 +60,7 @@ def attach_images(
     kept = missing_images == "keep" or not attached
     _warn_of_unreadable(source, unreadable, len(cameras), kept)
     if missing and warn:
-        searched = "there is no folder images"
-        if folder is not None:
-            searched = f"looked for {folder.folder / missing[0]}{' and others' if len(missing) > 1 else ''}"
+        searched = _searched(folder, missing)
         message = f"skipped {len(missing)} of {counted(len(cameras), 'camera')} without an image ({searched})"
         if not attached:
             message = f"{none_of(len(missing), 'image')} was found ({searched}); using the cameras alone"
@@ -75,12 +73,21 @@ def attach_images(
 
 def image_files(
     cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
-) -> list[tuple[str, Path, Path | None]]:
-    """Return the names of cameras that have image files, with these files and their masks, which are not opened."""
+) -> tuple[list[tuple[str, Path, Path | None]], str]:
+    """Return the names of cameras that have image files, with these files and their masks, which are not opened; and
+    which files of others were looked for, "" if there are none."""
     folder, factor = _choose_folder(roots, images, None)
     hint_first = images is None and (folder is None or factor == 1)
-    images_of = ((camera, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
-    return [(camera.name, path, camera.mask_path) for camera, path in images_of if path is not None]
+    images_of = [(camera, _find(camera, folder, factor, hint_first)[0]) for camera in cameras]
+    missing = [camera.name for camera, path in images_of if path is None]
+    found = [(camera.name, path, camera.mask_path) for camera, path in images_of if path is not None]
+    return found, _searched(folder, missing) if missing else ""
+
+
+def _searched(folder: ImageFolder | None, missing: list[str]) -> str:
+    if folder is None:
+        return "there is no folder images"
+    return f"looked for {folder.folder / missing[0]}{' and others' if len(missing) > 1 else ''}"
 
 
 def _choose_folder(

@@ -55,7 +55,7 @@ def describe_cameras(cameras: Cameras) -> dict[str, Any]:
 
 def describe_unreadable(path: Path) -> dict[str, Any]:
     """Return the photographs of a scene's cameras that cannot be decoded, and why; nothing where all can be."""
-    faults = {name: image_fault(image) for name, image, _ in camera_photographs(path)}
+    faults = {name: image_fault(image) for name, image, _ in camera_photographs(path)[0]}
     unreadable = [f"{name} {fault}" for name, fault in faults.items() if fault]
     return {"unreadable_photographs": len(unreadable), "unreadable": unreadable} if unreadable else {}
 

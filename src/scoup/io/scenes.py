@@ -202,9 +202,9 @@ def _means_of(results: Path) -> np.ndarray | None:
 
 def camera_photographs(
     path: str | Path, images: str | Path | None = None
-) -> list[tuple[str, Path, Path | None]]:
-    """Return names of a scene's cameras, their photographs where there are any, and the masks of these; no image is
-    opened.
+) -> tuple[list[tuple[str, Path, Path | None]], str]:
+    """Return names of a scene's cameras, their photographs where there are any, and the masks of these; and what was
+    looked for where there are none. No image is opened.
 
     Args:
         path, images: as in ``load_cameras``.

@@ -181,9 +181,11 @@ def _decoded_features(path: Path, levels: Sequence[np.ndarray], decode: Decoder 
     if decode is None:
         if size < LEAST_EMBEDDING:
             problem = (
-                f"has {size} numbers per Gaussian: codes, as of LangSplat's autoencoder, and not embeddings"
+                f"has {size} numbers per Gaussian and not embeddings: codes of LangSplat's autoencoder, or features of "
+                "instances, as of OpenGaussian"
             )
-            raise FileFormatError(path, problem, "pass its best_ckpt.pth as `autoencoder`")
+            remedy = "for codes pass the best_ckpt.pth as `autoencoder`; for others convert embeddings (.npy)"
+            raise FileFormatError(path, problem, remedy)
         return np.stack(levels, 1)
     dim = decode(levels[0][:1]).shape[1]
     rows = scratch_array((len(levels[0]), len(levels), dim), np.float16)
