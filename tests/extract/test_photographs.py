@@ -13,7 +13,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from mask_samples import smooth_image
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import load_image, write_colmap
 from scoup.scene.cameras import Cameras
@@ -128,8 +128,14 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     assert [item.name for item in find_photographs(tmp_path, folder / "images_2" / "left")] == ["c.png"]
     write_colmap(Cameras([make_camera(30, 20, name="b.png")]), folder / "sparse" / "0")
     assert [item.name for item in find_photographs(folder)] == ["b.png"]  # those of the cameras
+    cameras = [make_camera(30, 20, name=name) for name in ("b.png", "gone.png")]
+    write_colmap(Cameras(cameras), folder / "sparse" / "0", overwrite=True)
+    with pytest.warns(ScoupWarning, match=r"have no regions \(looked for .*images_2/gone\.png\)"):
+        assert [item.name for item in find_photographs(folder)] == ["b.png"]
     (folder / "images_2" / "b.png").unlink()
-    with pytest.raises(FileFormatError, match="none of their photographs was found"):
+    with pytest.raises(
+        FileFormatError, match=r"none of their photographs was found \(looked for .*b\.png and others\)"
+    ):
         find_photographs(folder)
     with pytest.raises(MissingFileError, match="no such scene"):
         find_photographs(tmp_path / "nowhere")

@@ -26,7 +26,8 @@ _ASIDE = re.compile(
 class ImageFolder:
     """The image files below a folder, found by their paths relative to it, as COLMAP names them.
 
-    Names are compared in one form of Unicode (NFC): some systems write accents as characters of their own.
+    Names are compared in one form of Unicode (NFC), as some systems write accents as characters of their own; and where
+    that finds none, without regard to small and capital letters.
 
     Args:
         folder: listed once, links to folders in it too; must exist.
@@ -51,9 +52,10 @@ class ImageFolder:
                     continue
                 path = Path(root) / listed_name
                 self._exact[posixpath.join(within, file)] = path
-                self._stems[within, stem].append(path)
+                key = within.casefold()
+                self._stems[key, stem.casefold()].append(path)
                 if not _split(stem)[1]:  # x.jpg.png is most often the mask of x.jpg
-                    self._starts[within, file.split(".", 1)[0]].append(path)
+                    self._starts[key, file.split(".", 1)[0].casefold()].append(path)
         self._folders = sorted({within for within, _ in self._stems})
         # (sub-folder, ending, ending): images with both lie there, such as x.jpg and its mask x.png.
         self._pairs = {
@@ -83,7 +85,7 @@ class ImageFolder:
         may be that of a single file in a sub-folder, unless images lie outside of these.
         """
         name = _composed(name)
-        for place in self._places(name):
+        for place in (*self._places(name), *self._places(name.replace("\\", "/"))):
             found = self._in(*posixpath.split(place))
             if found is not None:
                 return found
@@ -97,7 +99,8 @@ class ImageFolder:
         path = self._exact.get(posixpath.join(within, file))
         if path is not None:
             return path
-        stem, ending = _split(file)
+        stem, ending = _split(file.casefold())
+        within = within.casefold()
         paths = self._stems.get((within, stem), [])
         if ending:
             same = [path for path in paths if path.suffix.lower() == ending]

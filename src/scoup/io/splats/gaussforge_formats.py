@@ -92,10 +92,9 @@ def _converted(path: Path, source: Path, kind: str) -> Gaussians:
             raise FileFormatError(path, f"is damaged (converted, it {error.problem})", _WHAT_IT_IS) from error
 
 
-def _sog_in(folder: Path) -> Path | None:
-    """Return the meta.json of a SOG in a folder."""
-    path = folder / _META
-    return path if path.is_file() and any(folder.glob("means*.webp")) else None
+def _is_sog(path: Path) -> bool:
+    """Return whether a file is named and placed as the meta.json of a SOG."""
+    return path.name == _META and any(path.parent.glob("*.webp"))
 
 
 def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
@@ -168,11 +167,4 @@ def _is_installed() -> bool:
 
 KSPLAT = SplatFormat(_KSPLAT, (_KSPLAT,), read_through_gaussforge, write_through_gaussforge)
 SOG = SplatFormat(".sog", (".sog",), read_through_gaussforge, write_through_gaussforge)
-SOG_FOLDER = SplatFormat(
-    "unbundled SOG",
-    (_META,),
-    read_sog_folder,
-    has_name=lambda path: path.name == _META,
-    find=_sog_in,
-    in_scenes=False,
-)
+SOG_FOLDER = SplatFormat("unbundled SOG", (_META,), read_sog_folder, has_name=_is_sog)
