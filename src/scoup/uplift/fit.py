@@ -171,9 +171,10 @@ def check_fit(
 def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
     """Return what is wrong with a fit of cameras, or that it was not judged, with remedies; "" where nothing is."""
     where = "the splat " if splat is None else f"{splat}: "
-    if fit.verdict in (Verdict.HOPELESS, Verdict.DOUBTFUL):
-        does = "does not" if fit.verdict is Verdict.HOPELESS else "may not"
-        return f"{where}{does} fit the cameras: {fit.reason()}; {fit.remedies()}"
+    if fit.verdict is Verdict.HOPELESS:
+        return f"{where}does not fit the cameras: {fit.reason()}; {fit.remedies()}"
+    if fit.verdict is Verdict.DOUBTFUL:
+        return f"{where}may not fit the cameras: {fit.reason()}; {fit.remedies()}"
     if fit.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
         return (
             f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
