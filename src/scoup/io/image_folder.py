@@ -130,10 +130,7 @@ def _composed(name: str) -> str:
 def _leads_above(root: str, name: str) -> bool:
     """Return whether a folder is a link to one that it is in."""
     path = os.path.join(root, name)
-    if not os.path.islink(path):
-        return False
-    target = os.path.realpath(path)
-    return os.path.commonpath([target, os.path.realpath(root)]) == target
+    return os.path.islink(path) and Path(os.path.realpath(root)).is_relative_to(os.path.realpath(path))
 
 
 def _split(file: str) -> tuple[str, str]:
