@@ -137,7 +137,7 @@ def test_library_messages_name_no_option_of_the_command_line() -> None:
     """They name arguments, which ``cli/console.py`` translates."""
     others = {
         "base/native.py": {"--install", "--force-reinstall", "--no-deps", "--no-cache-dir"},
-        "io/langsplatv2.py": {"--include_feature"},
+        "io/langsplat_checkpoint.py": {"--include_feature"},
         "models/hub.py": {"--local-dir"},
         "view/viewed_field.py": {"--text"},  # in the command that opens a page again
     }

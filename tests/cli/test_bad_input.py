@@ -389,7 +389,7 @@ def test_an_extraction_that_fails_at_once_leaves_nothing():
         (
             "scene/language_features",
             "scene",
-            "scene: contains other files than region features (images, language_fea",
+            "scene: contains other files than region features (images, point_cloud",
         ),
         (
             "scene",

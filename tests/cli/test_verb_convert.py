@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import refused, run, run_json
+from cli_support import BUILD, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
@@ -59,7 +59,12 @@ def test_the_autoencoders_features_become_embeddings():
         np.save(small / path.name, codes.numpy())
         labels = path.name.replace("_f.npy", "_s.npy")
         (small / labels).write_bytes((path.parent / labels).read_bytes())
+    said = "the regions have 3 numbers each, codes of LangSplat's autoencoder"
+    assert said in refused(*BUILD, "--features", small)
+    code, _, err = run("info", small)
+    assert (code, err.startswith(f"warning: {said}")) == (0, True)
     record = run_json("convert", small, "decoded", "--autoencoder", "best_ckpt.pth", "--bits", "32")
+    assert run_json(*BUILD, "--features", "decoded")["views"] == 4
     assert record["views"] == 4
     found = load_regions("decoded", load_cameras("scene"))
     for name in regions.view_names:

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
-from cli_support import refused, run, run_json
-from scoup.io import load_cameras, load_gaussians, save_gaussians, write_inria_cameras, write_transforms
+from cli_support import QUICK, refused, run, run_json, write_scene
+from scoup.io import (
+    load_cameras,
+    load_gaussians,
+    save_gaussians,
+    write_colmap,
+    write_inria_cameras,
+    write_transforms,
+)
+from scoup.io.splats.ply import read_ply_table, write_ply_table
+from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -91,3 +105,80 @@ def test_what_is_nothing_of_ours():
     Path("a.json").write_text("{")
     assert refused("info", "a.json").startswith("a.json: ")
     assert "there is no such file or folder" in refused("info", "nowhere")
+
+
+def fewer_photographs() -> None:
+    Path("scene/images/view_01.png").unlink()
+
+
+def no_photographs() -> None:
+    shutil.rmtree("scene/images")
+
+
+def another_splat() -> None:
+    write_scene(Path("elsewhere"), seed=9)
+    shutil.copy("elsewhere/point_cloud.ply", "scene/point_cloud.ply")
+
+
+def blank_photographs() -> None:
+    for path in Path("scene/images").iterdir():
+        Image.new("RGB", (40, 30)).save(path)
+
+
+def moving_gaussians() -> None:
+    table = read_ply_table("scene/point_cloud.ply")
+    table = table.with_column("motion_0", np.zeros(len(table), np.float32))
+    write_ply_table(table, "scene/point_cloud.ply", overwrite=True)
+
+
+def fewer_regions() -> None:
+    Path("scene/language_features/view_01_s.npy").unlink()
+
+
+def regions_of_others() -> None:
+    for path in Path("scene/language_features").iterdir():
+        path.rename(path.with_name(f"other_{path.name}"))
+
+
+def equal_names_in_folders() -> None:
+    cameras = load_cameras("scene")
+    moved = [replace(camera, name=f"cam{number}/0000.png") for number, camera in enumerate(cameras)]
+    shutil.rmtree("scene/sparse")
+    write_colmap(Cameras(moved), Path("scene/sparse/0"))
+    for number, camera in enumerate(cameras):
+        (Path("scene/images") / f"cam{number}").mkdir()
+        shutil.move(f"scene/images/{camera.name}", f"scene/images/cam{number}/0000.png")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (fewer_photographs, "skipped 1 of 4 cameras without an image (looked for scene/images/view_01.png)"),
+        (
+            no_photographs,
+            "none of the 4 images was found (there is no folder images); using the cameras alone",
+        ),
+        (another_splat, "scene/point_cloud.ply: does not fit the cameras: 4 of 4 renders tried"),
+        (blank_photographs, "whether the cameras fit was not judged"),
+        (moving_gaussians, "change with time or have another kernel (motion_0)"),
+        (fewer_regions, "skipped 1 of 4 cameras that have no features"),
+        (regions_of_others, "has features of none of the 4 cameras: expected view_00_s.npy"),
+        (equal_names_in_folders, "share the feature name '0000'; LangSplat's files have no folders"),
+    ],
+)
+def test_what_a_build_would_warn_of(change: Callable[[], None], said: str) -> None:
+    change()
+    code, _, err = run("info", "scene")
+    assert code == 0
+    assert f"{said}" in err
+    assert said in run("build", "scene", *QUICK, "--out", "a.scoup")[2]
+
+
+def test_a_scene_whose_data_are_not_whole() -> None:
+    Path("half/sparse/0").mkdir(parents=True)
+    shutil.copy("scene/sparse/0/cameras.bin", "half/sparse/0")
+    shutil.copy("scene/point_cloud.ply", "half")
+    said = "half/sparse/0: has cameras.bin but not images.bin"
+    assert said in run("info", "half")[2]
+    Path("half/point_cloud.ply").unlink()
+    assert "has cameras.bin but not images.bin" in refused("info", "half")

@@ -14,7 +14,7 @@ from PIL import Image
 from cli_support import QUICK, refused, run, run_json, snapshot
 from scoup.cli.views import MakeViews
 from scoup.field.language_field import LanguageField
-from scoup.io import load_cameras, write_transforms
+from scoup.io import load_cameras, load_gaussians, save_gaussians, write_transforms
 from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -156,6 +156,21 @@ def test_views_that_are_not_whole_are_replaced_on_request(monkeypatch: pytest.Mo
     build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
     assert "alone_views/views.png: already exists; pass --overwrite" in refused(*build)
     assert run_json(*build, "--overwrite")["views"] == 2
+
+
+@pytest.mark.parametrize(("options", "sign"), [((), -1), (("--keep-axes",), 1)])
+def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None:
+    """-y of a PLY whose numbers an .spz keeps is +y of the scene."""
+    save_gaussians(load_gaussians(SPLAT), "kept.spz", keep_axes=True)
+    run_json("views", "kept.spz", *SMALL, *options, "--views", 2, "--out", "own")
+    for camera in load_cameras("own"):
+        assert sign * -float(camera.viewmat[1, 1]) > 0
+    code, _, err = run("views", "kept.spz", *SMALL[:4], *options, "--views", 2, "--out", "guessed")
+    assert code == 0
+    assert "up is a guess" in err
+    assert "--keep-axes for" in err
+    run_json("extract", "own", *FREE)
+    assert run_json("build", "own", "--gaussians", "kept.spz", *QUICK, "--out", "a.scoup")["views"] == 2
 
 
 def interrupt(*_: object, **__: object) -> None:

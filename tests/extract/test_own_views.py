@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, ScoupWarning
 from scoup.extract.own_views import choose_cameras, save_views
 from scoup.extract.view_choice import Score, Scores, not_from_behind
 from scoup.pictures import contact_sheet
@@ -53,7 +53,7 @@ def test_what_cannot_be_seen_is_refused(case: str) -> None:
 @pytest.mark.usefixtures("few_candidates")
 def test_a_fog_of_large_gaussians_is_refused() -> None:
     with pytest.raises(InputError, match="gaussians: nothing can be seen clearly"):
-        choose_cameras(random_gaussians(3000, seed=1), width=64, height=48)
+        choose_cameras(random_gaussians(3000, seed=1), width=64, height=48, up=(0, -1, 0))
 
 
 def surface(normal: int, side: float = -1.0, seed: int = 3, count: int = 600) -> Gaussians:
@@ -68,13 +68,16 @@ def surface(normal: int, side: float = -1.0, seed: int = 3, count: int = 600) ->
 
 
 @pytest.mark.parametrize(
-    ("normal", "side", "expected"),
-    [(2, -1, (0, 0, 1)), (2, 1, (0, -1, 0)), (1, 1, (0, -1, 0)), (0, -1, (0, -1, 0))],
+    ("normal", "side", "expected", "guesses"),
+    [(2, -1, (0, 0, 1), 0), (2, 1, (0, -1, 0), 1), (1, 1, (0, -1, 0), 0), (0, -1, (0, -1, 0), 1)],
     ids=["floor across z", "wall across z", "floor across y", "neither"],
 )
-def test_up_is_what_floors_face(normal: int, side: float, expected: tuple[float, ...]) -> None:
+def test_up_is_what_floors_face(
+    normal: int, side: float, expected: tuple[float, ...], guesses: int, recwarn: pytest.WarningsRecorder
+) -> None:
     gaussians = surface(normal, side)
     assert estimate_up_of_splat(gaussians, torch.arange(len(gaussians))).tolist() == list(expected)
+    assert ["up is a guess" in str(warning.message) for warning in recwarn] == [True] * guesses
 
 
 def test_a_tilted_floor_tilts_what_is_up() -> None:
@@ -125,7 +128,8 @@ def test_names_of_cameras_beside_are_not_taken_again() -> None:
 @pytest.mark.usefixtures("few_candidates")
 def test_where_nothing_is_opaque_all_that_is_seen_is_covered(tmp_path: Path) -> None:
     gaussians = replace(random_gaussians(300, seed=1), opacities=torch.full((300,), 0.3))
-    cameras = choose_cameras(gaussians, width=64, height=48, count=3)
+    with pytest.warns(ScoupWarning, match="up is a guess"):
+        cameras = choose_cameras(gaussians, width=64, height=48, count=3)
     shown = save_views(gaussians, cameras, tmp_path)
     assert 0 < shown.often <= shown.once <= 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 import threading
 import warnings
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from mask_samples import smooth_image
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import load_image, write_colmap
 from scoup.scene.cameras import Cameras
@@ -36,9 +37,14 @@ def test_orientation_is_undone_for_models_and_put_back_for_cameras(tmp_path: Pat
     Image.fromarray(np.where(left, 0, 9).repeat(2)[None].repeat(40, 0).astype(np.uint8)).save(
         tmp_path / "m.png"
     )
-    masked = read_photograph(path, mask=tmp_path / "m.png").masked
-    assert masked is not None
-    assert (pixels.as_stored(masked) == left).all()
+    shutil.copy(tmp_path / "m.png", tmp_path / "dynamic_mask_a.png")
+    for name, expected in (
+        ("m.png", left),
+        ("dynamic_mask_a.png", ~left),
+    ):  # instant-ngp's is the other way round
+        masked = read_photograph(path, mask=tmp_path / name).masked
+        assert masked is not None
+        assert (pixels.as_stored(masked) == expected).all()
     assert pixels.digest == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -122,8 +128,14 @@ def test_which_photographs_a_scene_has(tmp_path: Path) -> None:
     assert [item.name for item in find_photographs(tmp_path, folder / "images_2" / "left")] == ["c.png"]
     write_colmap(Cameras([make_camera(30, 20, name="b.png")]), folder / "sparse" / "0")
     assert [item.name for item in find_photographs(folder)] == ["b.png"]  # those of the cameras
+    cameras = [make_camera(30, 20, name=name) for name in ("b.png", "gone.png")]
+    write_colmap(Cameras(cameras), folder / "sparse" / "0", overwrite=True)
+    with pytest.warns(ScoupWarning, match=r"have no regions \(looked for .*images_2/gone\.png\)"):
+        assert [item.name for item in find_photographs(folder)] == ["b.png"]
     (folder / "images_2" / "b.png").unlink()
-    with pytest.raises(FileFormatError, match="none of their photographs was found"):
+    with pytest.raises(
+        FileFormatError, match=r"none of their photographs was found \(looked for .*b\.png and others\)"
+    ):
         find_photographs(folder)
     with pytest.raises(MissingFileError, match="no such scene"):
         find_photographs(tmp_path / "nowhere")

@@ -206,7 +206,7 @@ def test_photographs_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
 
 def test_two_photographs_of_one_stem_are_refused(tmp_path: Path) -> None:
     folder, _ = scene(tmp_path)
-    Image.fromarray(smooth_image(9, 9)).save(folder / "images" / "1.left.png")
+    Image.fromarray(smooth_image(9, 9)).save(folder / "images" / "1.jpg")
     with pytest.raises(InputError, match=r"share the feature name '1'"):
         extract(find_photographs(folder), tmp_path / "out", Blocks(), PlainColors())
     assert not (tmp_path / "out").exists()

@@ -28,7 +28,7 @@ from scoup.io import (
     read_tracks,
 )
 from scoup.io.images import image_fault, read_mask
-from scoup.io.langsplatv2 import read_langsplatv2
+from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.regions.store import RegionStore
 from scoup.io.splats.gltf import read_gltf, read_gltf_features
@@ -200,7 +200,7 @@ READERS: Mapping[str, Reader] = {
                          containers=(of.ZIP,)),
     "splatfacto": Reader("run/nerfstudio_models/step-000000009.ckpt", lambda folder: load_gaussians(folder / "run"),
                          ("older.ckpt",), containers=(of.ZIP,)),
-    "LangSplatV2": Reader("v2.pth", lambda folder: read_langsplatv2(folder / "v2.pth"), containers=(of.ZIP,)),
+    "LangSplatV2": Reader("v2.pth", lambda folder: read_langsplat(folder / "v2.pth"), containers=(of.ZIP,)),
     "autoencoder": Reader("best_ckpt.pth", lambda folder: read_autoencoder(folder / "best_ckpt.pth"),
                           containers=(of.ZIP,)),
     "labelled ply": Reader("labelled.ply", lambda folder: read_labelled_ply(folder / "labelled.ply"), (), (of.PLY,)),

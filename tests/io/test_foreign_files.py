@@ -14,7 +14,7 @@ from torch import nn
 from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
 from io_samples import some_gaussians
 from scoup.base.errors import FileFormatError, InputError
-from scoup.io.langsplatv2 import read_langsplatv2
+from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 
 
@@ -22,12 +22,13 @@ from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 def test_checkpoints_are_read(tmp_path: Path, degree: int) -> None:
     given = some_gaussians(7, degree)
     logits, codebooks = save_langsplatv2(given, tmp_path / "chkpnt10000.pth")
-    found = read_langsplatv2(tmp_path / "chkpnt10000.pth")
+    found = read_langsplat(tmp_path / "chkpnt10000.pth")
     assert torch.allclose(found.gaussians.scales, given.scales, rtol=1e-5)
     assert torch.allclose(found.gaussians.opacities, given.opacities, atol=1e-5)
     assert torch.allclose(found.gaussians.quats, given.quats, atol=1e-6)
     assert found.gaussians.sh.equal(given.sh)
-    assert np.array_equal(found.logits[:, 0], logits.numpy())
+    assert np.array_equal(found.values[:, 0], logits.numpy())
+    assert found.codebooks is not None
     assert np.array_equal(found.codebooks, codebooks.numpy())
 
 
@@ -36,8 +37,8 @@ def test_rows_that_are_not_finite_take_their_codes_with_them(tmp_path: Path) -> 
     given.means[2] = torch.nan
     logits, _ = save_langsplatv2(given, tmp_path / "a.pth")
     with pytest.warns(match="dropped 1 of 7"):
-        found = read_langsplatv2(tmp_path / "a.pth")
-    assert np.array_equal(found.logits[:, 0], logits.numpy()[[0, 1, 3, 4, 5, 6]])
+        found = read_langsplat(tmp_path / "a.pth")
+    assert np.array_equal(found.values[:, 0], logits.numpy()[[0, 1, 3, 4, 5, 6]])
 
 
 class Runs:
@@ -69,7 +70,7 @@ def test_other_checkpoints_are_refused(
     entries = list(captured(some_gaussians(7, 1))[0])
     torch.save((tuple(change(entries)), 10000), tmp_path / "a.pth")
     with pytest.raises(FileFormatError, match=said) as error:
-        read_langsplatv2(tmp_path / "a.pth")
+        read_langsplat(tmp_path / "a.pth")
     assert "\n" not in str(error.value)
     assert "this was run" not in capsys.readouterr().out
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import torch
 
 from io_samples import some_gaussians
-from scoup.base.errors import FileFormatError, ScoupError, ScoupWarning
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
 from scoup.scene.gaussians import Gaussians
@@ -50,6 +51,24 @@ def test_sog_gives_the_same_gaussians_in_another_order(tmp_path: Path) -> None:
     assert float((found.opacities - same.opacities).abs().max()) < 0.1
     # The order is the same each time, so that a field built on the file fits it.
     assert load_gaussians(tmp_path / "a.sog").fingerprint() == found.fingerprint()
+
+
+def test_an_unbundled_sog(tmp_path: Path) -> None:
+    save_gaussians(wide(300), tmp_path / "a.sog")
+    folder = tmp_path / "sog"
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        archive.extractall(folder)
+    for path in (folder, folder / "meta.json"):
+        assert load_gaussians(path).fingerprint() == load_gaussians(tmp_path / "a.sog").fingerprint()
+    content = (folder / "meta.json").read_text()
+    for change, said in (("scales.webp", "../a.webp"), ("means", "other")):
+        (folder / "meta.json").write_text(content.replace(change, said))
+        with pytest.raises(FileFormatError, match=r"not beside it|is not the meta\.json of a SOG"):
+            load_gaussians(folder / "meta.json")
+    (folder / "meta.json").write_text(content)
+    next(folder.glob("sh0*.webp")).unlink()
+    with pytest.raises(MissingFileError, match=r"sh0.*copy the whole folder of the SOG"):
+        load_gaussians(folder)
 
 
 def test_a_converter_that_crashes_or_hangs_is_a_refusal(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 import tracemalloc
+import unicodedata
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -90,19 +91,40 @@ def test_images_are_found_by_their_paths(tmp_path):
 
 def test_masks_and_depth_maps_are_never_photographs(tmp_path):
     names = ("a.jpg", "a.jpg.png", "masks/a.jpg", "b.jpg.png", "masks/b.jpg", "depth/b.png", "c.png")
-    more = ("c.old.jpg", "d.jpg", "d.png", "._a.jpg")
+    more = ("c.old.jpg", "d.jpg", "d.png", "._a.jpg", "dynamic_mask_a.png")
     folder = touched(tmp_path / "top", *names, *more)
     assert folder.find("a") == tmp_path / "top" / "a.jpg"
     for name in ("b", "b.jpg", "b.png", "c.jpg"):
         assert folder.find(name) is None, name
     assert folder.find("masks/b.jpg") == tmp_path / "top" / "masks" / "b.jpg"  # by its path anything
-    assert folder.photographs() == ["a.jpg", "c.old.jpg", "c.png", "d.jpg", "d.png"]
+    assert list(folder.photographs()) == ["a.jpg", "c.old.jpg", "c.png", "d.jpg", "d.png"]
     assert touched(tmp_path / "maps", "depth/a.png", "sky_masks/a.png").find("a.png") is None
     assert (
         touched(tmp_path / "both", "rgb/a.png", "depth/a.png").find("a")
         == tmp_path / "both" / "rgb" / "a.png"
     )
     assert find_beside(tmp_path / "top", "b.jpg") is None
+
+
+def test_linked_folders(tmp_path):
+    touched(tmp_path / "store", "a.jpg")
+    (tmp_path / "store" / "again").symlink_to(tmp_path / "store")
+    (tmp_path / "images").mkdir()
+    for name in ("cam1", "cam2"):
+        (tmp_path / "images" / name).symlink_to(tmp_path / "store")
+    folder = ImageFolder(tmp_path / "images")
+    assert list(folder.photographs()) == ["cam1/a.jpg", "cam2/a.jpg"]
+    assert folder.find("cam2/a.jpg") == tmp_path / "images/cam2/a.jpg"
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_accents_of_either_form(tmp_path, form):
+    for other in ("NFC", "NFD"):
+        folder = touched(tmp_path / other, unicodedata.normalize(other, "Küche/é.jpg"))
+        name = unicodedata.normalize(form, "Küche/é")
+        assert folder.find(f"{name}.jpg") == folder.find(name) == folder.photographs()["Küche/é.jpg"]
+        assert find_beside(tmp_path / other, name) == folder.find(name)
+        assert folder.find(name.upper()) == folder.find(name.replace("/", "\\")) == folder.find(name)
 
 
 def test_no_distortion_is_the_identity():

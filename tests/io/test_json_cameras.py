@@ -58,10 +58,12 @@ def test_angle_of_view_and_frame_intrinsics(tmp_path):
     camera = read_transforms(transforms(tmp_path, fl_x=None, camera_angle_x=math.pi / 2))[0]
     assert camera.fx == pytest.approx(16)
     assert camera.fy == pytest.approx(16)
-    camera = read_transforms(
-        transforms(tmp_path, frame={"fl_x": 40, "fl_y": 41, "w": 64, "h": 48, "cx": 30})
-    )[0]
+    path = transforms(tmp_path, frame={"fl_x": 40, "fl_y": 41, "w": 64, "h": 48, "cx": 30})
+    with pytest.warns(ScoupWarning, match="intrinsics of the file and others of frames"):
+        camera = read_transforms(path)[0]
     assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width) == (40, 41, 30, 24, 64)
+    camera = read_transforms(path, by_nerfstudio=True)[0]
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width) == (30, 41, 30, 12, 32)
 
 
 def test_lens_settings_that_change_nothing(tmp_path):
@@ -83,6 +85,11 @@ def test_masks_of_photographs(tmp_path):
     for name in ("masks/none.png", "../masks/view_00.png"):
         with pytest.warns(ScoupWarning, match=r"1 mask \(mask_path\) not found \(a\.png\)"):
             assert read_transforms(transforms(tmp_path / "a", frame={"mask_path": name}))[0].mask_path is None
+    save_images(some_cameras(1), tmp_path / "images")  # as instant-ngp names them
+    (tmp_path / "images" / "view_00.png").rename(tmp_path / "images" / "a.png")
+    save_images(some_cameras(1), tmp_path / "images")
+    dynamic = (tmp_path / "images" / "view_00.png").rename(tmp_path / "images" / "dynamic_mask_a.png")
+    assert read_transforms(transforms(tmp_path))[0].mask_path == dynamic
 
 
 def test_image_gives_size_and_extension(tmp_path):
@@ -154,7 +161,7 @@ def test_bad_json(tmp_path):
         path.write_text(text)
         with pytest.raises(FileFormatError, match=r"cameras\.json"):
             read_inria_cameras(path)
-    path.write_bytes(b"\xff\xfe\x00[")
+    path.write_bytes(b"\xff\x00[")
     with pytest.raises(FileFormatError, match="not a text file"):
         read_inria_cameras(path)
     with pytest.raises(MissingFileError):

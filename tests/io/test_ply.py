@@ -301,7 +301,7 @@ def test_text_that_does_not_fit_its_header(tmp_path):
     with pytest.raises(FileFormatError, match="has 4 rows of 14 numbers, but its header says 5 of 14"):
         read_ply(path)
     path.write_bytes(whole[:-9] + b"kettle\n")
-    with pytest.raises(FileFormatError, match="not rows of numbers"):
+    with pytest.raises(FileFormatError, match="kettle' in place of a number"):
         read_ply(path)
 
 

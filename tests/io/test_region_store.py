@@ -15,9 +15,10 @@ from cli_support import snapshot
 from io_samples import some_cameras, some_regions
 from scoup.base.errors import InputError, MissingFileError, OutputExistsError
 from scoup.io import load_regions, save_regions
+from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest
 from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import ViewRegions
+from scoup.io.regions.views import ViewRegions, match_stems
 from scoup.scene.regions import LEVELS
 
 LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
@@ -36,17 +37,17 @@ def manifest_of(layout: Layout, **settings: object) -> RegionManifest:
     return RegionManifest.of(layout, "some/model", settings, 32)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout) -> None:
+@pytest.mark.parametrize(("layout", "stems"), [("compact", ["a.0001", "left/b"]), ("langsplat", ["a", "b"])])
+def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout, stems: list[str]) -> None:
     store = RegionStore.create(tmp_path / "a", manifest_of(layout))
     assert not (tmp_path / "a").exists()
     store.begin()
-    written = {"b": view("left/b.png", 1), "a": view("a.0001.png", 2)}
+    written = dict(zip(stems, (view("a.0001.png", 2), view("left/b.png", 1)), strict=True))
     for stem, item in written.items():
         size = store.write(item)
         assert size == sum(path.stat().st_size for path in store.files(stem))
     again = RegionStore.open(tmp_path / "a")
-    assert (again.layout, again.manifest, again.stems()) == (layout, manifest_of(layout), ["a", "b"])
+    assert (again.layout, again.manifest, again.stems()) == (layout, manifest_of(layout), stems)
     for stem, item in written.items():
         opened = again.open_view(stem)
         assert (opened.width, opened.height, opened.dim) == (9, 6, 5)
@@ -127,3 +128,49 @@ def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytes
     for number in range(5):
         store.write(view(f"view_{number}.png"))
     assert len(listed) <= 1
+
+
+def test_equal_names_in_several_folders(tmp_path: Path) -> None:
+    names = [
+        "cam1/0000.png",
+        "cam2/0000.png",
+        "scan.0000.png",
+        "scan.0001.png",
+        "../up/a.png",
+        "C:\\b\\a.png",
+    ]
+    store = RegionStore.create(tmp_path / "compact", manifest_of("compact"))
+    store.begin()
+    for number, name in enumerate(names):
+        store.write(view(name, number))
+    assert store.stems() == ["b/a", "cam1/0000", "cam2/0000", "scan.0000", "scan.0001", "up/a"]
+    for number, name in enumerate(names):
+        labels = store.views([name])[name].labels(["s"])[0]
+        assert (labels == view(name, number).labels["s"]).all()
+    with pytest.raises(InputError, match=r"share the feature name '0000'; LangSplat's .* the compact layout"):
+        convert_regions(store.folder, tmp_path / "langsplat")
+    assert not (tmp_path / "langsplat").exists()
+    convert_regions(store.folder, tmp_path / "again", "compact")
+    convert_regions(store.folder, tmp_path / "again", "compact", overwrite=True)
+    assert RegionStore.open(tmp_path / "again").stems() == store.stems()
+    with pytest.raises(InputError, match=r"'a.jpg' and 'a.png' share the feature name 'a'; rename"):
+        store.check_names(["a.jpg", "a.png"])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "there", "expected"),
+    [
+        (["K\u00fcche/a"], ["Ku\u0308che/a", "a"], {"K\u00fcche/a": "Ku\u0308che/a"}),
+        (["cam1/a", "cam2/b"], ["a", "b"], {"cam1/a": "a", "cam2/b": "b"}),  # LangSplat's
+        (["a"], ["images/a"], {"a": "images/a"}),
+        (["a.0001"], ["a"], {"a.0001": "a"}),
+        (["cam1/a", "cam2/a"], ["a"], {}),
+        (["a"], ["cam1/a", "cam2/a"], {}),
+        (["cam1/a"], ["cam2/a"], {}),
+        (["a.0000"], ["a.0001"], {}),
+    ],
+)
+def test_files_that_can_only_mean_an_image(
+    wanted: list[str], there: list[str], expected: dict[str, str]
+) -> None:
+    assert match_stems(wanted, there) == expected

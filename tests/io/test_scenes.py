@@ -76,7 +76,7 @@ def test_a_format_of_a_package(tmp_path, monkeypatch):
     cameras = some_cameras(2)
     own = CameraFormat("own", lambda path, _: cameras, lambda path: path.suffix == ".rig", ("own.rig",))
     monkeypatch.setitem(CAMERA_FORMATS._all, "own", own)
-    with pytest.raises(MissingFileError, match=r"sparse/0, cameras.json, transforms.json, own.rig"):
+    with pytest.raises(MissingFileError, match=r"sparse/0, cameras.json, transforms.json, .*, own.rig"):
         find_cameras(tmp_path)
     (tmp_path / "own.rig").touch()
     for path in (tmp_path, tmp_path / "own.rig"):
@@ -140,7 +140,7 @@ def test_downscale_works_for_every_format(tmp_path):
 def test_missing_images(tmp_path):
     scene = colmap_scene(tmp_path, count=4)
     (scene / "images" / "view_01.png").unlink()
-    with pytest.warns(ScoupWarning, match="skipped 1 of 4 cameras"):
+    with pytest.warns(ScoupWarning, match=r"skipped 1 of 4 cameras .*looked for .*images/view_01\.png\)"):
         assert load_cameras(scene).names == ("view_00.png", "view_02.png", "view_03.png")
     kept = load_cameras(scene, missing_images="keep", downscale=2)
     assert len(kept) == 4

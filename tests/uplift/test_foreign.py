@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 import torch
 
-from foreign_samples import save_langsplatv2
+from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
 from io_samples import some_gaussians
 from scoup.base.errors import FileFormatError, InputError
 from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import relevancy
+from scoup.io import load_gaussians
+from scoup.io.langsplat_checkpoint import read_langsplat
+from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.uplift import foreign
 from scoup.uplift.foreign import (
     field_from_features,
-    field_from_langsplatv2,
-    langsplatv2_levels,
+    field_from_langsplat,
+    langsplat_levels,
     read_features,
 )
 from support import unit
@@ -45,8 +48,8 @@ def test_langsplatv2_answers_as_its_own_features_do(tmp_path: Path) -> None:
         logits, books = save_langsplatv2(given, path, seed=level)
         paths.append(path)
         features.append(literal_features(logits, books[0], 4))
-    assert langsplatv2_levels(paths[1]) == paths
-    field = field_from_langsplatv2(paths)
+    assert langsplat_levels(paths[1]) == paths
+    field = field_from_langsplat(paths)
     assert field.levels == ("s", "m", "l")
     assert field.code_indices.shape == (40, 3, 4)
     wanted, canonical = queries(16)
@@ -65,8 +68,8 @@ def test_one_level_and_several_codebooks(tmp_path: Path) -> None:
     given = some_gaussians(12, 0)
     path = tmp_path / "room" / "chkpnt30000.pth"
     logits, books = save_langsplatv2(given, path, layers=2)
-    assert langsplatv2_levels(path) == [path]
-    field = field_from_langsplatv2([path], k=3)
+    assert langsplat_levels(path) == [path]
+    field = field_from_langsplat([path], k=3)
     assert field.levels == ("m",)
     assert field.code_indices.shape == (12, 1, 6)
     parts = [literal_soft(logits[:, 8 * n : 8 * n + 8], 3) @ books[n] for n in range(2)]
@@ -78,15 +81,43 @@ def literal_soft(logits: torch.Tensor, k: int) -> torch.Tensor:
     return torch.zeros_like(logits).scatter_(1, places, values / values.sum(1, keepdim=True))
 
 
+@pytest.mark.parametrize("layout", ["langsplat", "occam", "feature_3dgs"])
+def test_checkpoints_with_a_feature_per_gaussian(tmp_path: Path, layout: str) -> None:
+    given, rows = some_gaussians(200, 1), clustered(200, 96)
+    network = LangSplatAutoencoder([24, 3], [24, 96], dim=96).eval()
+    torch.save(network.state_dict(), tmp_path / "best_ckpt.pth")
+    with torch.no_grad():
+        codes = network.encode(rows)
+        expected = network.decode(codes) if layout == "langsplat" else unit(rows)
+    feature = {"langsplat": codes * 3, "occam": rows, "feature_3dgs": rows[:, None]}[layout]
+    entries = captured(given)[0]
+    entries = (
+        (*entries[:7], *entries[9:], feature)
+        if layout == "feature_3dgs"
+        else (*entries[:7], feature, *entries[9:])
+    )
+    path = tmp_path / "chkpnt30000.pth"
+    torch.save((entries, 30000), path)
+    decode = read_autoencoder(tmp_path / "best_ckpt.pth") if layout == "langsplat" else None
+    field = field_from_langsplat([path], decode=decode, n_atoms=32)
+    assert field.gaussians.fingerprint() == read_langsplat(path).gaussians.fingerprint()
+    assert float((field.gaussian_features(0) * expected).sum(1).mean()) > 0.95
+    if layout == "langsplat":
+        with pytest.raises(FileFormatError, match="has 3 numbers per Gaussian and not embeddings"):
+            field_from_langsplat([path])
+    with pytest.raises(FileFormatError, match=r"checkpoint of Inria's code or a relative.*scoup convert"):
+        load_gaussians(path)
+
+
 def test_levels_of_different_splats_are_refused(tmp_path: Path) -> None:
     for number in (1, 2, 3):
         save_langsplatv2(some_gaussians(5 + (number == 3), 0), tmp_path / f"a_{number}" / "c.pth")
     with pytest.raises(FileFormatError, match="another splat"):
-        field_from_langsplatv2(langsplatv2_levels(tmp_path / "a_1" / "c.pth"))
+        field_from_langsplat(langsplat_levels(tmp_path / "a_1" / "c.pth"))
     with pytest.raises(InputError, match="k must be 1 to 8"):
-        field_from_langsplatv2([tmp_path / "a_1" / "c.pth"], k=9)
+        field_from_langsplat([tmp_path / "a_1" / "c.pth"], k=9)
     with pytest.raises(InputError, match="at least one"):
-        field_from_langsplatv2([])
+        field_from_langsplat([])
 
 
 def clustered(count: int, dim: int = 16, kinds: int = 6) -> torch.Tensor:

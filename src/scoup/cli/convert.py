@@ -14,9 +14,10 @@ from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, Wr
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
+    from scoup.io.regions.langsplat_autoencoder import Decoder
 
 _ARRAYS = (".npy", ".pt")  # of features
-_CHECKPOINTS = (".pth", ".ckpt")  # of LangSplatV2
+_CHECKPOINTS = (".pth", ".ckpt")  # of LangSplat
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +30,9 @@ class Convert(WritesCommon):
     A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
     compact file per view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's
     three numbers per region (language_features_dim3) become embeddings again. An array of features, one row per
-    Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse coding. A checkpoint of LangSplatV2
-    (chkpnt10000.pth) becomes a field with its codebook and codes; for a folder NAME_1, those of NAME_2 and NAME_3 are
-    read, too.
+    Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse coding. A checkpoint of LangSplat
+    (chkpnt30000.pth, with --autoencoder), LangSplatV2 or Occam's LGS becomes a field; for a folder NAME_1, those of
+    NAME_2 and NAME_3 are read, too.
     """
 
     option_groups: ClassVar[OptionGroups] = {
@@ -56,7 +57,7 @@ class Convert(WritesCommon):
     bits: Literal[16, 32] = 16
     """Bits of a stored embedding number in the compact layout."""
     autoencoder: OptionalPath = None
-    """LangSplat's best_ckpt.pth, which decodes language_features_dim3."""
+    """LangSplat's best_ckpt.pth, which decodes language_features_dim3 and its checkpoints."""
     gaussians: OptionalPath = None
     """The splat that the features belong to, in its order."""
     n_atoms: int = 128
@@ -84,7 +85,7 @@ class Convert(WritesCommon):
                 self.source,
                 "cannot be converted",
                 "use a splat and the name of another, a folder of region features, features (.npy, .pt) or "
-                "LangSplatV2's checkpoint (.pth)",
+                "LangSplat's checkpoint (.pth)",
             )
 
     def _is_to_splat(self) -> bool:
@@ -111,9 +112,8 @@ class Convert(WritesCommon):
 
     def _convert_regions(self, console: Console) -> None:
         from scoup.io import convert_regions
-        from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 
-        decode = None if self.autoencoder is None else read_autoencoder(self.autoencoder)
+        decode = self._decoder()
         with console.progress() as progress:
             report = convert_regions(
                 self.source, self.target, self.to, self.bits, self.model, self.overwrite, progress, decode
@@ -158,13 +158,22 @@ class Convert(WritesCommon):
         self._save(console, field, embed_geometry=False)
 
     def _convert_checkpoints(self, console: Console) -> None:
-        from scoup.uplift.foreign import field_from_langsplatv2, langsplatv2_levels
+        from scoup.uplift.foreign import field_from_langsplat, langsplat_levels
 
         self._check_field()
-        paths = langsplatv2_levels(self.source)
+        paths = langsplat_levels(self.source)
         for path in paths:
             console.say(f"{path}: read")
-        field = field_from_langsplatv2(paths, self.k, **self._encoder())
+        with console.progress() as progress:
+            field = field_from_langsplat(
+                paths,
+                self.k,
+                **self._encoder(),
+                decode=self._decoder(),
+                n_atoms=self.n_atoms,
+                seed=self.seed,
+                progress=progress,
+            )
         self._save(console, field, embed_geometry=True)
 
     def _check_field(self) -> None:
@@ -174,6 +183,11 @@ class Convert(WritesCommon):
         if self.target.suffix.lower() != ".scoup":
             raise InputError(f"{self.target}: {self.source} becomes a field; use a name that ends in .scoup")
         check_output(self.target, self.overwrite)
+
+    def _decoder(self) -> Decoder | None:
+        from scoup.io.regions.langsplat_autoencoder import read_autoencoder
+
+        return None if self.autoencoder is None else read_autoencoder(self.autoencoder)
 
     def _encoder(self) -> dict[str, Any]:
         """The model and word table that the field is to name."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,8 +38,9 @@ class Info(Common):
 
 
 def _folder(path: Path) -> dict[str, Any]:
+    from scoup.base.errors import ScoupWarning
     from scoup.io.describe import describe_folder
-    from scoup.uplift.fit import measure_fit
+    from scoup.uplift.fit import fit_problem, measure_fit
     from scoup.uplift.storage.paths import ENDING, SCENE
 
     if (path / f"{SCENE}{ENDING}").exists():
@@ -47,15 +49,16 @@ def _folder(path: Path) -> dict[str, Any]:
     if not (folder.splat and folder.gaussians and folder.cameras):
         return folder.record
     # As a build would find them.
-    fit = measure_fit(folder.gaussians, list(folder.cameras), folder.splat.preset)
+    cameras = [camera for camera in folder.cameras if camera.image_path] or list(folder.cameras)
+    fit = measure_fit(folder.gaussians, cameras, folder.splat.preset)
+    if problem := fit_problem(fit, cameras, folder.splat.path):
+        warnings.warn(problem, ScoupWarning, stacklevel=2)
     return {**folder.record, "fit": fit.describe()}
 
 
 def _other(path: Path) -> dict[str, Any]:
     from scoup.base.errors import FileFormatError
-    from scoup.io import load_gaussians
     from scoup.io.camera_sources import camera_format
-    from scoup.io.describe import describe_gaussians
     from scoup.io.splats.formats import is_splat_name, other_format, read_endings
 
     if camera_format(path):
@@ -67,15 +70,21 @@ def _other(path: Path) -> dict[str, Any]:
             "region features and region sums"
         )
         raise FileFormatError(path, *(other_format(path) or ("is not a known kind of file", readable)))
+    return _splat(path)
+
+
+def _splat(path: Path) -> dict[str, Any]:
+    from scoup.io import load_gaussians
+    from scoup.io.describe import describe_gaussians
+
     return {"kind": "splat", **describe_gaussians(load_gaussians(path))}
 
 
 def _cameras(path: Path) -> dict[str, Any]:
-    from scoup.io import load_cameras
     from scoup.io.describe import describe_cameras, describe_unreadable
+    from scoup.io.scenes import all_cameras
 
-    cameras = load_cameras(path, distorted="undistort", missing_images="keep")
-    return {"kind": "cameras", **describe_cameras(cameras), **describe_unreadable(path)}
+    return {"kind": "cameras", **describe_cameras(all_cameras(path)), **describe_unreadable(path)}
 
 
 def _word_table(path: Path) -> dict[str, Any]:
@@ -87,13 +96,21 @@ def _word_table(path: Path) -> dict[str, Any]:
 
 
 def _json(path: Path) -> dict[str, Any]:
+    from scoup.base.errors import FileFormatError
     from scoup.io.reading import read_json
+    from scoup.io.splats.formats import is_splat_name
 
+    if is_splat_name(path):
+        return _splat(path)
     if path.name in ("transforms.json", "cameras.json"):
         return _cameras(path)
     content = read_json(path, "cameras or a word table").value
-    has_frames = isinstance(content, dict) and "frames" in content
-    return (_cameras if isinstance(content, list) or has_frames else _word_table)(path)
+    if isinstance(content, list) or (isinstance(content, dict) and "frames" in content):
+        return _cameras(path)
+    if isinstance(content, dict) and any(isinstance(value, list) for value in content.values()):
+        return _word_table(path)
+    problem = "is JSON of another kind than cameras (with frames) or a word table (lists of numbers by names)"
+    raise FileFormatError(path, problem, "name the file of the splat, cameras or words itself")
 
 
 def _region_sums(path: Path) -> dict[str, Any]:

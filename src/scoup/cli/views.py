@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console, kept
-from scoup.cli.options import OptionalInteger, OptionalPath, OptionGroups, WritesCommon
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
     from scoup.cli.extract import Extract
@@ -24,7 +24,10 @@ class MakeViews(WritesCommon):
     for scoup extract and for scoup build --gaussians SPLAT.
     """
 
-    option_groups: ClassVar[OptionGroups] = {"view": "views width height up beside", "output": "out"}
+    option_groups: ClassVar[OptionGroups] = {
+        "view": "views width height up keep_axes beside",
+        "output": "out",
+    }
 
     splat: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SPLAT", help_behavior_hint="")]
     """The splat: .ply, .splat, .spz, .sog, .glb and more, or a folder that contains one."""
@@ -41,6 +44,8 @@ class MakeViews(WritesCommon):
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
     ] = None
     """The direction that is up in the splat. Default: estimated from its floors and tables."""
+    keep_axes: Flag = False
+    """Take the up direction in the axes of the file, for .spz and glTF of programs that keep the numbers of the PLY."""
     beside: OptionalPath = None
     """A scene whose photographs show a part of the splat: they are copied to OUT, and the views show the rest."""
 
@@ -59,10 +64,12 @@ class MakeViews(WritesCommon):
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.base.errors import InputError
         from scoup.base.staging import check_outputs
-        from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, save_views
+        from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
         from scoup.io import load_cameras, load_gaussians, splat_source
+        from scoup.io.splats.axes import turned, turned_direction
 
-        source = splat_source(self.splat).path
+        found = splat_source(self.splat)
+        source = found.path
         out = self.out or Path(f"{source.stem}_views")
         check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
         beside = None if self.beside is None else load_cameras(self.beside, distorted="undistort")
@@ -71,7 +78,10 @@ class MakeViews(WritesCommon):
                 f"{self.beside}: has no photographs, only cameras; name a scene with photographs"
             )
         gaussians = load_gaussians(source)
-        how = {"width": self.width, "height": self.height, "count": self.views, "up": self.up}
+        up = self.up
+        if self.keep_axes and (axis := found.kind.axis) is not None:
+            up = turned_direction(up or estimated_up(turned(gaussians, axis)), axis)
+        how = {"width": self.width, "height": self.height, "count": self.views, "up": up}
         with console.progress() as progress:
             cameras = choose_cameras(gaussians, beside=beside, progress=progress, **how)
             shown = save_views(gaussians, cameras, out, beside, self.overwrite, progress)

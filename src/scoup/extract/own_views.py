@@ -59,9 +59,12 @@ def choose_cameras(
     Raises:
         InputError: nothing can be seen, ``up`` is not a direction, or a number is out of range.
 
+    Warns:
+        ScoupWarning: up is a guess.
+
     Example:
         >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
-        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4)
+        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4, up=(0, -1, 0))
         >>> len(cameras)
         4
     """
@@ -102,6 +105,11 @@ def choose_cameras(
     return Cameras(
         replace(scores.cameras[view], name=f"{name}.png") for view, name in zip(chosen, names, strict=False)
     )
+
+
+def estimated_up(gaussians: Gaussians) -> tuple[float, ...]:
+    """Return the direction [3] that ``choose_cameras`` takes for up; it warns of a guess."""
+    return tuple(estimate_up_of_splat(gaussians, find_matter(gaussians)).tolist())
 
 
 def _check_numbers(width: int, height: int, count: int | None) -> None:
@@ -151,7 +159,7 @@ def save_views(
 
     Example:
         >>> gaussians = scoup.load_gaussians("scene/point_cloud.ply")
-        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4)
+        >>> cameras = scoup.choose_cameras(gaussians, width=320, height=240, count=4, up=(0, -1, 0))
         >>> shown = scoup.save_views(gaussians, cameras, "views")
         >>> shown.once >= shown.often
         True

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.digests import file_sha256
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
-from scoup.io.image_folder import EXTENSIONS, ImageFolder
+from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder
 from scoup.io.images import open_image, rgb_image
 
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
@@ -34,7 +34,7 @@ class Photograph:
     path: Path
     """Of the file."""
     mask: Path | None = None
-    """Of an image that is 0 where there are no regions."""
+    """Of an image that is 0 where there are no regions; of instant-ngp's, where there are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +65,19 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
     if not scene.exists():
         raise MissingFileError(scene, "there is no such scene", "check the path")
     with suppress(MissingFileError):  # no cameras: all photographs of a folder
-        named = camera_photographs(scene, images)
+        named, searched = camera_photographs(scene, images)
+        if named and searched:
+            message = f"{scene}: cameras without a photograph have no regions ({searched})"
+            warnings.warn(message, ScoupWarning, stacklevel=2)
         if not named:
-            problem = "has cameras, but none of their photographs was found"
+            problem = f"has cameras, but none of their photographs was found ({searched})"
             raise FileFormatError(
                 scene, problem, "pass the folder that their names are relative to as images"
             )
         return [Photograph(*each) for each in named]
     folders = [Path(images)] if images is not None else _image_folders(scene)
     for folder in folders:
-        found = [Photograph(name, folder / name) for name in ImageFolder(folder).photographs()]
+        found = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
         if found:
             return found
     remedy = f"pass their folder as images ({', '.join(EXTENSIONS)})"
@@ -114,7 +117,8 @@ def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None
     if mask is not None:
         with open_image(mask) as stored:
             brightest = Image.fromarray(np.asarray(rgb_image(stored)).max(2))
-        masked = upright(np.asarray(brightest.resize(rgb.size, Image.Resampling.NEAREST)) == 0)
+        dark = np.asarray(brightest.resize(rgb.size, Image.Resampling.NEAREST)) == 0
+        masked = upright(dark != mask.name.startswith(DYNAMIC_MASK))
     return Pixels(upright(array), turns, mirrored, file_sha256(path), masked)
 
 

@@ -24,7 +24,7 @@ from scoup.extract.masks import Masks, paint
 from scoup.extract.photographs import Photograph, Pixels, read_ahead
 from scoup.io.regions.manifest import RegionManifest
 from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import ViewRegions, check_stems
+from scoup.io.regions.views import ViewRegions
 
 MAX_HEIGHT = 1080  # LangSplat's
 BITS = 16  # of a stored embedding number
@@ -76,10 +76,10 @@ def extract(
         ScoupWarning: photographs were skipped because they could not be read; says how many.
     """
     folder = Path(folder)
-    check_stems(folder, (item.name for item in photographs))
     settings = {**segmenter.to_dict(), **embedder.to_dict(), "max_height": max_height}
     manifest = RegionManifest.of("compact", embedder.name, settings, BITS)
     store = RegionStore.create(folder, manifest, overwrite)
+    store.check_names(item.name for item in photographs)
     mine = part.of(photographs)
     report = ExtractReport()
     waiting = mine if overwrite else [item for item in mine if not _is_made(store, item)]

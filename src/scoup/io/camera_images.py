@@ -27,21 +27,25 @@ def attach_images(
     images: str | Path | None,
     downscale: int | None,
     missing_images: MissingImages,
+    warn: bool,
 ) -> Cameras:
     """Return the cameras with their image files, resized to them. Arguments as in ``scenes.load_cameras``.
 
     Args:
         source: where the cameras come from, for messages.
         roots: folders that may hold ``images``, ``images_2`` and so on.
+        warn: of missing images.
     """
     folder, factor = _choose_folder(roots, images, downscale)
     wanted = downscale or factor
     hint_first = images is None and (folder is None or factor == 1)
     attached: list[Camera] = []
     others: list[Camera] = []
+    missing: list[str] = []
     unreadable: list[str] = []
     for camera in cameras:
         path, scale = _find(camera, folder, factor, hint_first)
+        missing += [camera.name] if path is None else []
         size = _size_of(path, unreadable)
         if path is None or size is None:
             others.append(_scaled(source, replace(camera, image_path=None), wanted))
@@ -55,12 +59,11 @@ def attach_images(
         )  # fmt: skip
     kept = missing_images == "keep" or not attached
     _warn_of_unreadable(source, unreadable, len(cameras), kept)
-    missing = len(others) - len(unreadable)
-    if missing and missing_images == "skip":
-        searched = str(folder.folder) if folder is not None else "no images folder"
-        message = f"skipped {missing} of {counted(len(cameras), 'camera')} without an image ({searched})"
-        if kept:
-            message = f"{none_of(missing, 'image')} was found ({searched}); using the cameras alone"
+    if missing and warn:
+        searched = _searched(folder, missing)
+        message = f"skipped {len(missing)} of {counted(len(cameras), 'camera')} without an image ({searched})"
+        if not attached:
+            message = f"{none_of(len(missing), 'image')} was found ({searched}); using the cameras alone"
         warnings.warn(f"{source}: {message}", ScoupWarning, stacklevel=3)
     try:
         return Cameras(sorted([*attached, *(others if kept else [])], key=lambda camera: camera.name))
@@ -70,12 +73,21 @@ def attach_images(
 
 def image_files(
     cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
-) -> list[tuple[str, Path, Path | None]]:
-    """Return the names of cameras that have image files, with these files and their masks, which are not opened."""
+) -> tuple[list[tuple[str, Path, Path | None]], str]:
+    """Return the names of cameras that have image files, with these files and their masks, which are not opened; and
+    which files of others were looked for, "" if there are none."""
     folder, factor = _choose_folder(roots, images, None)
     hint_first = images is None and (folder is None or factor == 1)
-    images_of = ((camera, _find(camera, folder, factor, hint_first)[0]) for camera in cameras)
-    return [(camera.name, path, camera.mask_path) for camera, path in images_of if path is not None]
+    images_of = [(camera, _find(camera, folder, factor, hint_first)[0]) for camera in cameras]
+    missing = [camera.name for camera, path in images_of if path is None]
+    found = [(camera.name, path, camera.mask_path) for camera, path in images_of if path is not None]
+    return found, _searched(folder, missing) if missing else ""
+
+
+def _searched(folder: ImageFolder | None, missing: list[str]) -> str:
+    if folder is None:
+        return "there is no folder images"
+    return f"looked for {folder.folder / missing[0]}{' and others' if len(missing) > 1 else ''}"
 
 
 def _choose_folder(

@@ -15,6 +15,7 @@ from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import TRAINED_FRAME
 from scoup.io.cameras.training_run import (
     GSPLAT_CONFIG,
+    TRANSFORMS,
     gsplat_data,
     is_gsplat_results,
     is_nerfstudio_run,
@@ -54,7 +55,7 @@ _COLMAP = CameraFormat("colmap", read_colmap, _is_of_model)
 # A list is Inria's, any other JSON nerfstudio's, whatever the file is called.
 _INRIA = CameraFormat("inria", lambda path, _: read_inria_cameras(path), _is_list, ("cameras.json",))
 _NERFSTUDIO = CameraFormat(
-    "nerfstudio", read_transforms, lambda path: path.suffix.lower() == ".json", ("transforms.json",)
+    "nerfstudio", read_transforms, lambda path: path.suffix.lower() == ".json", TRANSFORMS
 )
 CAMERA_FORMATS = Registry(
     "camera format", "scoup.camera_formats", CameraFormat, (_COLMAP, _INRIA, _NERFSTUDIO)
@@ -79,7 +80,8 @@ def find_cameras(path: str | Path) -> CameraSource:
     """Return which cameras ``load_cameras`` reads for ``path``.
 
     In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a COLMAP model
-    in ``sparse``, then transforms.json, then a model in ``colmap/sparse``, then files of the other formats.
+    in ``sparse``, then transforms.json (or transforms_train.json), then a model in ``colmap/sparse``, then files of the
+    other formats.
     """
     path = Path(path)
     if os.path.isfile(path):
@@ -102,7 +104,7 @@ def _source_of_folder(path: Path) -> CameraSource:
     candidates = [
         *([path / "cameras.json"] if (path / "point_cloud").is_dir() else []),
         path / "sparse",
-        path / "transforms.json",
+        *(path / name for name in TRANSFORMS),
         path / "colmap" / "sparse",
         path,
         *(path / name for name in _file_names()),
@@ -113,6 +115,9 @@ def _source_of_folder(path: Path) -> CameraSource:
         models = _models(candidate)
         if models:
             return CameraSource("colmap", models[0], (scene_folder(models[0]),), tuple(models[1:]))
+    for candidate in candidates:
+        for folder in sorted(candidate.glob("[0-9]*")) + [candidate]:
+            _check_whole(folder)
     looked_for = ", ".join(["sparse/0", *_file_names()])
     raise MissingFileError(path, f"contains no cameras ({looked_for})", where_cameras_are(path))
 
@@ -122,6 +127,16 @@ def _file_names() -> list[str]:
     return [name for kind in CAMERA_FORMATS.values() for name in kind.files]
 
 
+def _check_whole(folder: Path) -> None:
+    """Raise a MissingFileError if a folder has one of the two files of a COLMAP model."""
+    for end in (".bin", ".txt"):
+        there = {name: (folder / f"{name}{end}").is_file() for name in ("cameras", "images")}
+        if len(set(there.values())) == 2 and (there["cameras"] or end == ".bin"):
+            has, lacks = sorted(there, key=lambda name: not there[name])
+            problem = f"has {has}{end} but not {lacks}{end}, which COLMAP writes beside it"
+            raise MissingFileError(folder, problem, "copy the whole model")
+
+
 def _source_of_run(run: Path) -> CameraSource:
     """Return the cameras of the data that a run of nerfstudio was trained on."""
     data, from_colmap = nerfstudio_data(run)
@@ -129,8 +144,8 @@ def _source_of_run(run: Path) -> CameraSource:
     if not frame.is_file():
         problem = "is not there; without it nobody knows in which frame the splat was trained"
         raise MissingFileError(frame, problem, "copy it from the machine of the training")
-    transforms = data / "transforms.json"
-    source = _source_of_data(data if from_colmap or not transforms.is_file() else transforms)
+    transforms = [data / name for name in TRANSFORMS if (data / name).is_file()]
+    source = _source_of_data(data if from_colmap or not transforms else transforms[0])
     return replace(source, frame=frame)
 
 
@@ -182,6 +197,8 @@ def where_cameras_are(path: Path) -> str:
         scenes = [str(place) for place in places if _has_cameras(place)][: 1 if places is above else 3]
         if scenes:
             return f"{what}: {', '.join(scenes)}"
+    if files := sorted(str(file) for file in path.glob("*transforms*.json"))[:3]:
+        return f"pass the file itself: {', '.join(files)}"
     return "use a scene folder of COLMAP, nerfstudio or Inria's code"
 
 

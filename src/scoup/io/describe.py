@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from contextlib import suppress
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.camera_sources import find_cameras, where_cameras_are
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.io.camera_sources import find_cameras
 from scoup.io.images import image_fault
 from scoup.io.regions.load import load_regions
 from scoup.io.regions.store import RegionStore
-from scoup.io.scenes import camera_photographs, load_cameras, load_gaussians
+from scoup.io.scene_parts import usual_features
+from scoup.io.scenes import all_cameras, camera_photographs, load_gaussians
 from scoup.io.splats.formats import SplatSource, splat_source
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import codes_problem
 from scoup.scene.sanity_checks import sanity_problems
 
 
@@ -53,7 +55,7 @@ def describe_cameras(cameras: Cameras) -> dict[str, Any]:
 
 def describe_unreadable(path: Path) -> dict[str, Any]:
     """Return the photographs of a scene's cameras that cannot be decoded, and why; nothing where all can be."""
-    faults = {name: image_fault(image) for name, image, _ in camera_photographs(path)}
+    faults = {name: image_fault(image) for name, image, _ in camera_photographs(path)[0]}
     unreadable = [f"{name} {fault}" for name, fault in faults.items() if fault]
     return {"unreadable_photographs": len(unreadable), "unreadable": unreadable} if unreadable else {}
 
@@ -69,6 +71,7 @@ def describe_regions(store: RegionStore) -> dict[str, Any]:
     for view in views:
         counts.update(view.counts)
     dims = sorted({view.dim for view in views})
+    _warn_of_codes(dims)
     return {
         "kind": "region features",
         "layout": store.layout,
@@ -96,18 +99,41 @@ class DescribedFolder:
     cameras: Cameras | None
 
 
+def _warn_of_codes(dims: Iterable[int]) -> None:
+    for problem in filter(None, map(codes_problem, dims)):
+        warnings.warn(problem, ScoupWarning, stacklevel=3)
+
+
+def _describe_regions_of(path: Path, cameras: Cameras) -> dict[str, Any]:
+    """Return the regions of cameras; where a build would find none, it warns of the reason."""
+    folder = usual_features(path)
+    if not folder.is_dir():
+        return {}
+    try:
+        regions = load_regions(folder, cameras)
+    except InputError as error:
+        if isinstance(error, FileFormatError) and not isinstance(error, MissingFileError):
+            raise
+        warnings.warn(str(error), ScoupWarning, stacklevel=3)
+        return {}
+    embeddings = {level: regions.embeddings(level)[0] for level in regions.levels}
+    _warn_of_codes({rows.shape[1] for rows in embeddings.values()})
+    counts = {level: len(rows) for level, rows in embeddings.items()}
+    return {"views_with_regions": len(regions), "regions": counts}
+
+
 def describe_folder(path: Path) -> DescribedFolder:
     """Return a scene, or what there is of one; or region features alone. Missing parts are left out."""
     record: dict[str, Any] = {}
     splat, gaussians, cameras = None, None, None
-    with suppress(MissingFileError):
+    no_cameras = MissingFileError(path, "")
+    try:
         record["cameras_from"] = str(find_cameras(path).path)
-        cameras = load_cameras(path, distorted="undistort", missing_images="keep")
+        cameras = all_cameras(path)
         record |= describe_cameras(cameras) | describe_unreadable(path)
-        with suppress(MissingFileError):
-            regions = load_regions(path, cameras)
-            record["views_with_regions"] = len(regions)
-            record["regions"] = {level: len(regions.embeddings(level)[0]) for level in regions.levels}
+        record |= _describe_regions_of(path, cameras)
+    except MissingFileError as error:
+        no_cameras = error
     try:
         splat = splat_source(path)
         gaussians = load_gaussians(splat.path)
@@ -117,10 +143,15 @@ def describe_folder(path: Path) -> DescribedFolder:
         no_splat = error.problem
     if "cameras" not in record and (store := RegionStore.open(path)).stems():
         record |= describe_regions(store)
+    broken = bool(no_cameras.problem) and not no_cameras.problem.startswith("contains no cameras")
+    if broken and record:  # half of a model, or data of a training that are gone
+        warnings.warn(str(no_cameras), ScoupWarning, stacklevel=2)
     if not record:
+        if broken:
+            raise no_cameras
         raise FileFormatError(
             path,
-            f"contains nothing that SCOUP reads: it has no cameras and no region features, and {no_splat}",
-            where_cameras_are(path),
+            f"contains nothing that SCOUP reads: it has no region features, {no_splat}, and {no_cameras.problem}",
+            no_cameras.remedy,
         )
     return DescribedFolder({"kind": "scene", **record}, splat, gaussians, cameras)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import posixpath
 import re
+import unicodedata
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
@@ -14,7 +15,8 @@ from scoup.base.counts import counted, listed
 from scoup.base.errors import ScoupWarning
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
-
+DYNAMIC_MASK = "dynamic_mask_"
+"""Begins the names of masks of instant-ngp, beside their photographs, which are 0 where these count."""
 
 _ASIDE = re.compile(
     r"(^|[/_-])(masks?|depths?|normals?|seg|segmentations?|semantics?|labels?|alphas?|mattes?)([/_-]|$)", re.I
@@ -24,8 +26,11 @@ _ASIDE = re.compile(
 class ImageFolder:
     """The image files below a folder, found by their paths relative to it, as COLMAP names them.
 
+    Names are compared in one form of Unicode (NFC), as some systems write accents as characters of their own; and where
+    that finds none, without regard to small and capital letters.
+
     Args:
-        folder: listed once; must exist.
+        folder: listed once, links to folders in it too; must exist.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -37,18 +42,20 @@ class ImageFolder:
         self._starts: dict[tuple[str, str], list[Path]] = defaultdict(
             list
         )  # (sub-folder, name to its first dot)
-        for root, folders, files in os.walk(folder):
-            folders.sort()
-            within = "" if Path(root) == folder else Path(root).relative_to(folder).as_posix()
-            for file in sorted(files):
+        for root, folders, files in os.walk(folder, followlinks=True):
+            folders[:] = sorted(name for name in folders if not _leads_above(root, name))
+            within = "" if Path(root) == folder else _composed(Path(root).relative_to(folder).as_posix())
+            for listed_name in sorted(files):
+                file = _composed(listed_name)
                 stem, ending = _split(file)
                 if not ending:
                     continue
-                path = Path(root) / file
+                path = Path(root) / listed_name
                 self._exact[posixpath.join(within, file)] = path
-                self._stems[within, stem].append(path)
+                key = within.casefold()
+                self._stems[key, stem.casefold()].append(path)
                 if not _split(stem)[1]:  # x.jpg.png is most often the mask of x.jpg
-                    self._starts[within, file.split(".", 1)[0]].append(path)
+                    self._starts[key, file.split(".", 1)[0].casefold()].append(path)
         self._folders = sorted({within for within, _ in self._stems})
         # (sub-folder, ending, ending): images with both lie there, such as x.jpg and its mask x.png.
         self._pairs = {
@@ -62,14 +69,14 @@ class ImageFolder:
     def __len__(self) -> int:
         return len(self._exact)
 
-    def photographs(self) -> list[str]:
-        """Return the paths of all images, sorted, but for hidden files, x.jpg.png and folders of masks and the like."""
-        return [
-            name
+    def photographs(self) -> dict[str, Path]:
+        """Return all images by their names, in order, but for hidden files, masks, depth maps and the like."""
+        return {
+            name: self._exact[name]
             for name in sorted(self._exact)
-            if not (posixpath.basename(name).startswith(".") or _split(_split(name)[0])[1])
+            if not (posixpath.basename(name).startswith((".", DYNAMIC_MASK)) or _split(_split(name)[0])[1])
             and not _ASIDE.search(posixpath.dirname(name))
-        ]
+        }
 
     def find(self, name: str) -> Path | None:
         """Return the image of that name: the file of that path.
@@ -77,7 +84,8 @@ class ImageFolder:
         Its ending may be another if the name has none, or no image of the sub-folder has both. A name without a folder
         may be that of a single file in a sub-folder, unless images lie outside of these.
         """
-        for place in self._places(name):
+        name = _composed(name)
+        for place in (*self._places(name), *self._places(name.replace("\\", "/"))):
             found = self._in(*posixpath.split(place))
             if found is not None:
                 return found
@@ -91,7 +99,8 @@ class ImageFolder:
         path = self._exact.get(posixpath.join(within, file))
         if path is not None:
             return path
-        stem, ending = _split(file)
+        stem, ending = _split(file.casefold())
+        within = within.casefold()
         paths = self._stems.get((within, stem), [])
         if ending:
             same = [path for path in paths if path.suffix.lower() == ending]
@@ -112,6 +121,16 @@ class ImageFolder:
         for count in range(1, len(parts)):
             if elsewhere or folders[-count:] == parts[:count]:
                 yield "/".join(parts[count:])
+
+
+def _composed(name: str) -> str:
+    return unicodedata.normalize("NFC", name)
+
+
+def _leads_above(root: str, name: str) -> bool:
+    """Return whether a folder is a link to one that it is in."""
+    path = os.path.join(root, name)
+    return os.path.islink(path) and Path(os.path.realpath(root)).is_relative_to(os.path.realpath(path))
 
 
 def _split(file: str) -> tuple[str, str]:
@@ -153,10 +172,10 @@ def find_beside(folder: Path, relative: str) -> Path | None:
     """Return the file ``relative`` to ``folder``, as it is or with an image extension added, if there is one inside."""
     if is_outside(folder, relative):
         return None
-    candidate = folder / relative
     added = () if _split(relative)[1] else (*EXTENSIONS, *(item.upper() for item in EXTENSIONS))
-    for end in ("", *added):
-        path = f"{candidate}{end}"
-        if os.path.isfile(path):
-            return Path(path)
+    for form in dict.fromkeys([relative, _composed(relative), unicodedata.normalize("NFD", relative)]):
+        for end in ("", *added):
+            path = f"{folder / form}{end}"
+            if os.path.isfile(path):
+                return Path(path)
     return None

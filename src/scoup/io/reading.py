@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import unicodedata
+import warnings
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, refused_read
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, refused_read
 from scoup.base.json_node import JsonNode
 from scoup.scene.cameras import Camera, Cameras
 
@@ -20,6 +25,7 @@ Distorted = Literal["refuse", "undistort"]
 
 MAX_IMAGE_SIDE = 100_000  # a longer side is a damaged number, not a photograph
 MAX_IMAGE_PIXELS = 1 << 29
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")  # not in text
 
 _UNDISTORT_REMEDY = "undistort the images first (colmap image_undistorter), or pass `distorted='undistort'`"
 
@@ -51,11 +57,29 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Return the contents of a UTF-8 text file."""
+    """Return the contents of a text file in UTF-8, UTF-16 with a byte order mark, or Windows-1252."""
+    content = read_bytes(path)
+    if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        with suppress(UnicodeDecodeError):
+            return content.decode("utf-16")
+    return decoded(path, content.removeprefix(BOM_UTF8))
+
+
+def decoded(path: Path, content: bytes) -> str:
+    """Return text of a file, in UTF-8 or else in Windows-1252.
+
+    Warns:
+        ScoupWarning: it is not in UTF-8.
+    """
     try:
-        return read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(path, "is not a text file", "the file is damaged or of another kind") from error
+        return content.decode("utf-8")
+    except UnicodeDecodeError:
+        if _CONTROL.search(content):
+            problem, remedy = "is not a text file", "the file is damaged or of another kind"
+            raise FileFormatError(path, problem, remedy) from None
+    message = f"{path}: is not in UTF-8, and read as Windows-1252; if names look wrong, convert it to UTF-8"
+    warnings.warn(message, ScoupWarning, stacklevel=3)
+    return content.decode("cp1252", "replace")
 
 
 def read_json(path: str | Path, what: str, remedy: str = "") -> JsonNode:
@@ -118,7 +142,7 @@ def make_camera(
     matrix_of_camera = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     try:
         return Camera(
-            name=name,
+            name=unicodedata.normalize("NFC", name),
             viewmat=torch.from_numpy(viewmat),
             K=torch.tensor(matrix_of_camera, dtype=torch.float64),
             width=size[0],
@@ -130,11 +154,11 @@ def make_camera(
         raise FileFormatError(path, str(error), "the file is damaged") from error
 
 
-def sorted_cameras(path: Path, cameras: list[Camera]) -> Cameras:
-    """Return the cameras in order of their names."""
+def sorted_cameras(path: Path, cameras: list[Camera], remedy: str = "rename one of the images") -> Cameras:
+    """Return the cameras in order of their names; ``remedy`` is that of equal names."""
     if not cameras:
         raise FileFormatError(path, "contains no cameras", "register at least one image")
     try:
         return Cameras(sorted(cameras, key=lambda camera: camera.name))
     except InputError as error:
-        raise FileFormatError(path, str(error), "rename one of the images") from error
+        raise FileFormatError(path, str(error), remedy) from error

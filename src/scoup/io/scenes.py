@@ -16,6 +16,7 @@ from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
+from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.cameras.training_run import GSPLAT_CONFIG, trained_antialiased
 from scoup.io.reading import Distorted
@@ -155,6 +156,21 @@ def load_cameras(
         raise InputError(f"distorted is {distorted!r}, expected 'refuse' or 'undistort'")
     if missing_images not in ("skip", "keep"):
         raise InputError(f"missing_images is {missing_images!r}, expected 'skip' or 'keep'")
+    source, cameras = _posed_cameras(path, distorted, dataparser_transforms)
+    warn = missing_images == "skip"
+    return attach_images(cameras, source.path, source.roots, images, downscale, missing_images, warn)
+
+
+def all_cameras(path: str | Path) -> Cameras:
+    """Return the cameras of a scene, those without an image too, with the warnings that ``load_cameras`` gives."""
+    source, cameras = _posed_cameras(path, "undistort")
+    return attach_images(cameras, source.path, source.roots, None, None, "keep", warn=True)
+
+
+def _posed_cameras(
+    path: str | Path, distorted: Distorted, dataparser_transforms: str | Path | None = None
+) -> tuple[CameraSource, Cameras]:
+    """Return the cameras of a scene in the frame of its splat."""
     source = find_cameras(path)
     if source.others:
         others = ", ".join(str(other) for other in source.others)
@@ -164,14 +180,14 @@ def load_cameras(
             ScoupWarning,
             stacklevel=2,
         )
-    cameras = _read(source, distorted)
     frame = source.frame if dataparser_transforms is None else Path(dataparser_transforms)
+    cameras = _read(replace(source, frame=frame), distorted)
     if frame is not None and frame.name == GSPLAT_CONFIG:
         cameras = in_gsplat_frame(cameras, source.path, _means_of(frame.parent))
     elif frame is not None:
         transforms = source.path if source.format == "nerfstudio" else None
         cameras = in_trained_frame(cameras, frame, transforms)
-    return attach_images(cameras, source.path, source.roots, images, downscale, missing_images)
+    return source, cameras
 
 
 def _means_of(results: Path) -> np.ndarray | None:
@@ -184,9 +200,9 @@ def _means_of(results: Path) -> np.ndarray | None:
 
 def camera_photographs(
     path: str | Path, images: str | Path | None = None
-) -> list[tuple[str, Path, Path | None]]:
-    """Return names of a scene's cameras, their photographs where there are any, and the masks of these; no image is
-    opened.
+) -> tuple[list[tuple[str, Path, Path | None]], str]:
+    """Return names of a scene's cameras, their photographs where there are any, and the masks of these; and what was
+    looked for where there are none. No image is opened.
 
     Args:
         path, images: as in ``load_cameras``.
@@ -196,4 +212,6 @@ def camera_photographs(
 
 
 def _read(source: CameraSource, distorted: Distorted) -> Cameras:
+    if source.format == "nerfstudio":
+        return read_transforms(source.path, distorted, by_nerfstudio=source.frame is not None)
     return CAMERA_FORMATS[source.format].read(source.path, distorted)

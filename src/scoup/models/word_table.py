@@ -155,7 +155,7 @@ def _read_array(path: Path, stream: Any, size: int) -> np.ndarray:
 
 
 def _read_json(path: Path) -> WordTable:
-    content = json.loads(path.read_text(encoding="utf-8-sig"))
+    content = json.loads(path.read_bytes())
     if not isinstance(content, dict):
         raise FileFormatError(path, "is not a JSON object of name -> list of numbers", _REMEDY)
     model = content.pop(MODEL_KEY) if isinstance(content.get(MODEL_KEY), str) else ""

@@ -22,6 +22,7 @@ from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.presence import can_judge_presence, presence_threshold
 from scoup.scene.directions import query_vectors
+from scoup.scene.regions import LEAST_EMBEDDING
 
 Several: TypeAlias = "list[str] | tuple[str, ...] | Tensor | np.ndarray"
 """Several texts, or vectors [Q, D] in their place."""
@@ -260,6 +261,8 @@ def _where_words_are(field: LanguageField, other: TextEncoder) -> str:
     if named == COLORS:
         return NO_WORDS_FOR_COLORS
     table = f"a word table of {field.dim} dimensions, made with the model that embedded its regions"
+    if field.dim < LEAST_EMBEDDING:
+        table += "; if they are codes of an autoencoder, decode them (scoup convert with `autoencoder`) and build again"
     if field.info.words is not None:
         return f"the field was built for the table {field.info.words}: pass that, or {table}"
     if not named:

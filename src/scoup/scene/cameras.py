@@ -6,6 +6,8 @@ import hashlib
 import json
 import math
 import operator
+import os
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -264,11 +266,11 @@ class Cameras:
             return self._cameras[operator.index(key)]
         if key in self._by_name:
             return self._by_name[key]
-        same_stem = [
-            camera for camera in self._cameras if Path(camera.name).stem == key or camera.stem == key
-        ]
-        if len(same_stem) == 1:
-            return same_stem[0]
+        wanted = unicodedata.normalize("NFC", key)
+        for same in (_whole_names, _stems):
+            found = [camera for camera in self._cameras if wanted in same(camera)]
+            if len(found) == 1:
+                return found[0]
         raise UnknownNameError("camera", key, self.names)
 
     @property
@@ -287,3 +289,15 @@ class Cameras:
             camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
             for camera in self._cameras
         )
+
+
+def _whole_names(camera: Camera) -> tuple[str, ...]:
+    """Return the name, and without its extension."""
+    name = unicodedata.normalize("NFC", camera.name)
+    return name, os.path.splitext(name)[0]
+
+
+def _stems(camera: Camera) -> tuple[str, ...]:
+    """Return the name without folders, without its extension and cut at its first dot."""
+    name = Path(unicodedata.normalize("NFC", camera.name))
+    return name.name, name.stem, camera.stem

@@ -16,6 +16,8 @@ from scoup.scene.directions import unit_rows
 
 INTEGERS = (torch.int32, torch.int64, torch.int16, torch.int8, torch.uint8)  # types of labels
 LEVELS = ("s", "m", "l")  # subparts, parts, wholes: the three masks that SAM proposes for a point
+LEAST_EMBEDDING = 64  # dimensions of a model's; fewer are codes of an autoencoder, or of instances
+_SURE_CODES = 8  # dimensions, below which nobody has embeddings
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,3 +240,13 @@ class Regions:
             raise UnknownNameError("view with regions", view_name, self.view_names)
         if level is not None and level not in self.levels:
             raise UnknownNameError("level", level, self.levels)
+
+
+def codes_problem(dim: int) -> str:
+    """Return why embeddings of so few dimensions are none, and the remedy; "" for others."""
+    if dim >= _SURE_CODES:
+        return ""
+    return (
+        f"the regions have {dim} numbers each, codes of LangSplat's autoencoder and not embeddings; decode them with "
+        "scoup convert (its best_ckpt.pth as `autoencoder`), and use the result"
+    )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, ScoupWarning
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.rotations import rotation_matrices
@@ -65,13 +66,24 @@ def estimate_up_of_splat(gaussians: Gaussians, rows: Tensor) -> Tensor:
 
     Args:
         rows: [M] int64, the Gaussians that count.
+
+    Warns:
+        ScoupWarning: there are no such surfaces, so that -y is a guess.
     """
     normals, weights = _normals(gaussians, rows)
     down, high = (torch.tensor(axis, dtype=torch.float64) for axis in ((0, -1, 0), (0, 0, 1)))
     (along_y, y), (along_z, z) = (_facing(normals, weights, axis) for axis in (down, high))
     if z > PLAIN and z > AHEAD * y and _is_floor(gaussians.means[rows].double(), normals, weights, along_z):
         return along_z
-    return along_y if y > LEVEL else down
+    if y > LEVEL:
+        return along_y
+    warnings.warn(
+        "the splat shows neither floors nor tables, so that up is a guess: -y. If its views are upside down, make them "
+        "with scoup views and `up` (such as 0 1 0), or `keep_axes` for an .spz or glTF with the axes of a PLY",
+        ScoupWarning,
+        stacklevel=3,
+    )
+    return down
 
 
 def _facing(normals: Tensor, weights: Tensor, axis: Tensor) -> tuple[Tensor, float]:

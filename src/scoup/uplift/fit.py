@@ -161,19 +161,26 @@ def check_fit(
     ``splat`` is the file of the Gaussians, for messages.
     """
     fit = measure_fit(gaussians, cameras, raster_preset, backend)
+    problem = fit_problem(fit, cameras, splat)
+    if fit.verdict is Verdict.HOPELESS:
+        raise InputError(f"{problem}; {OVERRIDE}")
+    if problem:
+        warnings.warn(problem, ScoupWarning, stacklevel=3)
+
+
+def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
+    """Return what is wrong with a fit of cameras, or that it was not judged, with remedies; "" where nothing is."""
     where = "the splat " if splat is None else f"{splat}: "
     if fit.verdict is Verdict.HOPELESS:
-        said = f"{where}does not fit the cameras: {fit.reason()}; {fit.remedies()}; {OVERRIDE}"
-        raise InputError(said)
+        return f"{where}does not fit the cameras: {fit.reason()}; {fit.remedies()}"
     if fit.verdict is Verdict.DOUBTFUL:
-        message = f"{where}may not fit the cameras: {fit.reason()}; {fit.remedies()}"
-        warnings.warn(message, ScoupWarning, stacklevel=3)
+        return f"{where}may not fit the cameras: {fit.reason()}; {fit.remedies()}"
     if fit.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
-        message = (
+        return (
             f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
             "(unreadable, or without detail); check the photographs"
         )
-        warnings.warn(message, ScoupWarning, stacklevel=3)
+    return ""
 
 
 def measure_fit(

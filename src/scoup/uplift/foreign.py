@@ -1,4 +1,4 @@
-"""Fields of other systems: one feature per Gaussian by sparse coding, and LangSplatV2's codes unchanged."""
+"""Fields of other systems: one feature per Gaussian by sparse coding, and checkpoints of LangSplat and LangSplatV2."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from torch import Tensor
 
 from scoup.base.errors import FileFormatError, InputError
 from scoup.base.progress import Progress, no_progress
+from scoup.base.scratch import scratch_array
 from scoup.base.version import VERSION
 from scoup.coding import fit_codes
 from scoup.coding.encode import encode
 from scoup.field.language_field import LanguageField
-from scoup.io.langsplatv2 import LangSplatV2Level, read_langsplatv2
+from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.npy import open_npy
+from scoup.io.regions.langsplat_autoencoder import Decoder
 from scoup.io.torch_file import load_torch
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import LEAST_EMBEDDING
 
 LEARNED_FROM = 16_384  # rows from which a codebook is learned
 ROWS_AT_A_TIME = 65_536
@@ -120,45 +123,82 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     return LanguageField(indices, weights, torch.stack(books), info, gaussians)
 
 
-def field_from_langsplatv2(
+def field_from_langsplat(  # noqa: PLR0913  the public face: each keyword is one choice of the user
     paths: Sequence[str | Path],
     k: int = TOP_K,
     embedding_model: str = "",
     words: str | Path | None = None,
     levels: Sequence[str] | None = None,
+    *,
+    decode: Decoder | None = None,
+    n_atoms: int = 128,
+    seed: int = 0,
+    progress: Progress = no_progress,
 ) -> LanguageField:
-    """Make a field of LangSplatV2's checkpoints: their codebooks, and the codes of their renderer.
+    """Make a field of checkpoints of LangSplat, LangSplatV2 or relatives.
 
-    A code is the softmax of the logits, cut to its K largest entries and scaled to sum 1. Of several codebooks per
-    level (residual quantisation) the codes are added.
+    LangSplatV2's have a codebook, and codes: the softmax of the logits, cut to its K largest entries and scaled to sum
+    1. Of several codebooks per level (residual quantisation) the codes are added. Features of others are coded as by
+    ``field_from_features``.
 
     Args:
         paths: one checkpoint per level, fine to coarse, of one splat.
         k: entries kept, as LangSplatV2's option topk in training.
-        embedding_model, words: as for ``build``; LangSplatV2 trains with open_clip's ViT-B-16.
+        embedding_model, words: as for ``build``; LangSplat trains with open_clip's ViT-B-16.
         levels: names of the levels; by default "m", or s, m, l.
+        decode: LangSplat's autoencoder (``langsplat_autoencoder.read_autoencoder``), which its features need.
+        n_atoms, seed, progress: of codes of features.
     """
     if not paths:
-        raise InputError("pass at least one checkpoint of LangSplatV2")
-    read = [read_langsplatv2(path) for path in paths]
-    first = read[0]
+        raise InputError("pass at least one checkpoint of LangSplat")
+    read = [read_langsplat(path) for path in paths]
+    first = read[0].gaussians
     for path, level in zip(paths, read, strict=True):
-        same = level.gaussians.fingerprint() == first.gaussians.fingerprint()
-        if not same or level.codebooks.shape != first.codebooks.shape:
-            problem = f"contains another splat than {paths[0]}, or other codebooks"
+        same = level.gaussians.fingerprint() == first.fingerprint()
+        if not same or level.values.shape[1:] != read[0].values.shape[1:]:
+            problem = f"contains another splat than {paths[0]}, or other codebooks or features"
             raise FileFormatError(Path(path), problem, "use the levels of one training")
-    if not 1 <= k <= first.codebooks.shape[1]:
-        raise InputError(f"k must be 1 to {first.codebooks.shape[1]}, got {k}")
     names = _level_names(levels, len(read))
-    codes = [_top_codes(level, k) for level in read]
-    books = torch.stack([torch.from_numpy(level.codebooks).flatten(0, 1) for level in read])
+    books = [torch.from_numpy(level.codebooks) for level in read if level.codebooks is not None]
+    if not books:
+        rows = _decoded_features(Path(paths[0]), [level.values for level in read], decode)
+        encoder = {"embedding_model": embedding_model, "words": words}
+        return field_from_features(
+            first, rows, n_atoms, k, **encoder, levels=names, seed=seed, progress=progress
+        )
+    if not 1 <= k <= books[0].shape[1]:
+        raise InputError(f"k must be 1 to {books[0].shape[1]}, got {k}")
+    codes = [_top_codes(level.values, k) for level in read]
     provenance = {"files": [str(path) for path in paths], "k": k}
-    info = _info(names, (embedding_model, words), first.gaussians, "inria", "LangSplatV2", provenance)
+    info = _info(names, (embedding_model, words), first, "inria", "LangSplatV2", provenance)
     indices, weights = (torch.stack(parts, 1) for parts in zip(*codes, strict=True))
-    return LanguageField(indices, weights, books, info, first.gaussians)
+    return LanguageField(indices, weights, torch.stack([book.flatten(0, 1) for book in books]), info, first)
 
 
-def langsplatv2_levels(path: str | Path) -> list[Path]:
+def _decoded_features(path: Path, levels: Sequence[np.ndarray], decode: Decoder | None) -> np.ndarray:
+    """Return [N, S, D] embeddings of features [N, C] of S levels."""
+    size = levels[0].shape[1]
+    if decode is None:
+        if size < LEAST_EMBEDDING:
+            problem = (
+                f"has {size} numbers per Gaussian and not embeddings: codes of LangSplat's autoencoder, or features of "
+                "instances, as of OpenGaussian"
+            )
+            remedy = "for codes pass the best_ckpt.pth as `autoencoder`; for others convert embeddings (.npy)"
+            raise FileFormatError(path, problem, remedy)
+        return np.stack(levels, 1)
+    dim = decode(levels[0][:1]).shape[1]
+    rows = scratch_array((len(levels[0]), len(levels), dim), np.float16)
+    for number, codes in enumerate(levels):
+        for start in range(0, len(codes), ROWS_AT_A_TIME):
+            part = codes[start : start + ROWS_AT_A_TIME]
+            # LangSplat renders codes of unit norm.
+            norms = np.linalg.norm(part, axis=1, keepdims=True)
+            rows[start : start + len(part), number] = decode(part / np.where(norms > 0, norms, 1))
+    return rows
+
+
+def langsplat_levels(path: str | Path) -> list[Path]:
     """Return the checkpoints of one training, fine to coarse: for a file in a folder NAME_1, _2 or _3 those of the same
     name in all three; otherwise the file alone."""
     path = Path(path)
@@ -236,12 +276,12 @@ def _coded(
     return SparseCodes(torch.cat(indices), torch.cat(weights), len(atoms)), round(total / max(1, known), 4)
 
 
-def _top_codes(level: LangSplatV2Level, k: int) -> tuple[Tensor, Tensor]:
-    """Return [N, V K] indices and weights of a level."""
-    _, layers, size = level.logits.shape
+def _top_codes(logits: np.ndarray, k: int) -> tuple[Tensor, Tensor]:
+    """Return [N, V K] indices and weights of logits [N, V, L]."""
+    _, layers, size = logits.shape
     indices, weights = [], []
     for layer in range(layers):
-        soft = torch.from_numpy(level.logits[:, layer]).softmax(1)
+        soft = torch.from_numpy(logits[:, layer]).softmax(1)
         values, places = torch.sort(soft, dim=1, descending=True, stable=True)
         weights.append(values[:, :k] / values[:, :k].sum(1, keepdim=True) / layers)
         indices.append(places[:, :k] + layer * size)

@@ -22,7 +22,7 @@ from scoup.coding.report import report_on
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
-from scoup.scene.regions import Regions
+from scoup.scene.regions import Regions, codes_problem
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import Rows
 
@@ -60,6 +60,8 @@ class RegionEmbeddings:
         for level, part in zip(self.levels, self.of_levels, strict=True):
             if not len(part):
                 raise InputError(f"level {level!r} has no regions in any view; every level needs some")
+            if problem := codes_problem(part.shape[1]):
+                raise InputError(problem)
             if not part.any():
                 raise InputError(
                     f"level {level!r} has only zero embeddings, as the embedder colors makes of black photographs; "

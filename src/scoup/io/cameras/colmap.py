@@ -129,11 +129,10 @@ def _pinhole(
         case "OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2]:
             return (fx, fy, cx, cy), (k1, k2, p1, p2)
         case _:
-            raise FileFormatError(
-                path,
-                f"camera model {lens.model} is not supported",
-                "make pinhole images with colmap image_undistorter and use its result",
-            )
+            remedy = "make pinhole images with colmap image_undistorter and use its result"
+            if lens.model == "EQUIRECTANGULAR":
+                remedy = "cut pinhole images out of the panoramas (COLMAP's panorama_sfm.py) and use these"
+            raise FileFormatError(path, f"camera model {lens.model} is not supported", remedy)
 
 
 def _pose(path: Path, shot: Shot) -> np.ndarray:

@@ -12,7 +12,7 @@ from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
 from scoup.base.staging import staged
 from scoup.io.cameras.colmap_model import MODEL_NAMES, MODELS, PARAMETER_COUNTS, Lens, Shot
-from scoup.io.reading import existing_file, read_bytes
+from scoup.io.reading import decoded, existing_file, read_bytes
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
 _LENS = struct.Struct("<iiQQ")
@@ -54,13 +54,9 @@ class _Cursor:
             raise FileFormatError(self.path, "has an unterminated image name", _REMEDY)
         raw = self.data[self.position : end]
         self.position = end + 1
-        try:
-            name = raw.decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise FileFormatError(self.path, "has an image name that is not text", _REMEDY) from error
-        if not name:
+        if not raw:
             raise FileFormatError(self.path, "has an image without a name", _REMEDY)
-        return name
+        return decoded(self.path, raw)
 
     def require(self, size: int) -> None:
         if size > len(self.data) - self.position:
@@ -76,7 +72,11 @@ def read_lenses(path: Path) -> dict[int, Lens]:
     for _ in range(cursor.count(_LENS.size, "cameras")):
         identifier, model, width, height = cursor.take(_LENS)
         if model not in MODEL_NAMES:
-            raise FileFormatError(path, f"has a camera of unknown model {model}", _REMEDY)
+            problem = f"has a camera of model {model}, which is not known"
+            remedy = (
+                "make pinhole images with colmap image_undistorter, or copy the file again if it is damaged"
+            )
+            raise FileFormatError(path, problem, remedy)
         name = MODEL_NAMES[model]
         parameters = cursor.take(struct.Struct(f"<{PARAMETER_COUNTS[name]}d"))
         lenses[identifier] = Lens(name, width, height, parameters)

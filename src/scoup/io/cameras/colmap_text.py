@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -35,19 +36,14 @@ def read_lenses(path: Path) -> dict[int, Lens]:
 
 
 def read_shots(path: Path) -> list[Shot]:
-    """Read images.txt: every second line (the keypoints, which may be empty) is skipped."""
+    """Read images.txt; lines of keypoints are skipped."""
     shots = []
-    lines = _lines(path)
-    for place, line in lines:
-        if not line:
-            continue
-        words = line.split(maxsplit=9)
+    for place, words in _image_lines(path):
         try:
             values = [float(word) for word in words[1:8]]
             shots.append(Shot(words[9], int(words[8]), tuple(values[:4]), tuple(values[4:])))
         except (ValueError, IndexError) as error:
             raise _damaged(path, place) from error
-        next(lines, None)
     return shots
 
 
@@ -73,15 +69,11 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
     """Read points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name."""
     names: dict[int, str] = {}
-    lines = _lines(images)
-    for place, line in lines:
-        if line:
-            try:
-                words = line.split(maxsplit=9)
-                names[int(words[0])] = words[9]
-            except (ValueError, IndexError) as error:
-                raise _damaged(images, place) from error
-            next(lines, None)
+    for place, words in _image_lines(images):
+        try:
+            names[int(words[0])] = words[9]
+        except (ValueError, IndexError) as error:
+            raise _damaged(images, place) from error
     positions: list[list[float]] = []
     tracks: list[list[str]] = []
     for place, line in _lines(points):
@@ -132,6 +124,24 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     for place, line in enumerate(text.split("\n"), start=1):
         if not line.startswith("#"):
             yield place, line.strip()
+
+
+def _image_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Return the words of images, name last. After each follow keypoints, perhaps none, or at once the next image."""
+    after_image = False
+    for place, line in _lines(path):
+        words = line.split(maxsplit=9)
+        after_image = bool(words) and not (after_image and _ends_in_number(line))
+        if after_image:
+            yield place, words
+
+
+def _ends_in_number(line: str) -> bool:
+    """Return whether a line ends as keypoints do, in the number of a point, and not in the name of an image."""
+    with suppress(ValueError):
+        int(line.rsplit(maxsplit=1)[-1])
+        return True
+    return False
 
 
 def _joined(values: Sequence[float]) -> str:

@@ -32,6 +32,10 @@ _REMEDY = (
     "a JSON list is read as cameras of Inria's code, each with img_name, width, height, position, rotation, fx and fy; "
     "nerfstudio's transforms.json is an object with a list of frames"
 )
+_EQUAL_NAMES = (
+    "Inria's code has cut folders and endings off; use the scene that the splat was trained on, and name the splat "
+    "with `gaussians`"
+)
 
 
 def read_inria_cameras(path: str | Path) -> Cameras:
@@ -51,7 +55,7 @@ def read_inria_cameras(path: str | Path) -> Cameras:
         intrinsics = (entry.get("fx").number(), entry.get("fy").number(), width / 2, height / 2)
         cameras.append(make_camera(path, name, viewmat, intrinsics, (width, height)))
     warn_of_outside(path, path.parent, (camera.name for camera in cameras))
-    return sorted_cameras(path, cameras)
+    return sorted_cameras(path, cameras, _EQUAL_NAMES)
 
 
 def write_inria_cameras(cameras: Cameras, path: str | Path, overwrite: bool = False) -> None:

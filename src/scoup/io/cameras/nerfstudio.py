@@ -18,7 +18,7 @@ from scoup.base.counts import counted, listed
 from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.base.json_node import JsonNode
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
-from scoup.io.image_folder import find_beside, warn_of_outside
+from scoup.io.image_folder import DYNAMIC_MASK, find_beside, warn_of_outside
 from scoup.io.images import image_size
 from scoup.io.reading import MAX_IMAGE_SIDE, Distorted, make_camera, read_json, sorted_cameras
 from scoup.scene.cameras import Camera, Cameras
@@ -33,18 +33,24 @@ _BENT = re.compile("fisheye|f_?theta|lat_?long|equirect|ortho|panoram|spherical|
 """In keys and names of lenses that are not pinholes, of nerfstudio, instant-ngp and others."""
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2", "k5", "k6")  # the first six are those of distortion_params
 _USED = ("k1", "k2", "p1", "p2")
+_INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "w", "h", *_DISTORTION, "distortion_params")
 _FLIP = np.diag([1.0, -1.0, -1.0])  # OpenGL's camera looks along -z with y up
 
 
-def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Cameras:
+def read_transforms(
+    path: str | Path, distorted: Distorted = "refuse", by_nerfstudio: bool = False
+) -> Cameras:
     """Read transforms.json, sorted by name; ``image_path`` is set where the named file (or one that has the
     name and an image extension) exists.
 
     Cameras are named by the file names of their images, or by whole paths where two would be equal.
 
+    Args:
+        by_nerfstudio: the splat was trained by nerfstudio, which takes intrinsics of the file before those of frames.
+
     Warns:
         ScoupWarning: frames were skipped because neither the file nor their (missing) image gives their size, or name
-            images outside of the file's folder, which are not opened.
+            images outside of the file's folder, which are not opened; or intrinsics of file and frames differ.
     """
     path = Path(path)
     content = read_json(path, CAMERAS_JSON, _REMEDY)
@@ -53,14 +59,19 @@ def read_transforms(path: str | Path, distorted: Distorted = "refuse") -> Camera
     warn_of_outside(path, path.parent, paths)
     short = [name.rsplit("/", 1)[-1] for name in paths]
     names = short if len(set(short)) == len(short) else paths
+    if not by_nerfstudio:
+        _warn_of_two_intrinsics(content, frames)
     cameras, unmasked = [], []
     for name, relative, frame in zip(names, paths, frames, strict=True):
-        camera = _camera(name, relative, frame, content, distorted)
+        camera = _camera(name, relative, frame, content, distorted, by_nerfstudio)
         if camera is not None:
             mask = frame.get("mask_path")
             if mask.value is not None:
                 camera = replace(camera, mask_path=find_beside(path.parent, portable_name(mask.text())))
                 unmasked += [camera.name] if camera.mask_path is None else []
+            elif (image := camera.image_path) is not None:
+                dynamic = image.with_name(f"{DYNAMIC_MASK}{image.stem}.png")
+                camera = replace(camera, mask_path=dynamic if dynamic.is_file() else None)
             cameras.append(camera)
     if unmasked:
         what = f"{path}: {counted(len(unmasked), 'mask')} (mask_path) not found ({listed(unmasked)})"
@@ -112,15 +123,28 @@ def write_transforms(cameras: Cameras, path: str | Path, overwrite: bool = False
     write_text(path, json.dumps(content, indent=1) + "\n", overwrite)
 
 
+def _warn_of_two_intrinsics(content: JsonNode, frames: list[JsonNode]) -> None:
+    """Warn of intrinsics of the file that frames replace by others."""
+    shared = {key: value for key in _INTRINSICS if (value := content.get(key).value) is not None}
+    if any(frame.get(key).value not in (None, value) for frame in frames for key, value in shared.items()):
+        warnings.warn(
+            f"{content.path}: has intrinsics of the file and others of frames, which are used, as in instant-ngp; "
+            "nerfstudio trains with those of the file: for its splats, remove those of the frames",
+            ScoupWarning,
+            stacklevel=3,
+        )
+
+
 def _camera(
-    name: str, relative: str, frame: JsonNode, content: JsonNode, distorted: Distorted
+    name: str, relative: str, frame: JsonNode, content: JsonNode, distorted: Distorted, by_nerfstudio: bool
 ) -> Camera | None:
     """Return one frame; None if its size cannot be known. Its settings come before those of the whole file."""
     path = frame.path
 
     def setting(key: str) -> JsonNode:
-        own = frame.get(key)
-        return content.get(key) if own.value is None else own
+        nodes = frame.get(key), content.get(key)
+        first, second = reversed(nodes) if by_nerfstudio and key in _INTRINSICS else nodes
+        return second if first.value is None else first
 
     keys = sorted({*content.object(), *frame.object()})
     coefficients = _distortion(name, keys, setting)

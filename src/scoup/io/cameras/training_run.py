@@ -15,6 +15,7 @@ from scoup.io.cameras.trained_frame import TRAINED_FRAME
 from scoup.io.reading import read_text
 
 GSPLAT_CONFIG = "cfg.yml"
+TRANSFORMS = ("transforms.json", "transforms_train.json")  # the second of NeRF-synthetic scenes
 _ABOVE = 8  # folders above a run that are looked into for its data
 _MOST_PARTS = 64  # of the end of a named path that is looked for: each part is tried in every folder
 _KEY = re.compile(r"^( *)data: *(.*)$")
@@ -131,4 +132,4 @@ def _holds_cameras(place: Path) -> bool:
     """Return whether a path is transforms.json, or a folder that may be the data of a training."""
     if os.path.isfile(place):  # Path.is_file raises for names that the system does not take
         return place.suffix == ".json"
-    return any(os.path.exists(place / name) for name in ("transforms.json", "sparse", "colmap/sparse"))
+    return any(os.path.exists(place / name) for name in (*TRANSFORMS, "sparse", "colmap/sparse"))

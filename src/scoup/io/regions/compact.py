@@ -1,4 +1,4 @@
-"""Region features in SCOUP's compact layout: one ``<stem>.regions`` file per view (docs/formats.md).
+"""Region features in SCOUP's compact layout: one ``.regions`` file per view, at its path (docs/formats.md).
 
 A safetensors file with a JSON header, which has checksums of itself and of every array. Label maps are deflated after
 each row was XORed with the row above it, which leaves little but zeros; embeddings are float16, or float32 on request.
@@ -7,6 +7,8 @@ each row was XORed with the row above it, which leaves little but zeros; embeddi
 from __future__ import annotations
 
 import json
+import os
+import re
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,6 +24,7 @@ from scoup.base.digests import array_checksum, is_sealed, sealed
 from scoup.base.errors import FileFormatError, check_format_version
 from scoup.base.json_node import JsonNode
 from scoup.base.safetensors_damage import safetensors_damage_named
+from scoup.io.image_folder import EXTENSIONS
 from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
 from scoup.io.regions.manifest import SCHEMA, VERSION
 from scoup.io.regions.views import REMEDY, ViewRegions
@@ -82,6 +85,14 @@ class CompactView:
         labels = dict(zip(self.levels, self.labels(self.levels), strict=True))
         embeddings = {level: self.embeddings(level) for level in self.levels}
         return ViewRegions(self.name, labels, embeddings, self.photograph)
+
+
+def stem_of(name: str) -> str:
+    """Return the path of an image without its ending, which stays in the folder of the features."""
+    parts = [part for part in re.split(r"[\\/]", name) if part.strip(".") and not part.endswith(":")]
+    *folders, last = parts or [name]
+    stem, ending = os.path.splitext(last)
+    return "/".join([*folders, stem if ending.lower() in EXTENSIONS else last])
 
 
 def open_view(folder: Path, stem: str) -> CompactView:

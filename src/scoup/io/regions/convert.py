@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 from scoup.base.counts import listed
@@ -14,7 +15,7 @@ from scoup.io.regions import compact, langsplat
 from scoup.io.regions.langsplat_autoencoder import Decoder
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, write_manifest
 from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import FOLDER_NAME, view_files
+from scoup.io.regions.views import FOLDER_NAME
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,11 @@ def convert_regions(
     if not stems:
         problem = "contains no region features"
         raise MissingFileError(store.folder, problem, "use a folder with *_s.npy or *.regions files")
-    _check_target(target, manifest, stems, overwrite)
+    # LangSplat's names have no folders, and end at the first dot.
+    targets = {stem: langsplat.stem_of(stem) if to_layout == "langsplat" else stem for stem in stems}
+    if to_layout == "langsplat":
+        RegionStore(target).check_names(stems)
+    _check_target(target, manifest, targets.values(), overwrite)
     there = RegionStore.check_new(target, manifest, overwrite)
     before = after = 0
     progress("convert", 0, len(stems))
@@ -92,10 +97,12 @@ def convert_regions(
                 regions = replace(regions, embeddings=rows)
             if to_layout == "langsplat":  # the files of LangSplat alone
                 regions = replace(regions, photograph="")
-            after += out.write(regions, stem)
+            after += out.write(regions, targets[stem])
             before += store.size_of(stem)
             progress("convert", done + 1, len(stems))
-        langsplat.forget_origins(target, stems)  # what is replaced was made from photographs, by extract
+        langsplat.forget_origins(
+            target, targets.values()
+        )  # what is replaced was made from photographs, by extract
     return ConvertReport(store.folder, target, to_layout, len(stems), before, after)
 
 
@@ -108,21 +115,20 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
     if not target.is_dir():
         return
     endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS, langsplat.RECORD_ENDING)
-    foreign = sorted(
-        path.name
-        for path in target.iterdir()
-        if not path.name.startswith(".") and not (path.is_file() and path.name.endswith(endings))
-    )
-    if foreign:
+    places = (path.relative_to(target) for path in target.rglob("*") if not path.is_dir())
+    others = (place for place in places if not place.name.endswith(endings))
+    shown = (place.parts[0] for place in others if not any(part.startswith(".") for part in place.parts))
+    if foreign := sorted(set(islice(shown, 1000))):
         raise InputError(
             f"{target}: contains other files than region features ({listed(foreign)}); use a folder for them alone, "
             f"such as {target / f'{FOLDER_NAME}_{manifest.layout}'}"
         )
     there = RegionStore.open(target)
-    present = view_files(target, there.endings[0])
+    present = there.all_stems()
     if present and there.layout != manifest.layout:
+        first = present[0] + there.endings[0]
         raise InputError(
-            f"{target}: contains features of the layout {there.layout} ({present[0].name}); choose another folder"
+            f"{target}: contains features of the layout {there.layout} ({first}); choose another folder"
         )
     if there.manifest in (None, manifest):
         RegionStore(target, manifest, manifest.layout).check_free(stems, overwrite)

@@ -91,6 +91,11 @@ class LangSplatView:
             return self._blocks
 
 
+def stem_of(name: str) -> str:
+    """Return the name of an image without folders, cut at its first dot."""
+    return Path(name).name.partition(".")[0]
+
+
 def open_view(folder: Path, stem: str) -> LangSplatView:
     """Return the headers of a view's files; see ``views.RegionLayout``."""
     planes, rows = _open_planes(folder / f"{stem}_s.npy"), _open_rows(folder / f"{stem}_f.npy")

@@ -16,7 +16,7 @@ from scoup.base.errors import FileFormatError, InputError, MissingFileError, Sco
 from scoup.base.staging import staged
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import REMEDY, StoredView, ViewRegions, check_stems, stem_of, view_files
+from scoup.io.regions.views import REMEDY, StoredView, ViewRegions
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import LEVELS, RegionMap, Regions, resize_labels
 
@@ -34,7 +34,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
 
     Args:
         folder: the features, or a scene folder with ``language_features`` in it.
-        cameras: views to find features for, by image name cut at its first dot.
+        cameras: views to find features for, by image name (docs/formats.md).
 
     Raises:
         MissingFileError: there is no such folder, or it has features of none of the cameras.
@@ -55,12 +55,8 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     store, cameras = RegionStore.open(folder), listed
     if not cameras:
         raise InputError(f"{store.folder}: cannot load regions for no cameras; pass at least one camera")
-    check_stems(store.folder, (camera.name for camera in cameras))
-    views: dict[str, tuple[Camera, StoredView]] = {}
-    for camera in cameras:
-        view = store.view(camera.stem)
-        if view is not None:
-            views[camera.name] = (camera, view)
+    stored = store.views(camera.name for camera in cameras)
+    views = {camera.name: (camera, stored[camera.name]) for camera in cameras if camera.name in stored}
     if not views:
         raise _without_features(store, cameras)
     if len(views) < len(cameras):
@@ -95,8 +91,8 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
     if regions.levels != LEVELS:
         raise InputError(f"the LangSplat layout contains levels {list(LEVELS)}, not {list(regions.levels)}")
     store = RegionStore(Path(folder))
-    check_stems(store.folder, regions.view_names)
-    store.check_free([stem_of(name) for name in regions.view_names], overwrite)
+    store.check_names(regions.view_names)
+    store.check_free([store.stem_of(name) for name in regions.view_names], overwrite)
     with staged(store.folder, overwrite=overwrite) as hidden:
         for name in regions.view_names:
             maps = {level: regions.load(name, level) for level in LEVELS}
@@ -109,8 +105,9 @@ def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) 
 
 def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingFileError:
     """Return the error that says which files were expected and which exist."""
-    expected = listed([" and ".join(path.name for path in store.files(camera.stem)) for camera in cameras])
-    there = [path.name for path in view_files(store.folder, store.endings[0])]
+    stems = (store.stem_of(camera.name) for camera in cameras)
+    expected = listed([" and ".join(stem + ending for ending in store.endings) for stem in stems])
+    there = [stem + store.endings[0] for stem in store.all_stems()]
     actual = f"it has {listed(there)}" if there else f"it has no *{store.endings[0]} files"
     return MissingFileError(
         store.folder,

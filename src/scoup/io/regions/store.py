@@ -19,9 +19,9 @@ from scoup.io.regions.views import (
     RegionLayout,
     StoredView,
     ViewRegions,
+    match_stems,
     region_folder,
-    stem_of,
-    view_files,
+    view_stems,
 )
 
 _LAYOUTS: dict[Layout, RegionLayout] = {"compact": compact, "langsplat": langsplat}
@@ -43,9 +43,9 @@ class RegionStore:
         manifest = read_manifest(path)
         if manifest is not None:
             return cls(path, manifest, manifest.layout)
-        others = view_files(path, langsplat.ENDINGS[0])
+        others = view_stems(path, langsplat.ENDINGS[0])
         return cls(
-            path, None, "compact" if not others and view_files(path, compact.ENDINGS[0]) else "langsplat"
+            path, None, "compact" if not others and view_stems(path, compact.ENDINGS[0]) else "langsplat"
         )
 
     @classmethod
@@ -69,7 +69,7 @@ class RegionStore:
         there = read_manifest(folder) if folder.is_dir() else None
         if there is None:
             endings = [layout.ENDINGS[0] for layout in _LAYOUTS.values()]
-            foreign = [path.name for ending in endings for path in view_files(folder, ending)]
+            foreign = [stem + ending for ending in endings for stem in view_stems(folder, ending)]
             if foreign:
                 raise InputError(
                     f"{folder}: contains region features that were not made by scoup ({foreign[0]}"
@@ -107,10 +107,36 @@ class RegionStore:
         """Return the files of a view, whether they are there or not; labels first."""
         return [self.folder / f"{stem}{ending}" for ending in self.endings]
 
+    def stem_of(self, name: str) -> str:
+        """Return the stem of the files of an image."""
+        return _LAYOUTS[self.layout].stem_of(name)
+
+    def check_names(self, names: Iterable[str]) -> None:
+        """Refuse two images whose files would have one name."""
+        by_stem: dict[str, str] = {}
+        for name in names:
+            other = by_stem.setdefault(self.stem_of(name), name)
+            if other != name:
+                remedy = "rename one of them"
+                if self.layout == "langsplat":
+                    remedy = (
+                        "LangSplat's files have no folders, and names cut at the first dot; use the compact layout, "
+                        "which scoup extract writes"
+                    )
+                raise InputError(
+                    f"{self.folder}: images {other!r} and {name!r} share the feature name {self.stem_of(name)!r}; "
+                    f"{remedy}"
+                )
+
+    def all_stems(self) -> list[str]:
+        """Return the stems of all views, whatever manifest they were made under."""
+        return view_stems(
+            self.folder, self.endings[0], self.layout == "compact" and self.manifest is not None
+        )
+
     def stems(self) -> list[str]:
         """Return the stems of the views that count: not those made under an abandoned manifest."""
-        ending = self.endings[0]
-        stems = [path.name.removesuffix(ending) for path in view_files(self.folder, ending)]
+        stems = self.all_stems()
         if self.layout == "langsplat":  # whose files do not name their manifest
             return stems
         return [stem for stem in stems if self._counts(self.open_view(stem))]
@@ -126,13 +152,24 @@ class RegionStore:
         view = self.open_view(stem)
         return view if self._counts(view) else None
 
+    def views(self, names: Iterable[str]) -> dict[str, StoredView]:
+        """Return the views that count, by the names of their images; images without a view are left out."""
+        stems = {name: self.stem_of(name) for name in names}
+        self.check_names(stems)
+        views = {name: self.view(stem) for name, stem in stems.items()}
+        if None in views.values():
+            there = {stem for name, stem in stems.items() if views[name] is not None}
+            others = match_stems(set(stems.values()) - there, set(self.all_stems()) - there)
+            views |= {name: self.view(others[stem]) for name, stem in stems.items() if stem in others}
+        return {name: view for name, view in views.items() if view is not None}
+
     def _counts(self, view: StoredView) -> bool:
         return self.manifest is None or view.manifest in (None, self.fingerprint)
 
     def has(self, name: str, photograph: str) -> bool:
         """Return whether the view was made under this manifest from this photograph (its SHA-256)."""
         try:
-            origin = _LAYOUTS[self.layout].origin(self.folder, stem_of(name))
+            origin = _LAYOUTS[self.layout].origin(self.folder, self.stem_of(name))
         except ScoupError:  # not there, or damaged: made again
             return False
         return origin == (self.fingerprint, photograph)
@@ -150,7 +187,7 @@ class RegionStore:
             stem: of the files; that of the view's name if None.
             overwrite: in place of an older one.
         """
-        stem = stem_of(regions.name) if stem is None else stem
+        stem = self.stem_of(regions.name) if stem is None else stem
         if self.layout == "compact":
             kind = np.float16 if self.manifest is None or self.manifest.bits == 16 else np.float32
             rows = {level: item.astype(kind) for level, item in regions.embeddings.items()}

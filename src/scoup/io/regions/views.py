@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import unicodedata
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,8 +11,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from scoup.base.errors import InputError
 
 FOLDER_NAME = "language_features"
 REMEDY = "extract the features again"
@@ -83,6 +83,10 @@ class RegionLayout(Protocol):
         """Endings of the files of a view, labels first; all of them must be there."""
         ...
 
+    def stem_of(self, name: str) -> str:
+        """Return the stem of an image's files, with folders where the layout has them."""
+        ...
+
     def open_view(self, folder: Path, stem: str) -> StoredView:
         """Return a view whose files are there."""
         ...
@@ -107,23 +111,46 @@ def region_folder(path: Path) -> Path:
     return path / FOLDER_NAME if (path / FOLDER_NAME).is_dir() else path
 
 
-def stem_of(name: str) -> str:
-    """Return an image name without folders, cut at its first dot: the stem of region files."""
-    return Path(name).name.split(".", 1)[0]
+def view_stems(folder: Path, ending: str, below: bool = False) -> list[str]:
+    """Return the stems of the files with that ending, in order, without the hidden ones that a killed process leaves.
+
+    Args:
+        below: also those in sub-folders, with their paths.
+    """
+    paths = (path.relative_to(folder) for path in folder.glob(f"{'**/' * below}*{ending}"))
+    return sorted(
+        path.as_posix().removesuffix(ending)
+        for path in paths
+        if not any(part.startswith(".") for part in path.parts)
+    )
 
 
-def view_files(folder: Path, ending: str) -> list[Path]:
-    """Return the files of a folder with that ending, in order, without the hidden ones that a killed process leaves."""
-    return sorted(path for path in folder.glob(f"*{ending}") if not path.name.startswith("."))
+def match_stems(wanted: Iterable[str], there: Iterable[str]) -> dict[str, str]:
+    """Return stems of files by the stems of images that have no file of their own, and which can only mean these.
+
+    They are in another Unicode form, or one of both has no folders (as LangSplat's) or is cut at its first dot.
+    """
+    exact: dict[str, list[str]] = defaultdict(list)
+    cut: dict[str, list[str]] = defaultdict(list)
+    for stem in there:
+        exact[unicodedata.normalize("NFC", stem)].append(stem)
+        cut[_parts(stem)[2]].append(stem)
+    found = {}
+    for each in wanted:
+        same = exact.get(unicodedata.normalize("NFC", each))
+        stems = same or [stem for stem in cut.get(_parts(each)[2], []) if _may_mean(each, stem)]
+        if len(stems) == 1:
+            found[each] = stems[0]
+    claims = Counter(found.values())
+    return {each: stem for each, stem in found.items() if claims[stem] == 1}
 
 
-def check_stems(folder: Path, names: Iterable[str]) -> None:
-    """Refuse two images whose region files would have one name."""
-    by_stem: dict[str, str] = {}
-    for name in names:
-        other = by_stem.setdefault(stem_of(name), name)
-        if other != name:
-            raise InputError(
-                f"{folder}: images {other!r} and {name!r} share the feature name {stem_of(name)!r}"
-                " (names are cut at the first dot); rename one of them"
-            )
+def _parts(stem: str) -> tuple[str, str, str]:
+    """Return the folder, the name in it, and this cut at its first dot."""
+    folder, _, last = unicodedata.normalize("NFC", stem).rpartition("/")
+    return folder, last, last.partition(".")[0]
+
+
+def _may_mean(one: str, other: str) -> bool:
+    (folder, last, cut), (other_folder, other_last, _) = _parts(one), _parts(other)
+    return not (folder and other_folder) and (last == other_last or cut in (last, other_last))

@@ -46,6 +46,11 @@ def turned(gaussians: Gaussians, axis: Axis) -> Gaussians:
     return replace(gaussians, **{name: torch.from_numpy(column) for name, column in turned_columns.items()})
 
 
+def turned_direction(direction: Sequence[float], axis: Axis) -> tuple[float, ...]:
+    """Return a direction in axes turned by 180 degrees."""
+    return tuple(value if name == axis else -value for name, value in zip("xyz", direction, strict=True))
+
+
 def _sh_signs(count: int, x: int, y: int, z: int) -> np.ndarray:
     """Return the signs [count] of real spherical harmonics: products of the axes that each is odd in."""
     signs = []

@@ -30,6 +30,7 @@ FORMATS = Registry("splat format", "scoup.splat_formats", SplatFormat, (
     gltf.FORMAT,
     gaussforge_formats.KSPLAT,
     gaussforge_formats.SOG,
+    gaussforge_formats.SOG_FOLDER,
     usd.FORMAT,
     nerfstudio_checkpoint.FORMAT,
     gsplat_checkpoint.FORMAT,

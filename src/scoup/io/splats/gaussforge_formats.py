@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,13 +20,14 @@ from torch import Tensor
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, ScoupError, ScoupWarning
-from scoup.io.reading import existing_file
+from scoup.io.reading import existing_file, read_json
 from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import Gaussians
 
 HOW_TO_GET_IT = "needs the package gaussforge: pip install 'scoup[splats]', and run again"
-_KSPLAT = ".ksplat"
+_KSPLAT, _META = ".ksplat", "meta.json"
+_WHOLE = "copy the whole folder of the SOG"
 _LEAST_SECONDS = 120
 _SECONDS_A_MEGABYTE = 2.0
 _LEAST_MEMORY, _MEMORY_A_BYTE = 4 << 30, 200
@@ -53,17 +55,46 @@ with open(target, "wb") as stream:
 def read_through_gaussforge(path: str | Path) -> Gaussians:
     """Read a .ksplat or .sog file."""
     path = existing_file(path, "a splat")
-    with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
-        made = Path(folder) / "splat.ply"
-        if not _convert(path, path.suffix.lower()[1:], made, "ply"):
-            raise FileFormatError(path, "cannot be read by gaussforge", _WHAT_IT_IS)
-        try:
-            gaussians = gaussians_from_table(read_ply_table(made))[0]
-        except FileFormatError as error:
-            raise FileFormatError(path, f"is damaged (converted, it {error.problem})", _WHAT_IT_IS) from error
+    gaussians = _converted(path, path, path.suffix.lower()[1:])
     if path.suffix.lower() == _KSPLAT:
         return replace(gaussians, sh=_sh_of_ksplat(gaussians.sh))
     return gaussians
+
+
+def read_sog_folder(path: str | Path) -> Gaussians:
+    """Read the meta.json of a SOG whose images lie beside it, which a .sog has in one archive."""
+    content = read_json(path, "the meta.json of a SOG")
+    parts = [part for part in content.object().values() if isinstance(part, dict)]
+    names = [name for part in parts for name in part.get("files", []) if isinstance(name, str)]
+    if "means" not in content.object() or not names:
+        raise FileFormatError(path, "is not the meta.json of a SOG", _WHAT_IT_IS)
+    with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
+        made = Path(folder) / "splat.sog"
+        with zipfile.ZipFile(made, "w") as archive:
+            for name in [Path(path).name, *names]:
+                if Path(name).name != name:
+                    raise FileFormatError(path, f"names {name!r}, which is not beside it", _WHAT_IT_IS)
+                archive.write(
+                    existing_file(Path(path).parent / name, "a part of a SOG", _WHOLE), name.lower()
+                )
+        return _converted(Path(path), made, "sog")
+
+
+def _converted(path: Path, source: Path, kind: str) -> Gaussians:
+    """Return the Gaussians that gaussforge finds in a file ``source``; ``path`` is for messages."""
+    with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
+        made = Path(folder) / "splat.ply"
+        if not _convert(source, kind, made, "ply"):
+            raise FileFormatError(path, "cannot be read by gaussforge", _WHAT_IT_IS)
+        try:
+            return gaussians_from_table(read_ply_table(made))[0]
+        except FileFormatError as error:
+            raise FileFormatError(path, f"is damaged (converted, it {error.problem})", _WHAT_IT_IS) from error
+
+
+def _is_sog(path: Path) -> bool:
+    """Return whether a file is named and placed as the meta.json of a SOG."""
+    return path.name == _META and any(path.parent.glob("*.webp"))
 
 
 def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
@@ -136,3 +167,4 @@ def _is_installed() -> bool:
 
 KSPLAT = SplatFormat(_KSPLAT, (_KSPLAT,), read_through_gaussforge, write_through_gaussforge, extra="splats")
 SOG = SplatFormat(".sog", (".sog",), read_through_gaussforge, write_through_gaussforge, extra="splats")
+SOG_FOLDER = SplatFormat("unbundled SOG", (_META,), read_sog_folder, has_name=_is_sog, extra="splats")

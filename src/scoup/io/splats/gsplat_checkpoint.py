@@ -94,7 +94,12 @@ def latest_ranks(folder: str | Path) -> list[Path]:
 
 
 def _read_splats(path: Path) -> dict[str, np.ndarray]:
-    content = load_torch(path, _WHAT, _WITHOUT_OBJECTS)
+    content = load_torch(path, _WHAT, _WITHOUT_OBJECTS, numpy_numbers=True)
+    if isinstance(content, (tuple, list)):
+        remedy = "use point_cloud/iteration_*/point_cloud.ply of its training; for language features, scoup convert"
+        raise FileFormatError(
+            path, "is a checkpoint of Inria's code or a relative, such as LangSplat", remedy
+        )
     splats = content.get("splats") if isinstance(content, dict) else None
     if not isinstance(splats, dict):
         raise FileFormatError(path, "has no entry 'splats'", f"it should be {_WHAT}")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError
+from scoup.base.counts import listed
+from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY
 from scoup.io.cameras.inria import latest_point_cloud
 from scoup.io.splats.activation import (
@@ -21,16 +24,22 @@ from scoup.io.splats.activation import (
     unit_quats,
 )
 from scoup.io.splats.ply_compressed import is_compressed, read_compressed
-from scoup.io.splats.ply_header import MIP, format_header, ply_type, read_header
+from scoup.io.splats.ply_header import MIP, PlyHeader, format_header, ply_type, read_header
 from scoup.io.splats.ply_rows import read_large, read_rows
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
 
 _CENTER = ("x", "y", "z")
 _BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
+_RGB = ("red", "green", "blue")  # in place of the base colour
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+_LOG_THIN = math.log(1e-6)  # the third scale of flat Gaussians with two, as viewers take it
 _FILTER = "filter_3D"
+_OTHERWISE = re.compile(
+    r"(trbf|motion|omega|delta|velocity|time|scal(e|ing)_t|rot_r)(_.*)?|t|scale_[3-9]|rot_[4-9]|"  # in time
+    r"(shape|wave|beta|nu|nu_degree|sb_params)(_\d+)?"  # of kernels
+)
 _SAYS_MIP = re.compile(
     r"SplatRenderMode:? *mip|antialiased[:=]? *(1|true)|rasterize_mode[:=]? *antialiased", re.I
 )
@@ -125,11 +134,11 @@ def _activated(table: PlyTable) -> dict[str, np.ndarray]:
     rest = _check_properties(table)
     bases = 1 + len(rest) // 3
     sh = np.empty((len(table), bases, 3), dtype=np.float32)
-    sh[:, 0] = table.columns(_BASE_COLOR)
+    sh[:, 0] = _base_colors(table)
     if rest:
         # The file is channel-major: all of red, then green, then blue.
         sh[:, 1:] = table.columns(rest).reshape(len(table), 3, bases - 1).transpose(0, 2, 1)
-    scales = scales_from_logs(table.columns(_SCALE, np.float64))
+    scales = scales_from_logs(_log_scales(table))
     opacities = opacities_from_logits(table.columns(("opacity",), np.float64)[:, 0])
     if _FILTER in table.names:
         # Of Mip-Splatting: the least size that the photographs resolve, which widens a Gaussian and makes it fainter.
@@ -147,14 +156,34 @@ def _activated(table: PlyTable) -> dict[str, np.ndarray]:
     }
 
 
+def _base_colors(table: PlyTable) -> np.ndarray:
+    """Return [N, 3] coefficients of degree 0; colours are 0 to 1, or 0 to the most of whole numbers."""
+    if _BASE_COLOR[0] in table.names:
+        return table.columns(_BASE_COLOR)
+    kind = table.rows.dtype[_RGB[0]]
+    most = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
+    return ((table.columns(_RGB, np.float64) / most - 0.5) / SH_C0).astype(np.float32)
+
+
+def _log_scales(table: PlyTable) -> np.ndarray:
+    """Return [N, 3] float64; one scale is that of all axes, two are those of a flat Gaussian."""
+    there = tuple(name for name in _SCALE if name in table.names)
+    logs = table.columns(there, np.float64)
+    if len(there) == 1:
+        return np.repeat(logs, 3, axis=1)
+    return logs if len(there) == 3 else np.pad(logs, ((0, 0), (0, 1)), constant_values=_LOG_THIN)
+
+
 def read_ply(path: str | Path) -> Gaussians:
     """Read a 3D Gaussian Splatting PLY; properties are found by name, in any order, SH degree 0 to 4.
+
+    Two scales (2DGS) or one, and red, green, blue in place of f_dc are read too.
 
     Compressed files as PlayCanvas and SuperSplat write them are read too. Of more than ``MOST_ROWS_IN_MEMORY`` rows in
     a binary file, the values are in temporary files (TMPDIR).
 
     Warns:
-        ScoupWarning: rows were dropped, or the file is longer than its header says.
+        ScoupWarning: rows were dropped, the file is longer than its header says, or its Gaussians are not plain ones.
     """
     header = read_header(path)
     if (
@@ -167,8 +196,22 @@ def read_ply(path: str | Path) -> Gaussians:
         gaussians = read_compressed(header.path, read_rows(header))
     else:
         gaussians = gaussians_from_table(PlyTable(header.path, read_rows(header)))[0]
+    _warn_of_other_gaussians(header)
     said = any(_SAYS_MIP.search(comment) for comment in header.comments)
     return replace(gaussians, antialiased=said or _FILTER in (header.dtype.names or ()))
+
+
+def _warn_of_other_gaussians(header: PlyHeader) -> None:
+    """Warn of Gaussians that change with time, or have another kernel."""
+    more = [name for name in header.dtype.names or () if _OTHERWISE.fullmatch(name)]
+    more += [name for name in ("deformation.pth",) if (header.path.parent / name).is_file()]
+    if more:
+        warnings.warn(
+            f"{header.path}: its Gaussians change with time or have another kernel ({listed(more)}), which is ignored: "
+            "renders may be wrong; use a splat of 3DGS, gsplat or splatfacto",
+            ScoupWarning,
+            stacklevel=4,
+        )
 
 
 def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
@@ -206,7 +249,14 @@ def as_stored(gaussians: Gaussians) -> Gaussians:
 
 
 def _check_properties(table: PlyTable) -> tuple[str, ...]:
-    missing = [name for name in _REQUIRED if name not in table.names]
+    names = {*table.names}
+    names |= {*_BASE_COLOR} if {*_RGB} <= names else set()
+    names |= (
+        {*_SCALE}
+        if [name in names for name in _SCALE] in ([True, False, False], [True, True, False])
+        else set()
+    )
+    missing = [name for name in _REQUIRED if name not in names]
     if is_compressed(table.names):
         raise FileFormatError(
             table.path,
@@ -214,11 +264,15 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
             "convert it to a plain one: scoup convert in.compressed.ply out.ply",
         )
     if missing:
-        raise FileFormatError(
-            table.path,
-            f"is not a 3D Gaussian Splatting PLY: it lacks {', '.join(missing)}",
-            "use the PLY of the trained splat, not a point cloud or mesh",
-        )
+        remedy = "use the PLY of the trained splat, not a point cloud or mesh"
+        if any(name.startswith("f_anchor_feat") for name in table.names):
+            remedy = (
+                "it has anchors of Scaffold-GS, from which networks make Gaussians; train with 3DGS or gsplat"
+            )
+        elif len(missing) <= len(_REQUIRED) // 2:
+            remedy = "export the trained splat again, with these properties"
+        problem = f"is not a 3D Gaussian Splatting PLY: it lacks {', '.join(missing)}"
+        raise FileFormatError(table.path, problem, remedy)
     rest = {name for name in table.names if name.startswith("f_rest_")}
     degrees = {3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1)}
     if len(rest) not in degrees or rest != set(_rest_names(len(rest))):

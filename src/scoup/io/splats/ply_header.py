@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from codecs import BOM_UTF8
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,7 +97,9 @@ def format_header(dtype: np.dtype, count: int, comments: tuple[str, ...] = ()) -
     return "\n".join([*lines, "end_header", ""]).encode("latin-1")
 
 
-def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
+def _header_lines(path: Path, head: bytes) -> tuple[list[bytes], int]:
+    mark = len(BOM_UTF8) if head.startswith(BOM_UTF8) else 0
+    head = head[mark:]
     if not head.startswith((b"ply\n", b"ply\r\n")):
         problem = "is empty" if not head else "is not a PLY file (it does not start with 'ply')"
         raise FileFormatError(path, problem, "copy or export it again")
@@ -106,20 +109,21 @@ def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
         raise FileFormatError(
             path, "has no complete PLY header (no end_header)", "the file is damaged; copy or export it again"
         )
-    return head[:end].decode("latin-1").splitlines(), newline + 1
+    return head[:end].split(b"\n"), mark + newline + 1
 
 
-def _parse(path: Path, lines: list[str]) -> tuple[str, list[_Element], tuple[str, ...]]:
+def _parse(path: Path, lines: list[bytes]) -> tuple[str, list[_Element], tuple[str, ...]]:
     encoding = ""
     elements: list[_Element] = []
     comments: list[str] = []
     for line in lines[1:]:
-        words = line.split()
+        # As bytes: text in UTF-8 contains bytes that are line ends and spaces in Latin-1.
+        words = [word.decode("latin-1") for word in line.split()]
         match words:
             case [] | ["obj_info", *_]:
                 pass
             case ["comment", *_]:
-                comments.append(line.split("comment", 1)[1].strip())
+                comments.append(line.split(b"comment", 1)[1].strip().decode("latin-1"))
             case ["format", kind, _] if kind in _ORDERS:
                 encoding = kind
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
@@ -129,8 +133,9 @@ def _parse(path: Path, lines: list[str]) -> tuple[str, list[_Element], tuple[str
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].fields.append((name, _TYPES[kind]))
             case _:
+                shown = line[:60].decode("utf-8", "replace")
                 raise FileFormatError(
-                    path, f"has the header line {line[:60]!r}", "the file is damaged; export it again"
+                    path, f"has the header line {shown!r}", "the file is damaged; export it again"
                 )
     if not encoding:
         raise FileFormatError(

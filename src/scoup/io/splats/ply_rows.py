@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Callable
+from codecs import BOM_UTF8
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 
 import numpy as np
 import torch
 
 from scoup.base.errors import FileFormatError, refused_read
 from scoup.base.scratch import scratch_array
+from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader
 from scoup.scene.gaussians import TENSORS, Gaussians
 
 AT_A_TIME = 1 << 18  # rows of a large file
+_MICROSOFT = {rb"-?nan\(\w*\)|-?1\.#(ind|qnan|snan)\d*": b"nan", rb"1\.#inf\d*": b"inf"}
 
 
 def read_rows(header: PlyHeader) -> np.ndarray:
@@ -61,14 +66,13 @@ def _read_ascii(header: PlyHeader) -> np.ndarray:
     if not header.count:
         return rows
     try:
-        with open(header.path, "rb") as stream, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy warns of files without data; the shape is checked below
+        with open(header.path, "rb") as stream:
             stream.seek(header.offset)
-            values = np.loadtxt(stream, dtype=np.float64, max_rows=header.count, ndmin=2, comments=None)
-    except (OSError, ValueError) as error:
-        raise FileFormatError(
-            header.path, "has lines that are not rows of numbers", "export it again"
-        ) from error
+            values = _numbers(stream, header.count)
+    except OSError as error:
+        raise refused_read(header.path, error) from error
+    except ValueError:
+        values = _foreign_numbers(header)
     if values.shape != (header.count, len(header.dtype.names or ())):
         raise FileFormatError(
             header.path,
@@ -80,3 +84,35 @@ def _read_ascii(header: PlyHeader) -> np.ndarray:
         for column, name in enumerate(header.dtype.names or ()):
             rows[name] = values[:, column]
     return rows
+
+
+def _numbers(lines: Iterable[bytes], count: int) -> np.ndarray:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # numpy warns of files without data; the shape is checked later
+        return np.loadtxt(lines, dtype=np.float64, max_rows=count, ndmin=2, comments=None)
+
+
+def _foreign_numbers(header: PlyHeader) -> np.ndarray:
+    """Return rows that follow a byte order mark, or have NaN and infinity as Microsoft's compiler writes them."""
+    content = read_bytes(header.path)[header.offset :].removeprefix(BOM_UTF8)
+    for written, number in _MICROSOFT.items():
+        content = re.sub(written, number, content, flags=re.IGNORECASE)
+    lines = content.splitlines()
+    try:
+        return _numbers(lines, header.count)
+    except ValueError:
+        words = ((row, word) for row, line in enumerate(lines, start=1) for word in line.split())
+        problem = "has rows of different lengths"
+        for row, word in words:
+            if not _is_number(word):
+                shown = word[:40].decode("utf-8", "replace")
+                problem = f"has {shown!r} in place of a number (row {row})"
+                break
+        raise FileFormatError(header.path, problem, "export it again") from None
+
+
+def _is_number(word: bytes) -> bool:
+    with suppress(ValueError):
+        float(word)
+        return True
+    return False

@@ -1,0 +1,93 @@
+"""Checkpoints of LangSplat and its relatives (chkpnt<step>.pth), one file a level.
+
+LangSplatV2's have Gaussians with a codebook and logits of sparse codes: ZhaoYujie2002/LangSplatV2,
+``scene/gaussian_model.py`` (``capture`` with features, 14 entries) and ``utils/vq_utils.py``
+(``get_weights_and_indices``). LangSplat's have three numbers per Gaussian, codes of its autoencoder:
+minghanqin/LangSplat, ``scene/gaussian_model.py`` (13 entries); those of Occam's LGS and Feature 3DGS embeddings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from scoup.base.errors import FileFormatError
+from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
+from scoup.io.torch_file import float_tensor, load_torch
+from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+
+_WHAT = "a checkpoint of LangSplat or LangSplatV2 (chkpnt<step>.pth, trained with features)"
+_WITHOUT_OBJECTS = "use the chkpnt<step>.pth that the training wrote"
+_PLAIN, _V2 = (
+    12,
+    14,
+)  # entries of what is captured without features, and of LangSplatV2; between them one of features
+
+
+@dataclass(frozen=True, eq=False)
+class LangSplatLevel:
+    """The contents of a checkpoint."""
+
+    gaussians: Gaussians
+    values: np.ndarray  # [N, V, L] float32 logits of the codes by each of V codebooks; or [N, D] features
+    codebooks: np.ndarray | None  # [V, L, D] float32; None for features
+
+
+def read_langsplat(path: str | Path) -> LangSplatLevel:
+    """Read a checkpoint with torch's restricted loader: nothing in it is run."""
+    path = Path(path)
+    content = load_torch(path, _WHAT, _WITHOUT_OBJECTS, numpy_numbers=True)
+    captured = content[0] if isinstance(content, (tuple, list)) and len(content) == 2 else None
+    if not isinstance(captured, (tuple, list)) or len(captured) < _PLAIN:
+        raise FileFormatError(path, "contains no captured Gaussians", f"it should be {_WHAT}")
+    if len(captured) == _PLAIN:
+        problem = "was saved without language features (12 entries)"
+        raise FileFormatError(path, problem, "use a checkpoint of the training with --include_feature")
+    if len(captured) < _V2:
+        # Feature 3DGS has them last, [N, 1, D].
+        place = 7 if isinstance(captured[7], Tensor) and captured[7].dim() > 1 else _PLAIN
+        value = captured[place]
+        features = value.flatten(1) if isinstance(value, Tensor) and value.dim() == 3 else value
+        gaussians, kept = _gaussians(path, captured)
+        rows = _floats(path, features, (len(kept), -1), "language_feature")[kept]
+        return LangSplatLevel(gaussians, rows, None)
+    gaussians, kept = _gaussians(path, captured)
+    count = len(kept)
+    logits = _floats(path, captured[7], (count, -1), "language_feature_logits")
+    codebooks = _floats(path, captured[8], (-1, -1, -1), "language_feature_codebooks")
+    layers, size = codebooks.shape[:2]
+    if not size or logits.shape[1] != layers * size:
+        problem = f"has {logits.shape[1]} logits a Gaussian for {layers} codebooks of {size}"
+        raise FileFormatError(path, problem, "the file is damaged; copy it again")
+    if not (np.isfinite(logits).all() and np.isfinite(codebooks).all()):
+        problem = "has logits or codebooks that are not finite"
+        raise FileFormatError(path, problem, "the training diverged, or the file is damaged")
+    return LangSplatLevel(gaussians, logits.reshape(count, layers, size)[kept], codebooks)
+
+
+def _gaussians(path: Path, captured: Sequence[Any]) -> tuple[Gaussians, np.ndarray]:
+    """Return the Gaussians, and a boolean [N] saying which rows they are."""
+    means = _floats(path, captured[1], (-1, 3), "xyz")
+    count = len(means)
+    rest = _floats(path, captured[3], (count, -1, 3), "features_rest")
+    if rest.shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
+        raise FileFormatError(
+            path, f"has {rest.shape[1]} higher coefficients, no whole SH degree", f"it should be {_WHAT}"
+        )
+    return keep_finite(
+        means=means,
+        quats=unit_quats(_floats(path, captured[5], (count, 4), "rotation")),
+        scales=scales_from_logs(_floats(path, captured[4], (count, 3), "scaling")),
+        opacities=opacities_from_logits(_floats(path, captured[6], (count, 1), "opacity")[:, 0]),
+        sh=np.concatenate([_floats(path, captured[2], (count, 1, 3), "features_dc"), rest], axis=1),
+        source=str(path),
+    )
+
+
+def _floats(path: Path, value: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
+    return float_tensor(path, value, shape, name, _WHAT)

@@ -1,0 +1,254 @@
+"""Files as other people's programs write them: encodings, headers, and kinds of the same thing."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from io_samples import camera_difference, same_gaussians, save_images, some_cameras, some_gaussians
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.extract import find_photographs
+from scoup.io import (
+    as_stored,
+    load_cameras,
+    load_gaussians,
+    save_gaussians,
+    write_colmap,
+    write_inria_cameras,
+    write_transforms,
+)
+from scoup.io.cameras.colmap import read_tracks
+from scoup.io.reading import read_text
+from scoup.io.splats.ply import read_ply_table, write_ply_table
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import SH_C0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(f"comment {text}".encode() for text in ("by Ångström lab", "/全景/光学.jpg", "Συντάκτης", "хлеб")),
+        b"comment scan\x85 final",
+        "obj_info Ångström".encode(),
+        "comment 部屋".encode("shift_jis"),
+        "property float scalar_voilà".encode(),
+    ],
+)
+def test_ply_headers_of_any_text(tmp_path: Path, line: bytes) -> None:
+    given = some_gaussians(3, 0)
+    save_gaussians(given, tmp_path / "a.ply")
+    content = (tmp_path / "a.ply").read_bytes()
+    rows = 0
+    if line.startswith(b"property"):
+        head, body = content.split(b"end_header\n", 1)
+        rows = len(body) // 3
+        body = b"".join(body[rows * row : rows * (row + 1)] + b"\0\0\0\0" for row in range(3))
+        content = head + line + b"\nend_header\n" + body
+    else:
+        content = content.replace(b"element", line + b"\nelement", 1)
+    (tmp_path / "a.ply").write_bytes(b"\xef\xbb\xbf" + content)
+    assert same_gaussians(load_gaussians(tmp_path / "a.ply"), as_stored(given))
+
+
+@pytest.mark.parametrize("nan", [b"nan", b"-nan(ind)", b"1.#QNAN", b"-1.#IND00", b"1.#INF"])
+def test_numbers_of_ascii_ply_files(tmp_path: Path, nan: bytes) -> None:
+    names = ["x", "y", "z", *(f"f_dc_{n}" for n in range(3)), "opacity", *(f"scale_{n}" for n in range(3))]
+    names += [f"rot_{n}" for n in range(4)]
+    head = ["ply", "format ascii 1.0", "element vertex 2", *(f"property float {name}" for name in names)]
+    row = b" ".join([b"0.5"] * 14)
+    content = "\n".join([*head, "end_header", ""]).encode() + b"\xef\xbb\xbf" + row + b"\n"
+    (tmp_path / "a.ply").write_bytes(content + row.replace(b"0.5", nan, 1))
+    with pytest.warns(ScoupWarning, match="dropped 1 of 2"):
+        assert len(load_gaussians(tmp_path / "a.ply")) == 1
+    (tmp_path / "a.ply").write_bytes(content + row.replace(b"0.5", b"0,5"))
+    with pytest.raises(FileFormatError, match=r"has '0,5' in place of a number \(row 2\)"):
+        load_gaussians(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be", "cp1252"])
+def test_encodings_of_text(tmp_path: Path, encoding: str, recwarn: pytest.WarningsRecorder) -> None:
+    mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    (tmp_path / "words.txt").write_bytes(mark + "Küche\r\n".encode(encoding))
+    assert read_text(tmp_path / "words.txt").split() == ["Küche"]
+    assert len(recwarn) == (encoding == "cp1252")
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_image_names_of_another_code_page(tmp_path: Path, binary: bool) -> None:
+    write_colmap(some_cameras(1), tmp_path / "sparse/0", text=not binary)
+    path = tmp_path / "sparse/0" / ("images.bin" if binary else "images.txt")
+    path.write_bytes(path.read_bytes().replace(b"view_00.png", b"K\xfcche.png"))
+    with pytest.warns(ScoupWarning, match="is not in UTF-8"):
+        assert load_cameras(tmp_path, missing_images="keep").names == ("Küche.png",)
+
+
+@pytest.mark.parametrize(("number", "model", "parameters"), [
+    (12, "SIMPLE_DIVISION", 4), (13, "DIVISION", 5), (14, "SIMPLE_FISHEYE", 3), (15, "FISHEYE", 4), (16, "EUCM", 6),
+    (17, "EQUIRECTANGULAR", 2), (99, "99", 4),
+])  # fmt: skip
+def test_lenses_of_colmap_4(tmp_path: Path, number: int, model: str, parameters: int) -> None:
+    remedy = "panorama_sfm" if model == "EQUIRECTANGULAR" else "colmap image_undistorter"
+    for text in (False, True):
+        folder = tmp_path / str(text) / "sparse/0"
+        write_colmap(some_cameras(1), folder, text=text)
+        if text:
+            (folder / "cameras.txt").write_text(f"1 {model} 480 360 " + "433 " * parameters)
+        else:
+            lens = struct.pack(f"<QiiQQ{parameters}d", 1, 1, number, 480, 360, *[433.0] * parameters)
+            (folder / "cameras.bin").write_bytes(lens)
+        with pytest.raises(FileFormatError, match=f"camera.* model {model}.*{remedy}"):
+            load_cameras(folder)
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM"])
+def test_image_undistorter_makes_pinholes_of_them(model: str) -> None:
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    if not hasattr(pycolmap.CameraModelId, model):
+        pytest.skip("this pycolmap is older than COLMAP 4")
+    two = model not in ("SIMPLE_DIVISION", "SIMPLE_FISHEYE")
+    more = {"SIMPLE_DIVISION": [-0.01], "DIVISION": [-0.01], "EUCM": [0.5, 1.0]}.get(model, [])
+    camera = pycolmap.Camera(model=model, width=480, height=360, params=[433] * (1 + two) + [240, 180, *more])
+    pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+    assert pinhole.model.name == "PINHOLE"
+
+
+def test_one_line_per_image(tmp_path: Path) -> None:
+    cameras = some_cameras(4)
+    write_colmap(cameras, tmp_path, text=True)
+    path = tmp_path / "images.txt"
+    lines = [line for line in path.read_text().splitlines() if line]
+    path.write_text("\n".join([*lines[:-1], "1.5 2.5 7 3 4 -1", lines[-1], ""]))
+    (tmp_path / "points3D.txt").write_text("7 0 0 0 1 2 3 0 3 0\n")
+    assert camera_difference(load_cameras(tmp_path, missing_images="keep"), cameras) < 1e-12
+    assert read_tracks(tmp_path)[1] == [["view_02.png"]]
+
+
+def test_a_nerf_synthetic_scene(tmp_path: Path) -> None:
+    for part, count in (("train", 3), ("test", 2)):
+        cameras = some_cameras(count)
+        save_images(cameras, tmp_path / part)
+        write_transforms(cameras, tmp_path / "transforms.json", overwrite=True)
+        content = json.loads((tmp_path / "transforms.json").read_text())
+        for frame in content["frames"]:
+            frame["file_path"] = frame["file_path"].replace("images", f"./{part}").removesuffix(".png")
+        (tmp_path / f"transforms_{part}.json").write_text(json.dumps(content))
+    (tmp_path / "transforms.json").unlink()
+    loaded = load_cameras(tmp_path)
+    assert camera_difference(loaded, some_cameras(3)) < 1e-12
+    assert loaded[0].image_path == tmp_path / "train/view_00.png"
+    assert [item.path for item in find_photographs(tmp_path)] == [camera.image_path for camera in loaded]
+    (tmp_path / "transforms_train.json").unlink()
+    with pytest.raises(MissingFileError, match=r"pass the file itself: .*transforms_test.json"):
+        load_cameras(tmp_path)
+    assert len(load_cameras(tmp_path / "transforms_test.json")) == 2
+
+
+@pytest.mark.parametrize(("end", "gone", "has"), [(".bin", "images", "cameras"), (".txt", "images", "cameras"),
+                                                  (".bin", "cameras", "images")])  # fmt: skip
+def test_half_a_colmap_model(tmp_path: Path, end: str, gone: str, has: str) -> None:
+    write_colmap(some_cameras(2), tmp_path / "sparse/0", text=end == ".txt")
+    (tmp_path / "sparse/0" / f"{gone}{end}").unlink()
+    for folder in (tmp_path, tmp_path / "sparse/0"):
+        with pytest.raises(MissingFileError, match=f"sparse/0: has {has}{end} but not {gone}{end}"):
+            load_cameras(folder)
+
+
+def test_names_that_inrias_code_has_cut(tmp_path: Path) -> None:
+    write_inria_cameras(some_cameras(2), tmp_path / "cameras.json")
+    path = tmp_path / "cameras.json"
+    path.write_text(path.read_text().replace("view_01.png", "0000").replace("view_00.png", "0000"))
+    with pytest.raises(
+        FileFormatError, match=r"two cameras are named '0000'.*use the scene that the splat was trained on"
+    ):
+        load_cameras(path)
+
+
+def test_cameras_are_found_by_names_of_any_form() -> None:
+    one, two, three = some_cameras(3)
+    cameras = Cameras(
+        replace(camera, name=name)
+        for camera, name in zip(
+            (one, two, three), ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png"), strict=True
+        )
+    )
+    assert cameras["cam1/0"] is cameras["cam1/0.png"] is cameras[0]
+    for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
+        assert cameras[name] is cameras[2]
+    with pytest.raises(UnknownNameError, match=r"nearest names: 'cam1/0\.png', 'cam2/0\.png'"):
+        cameras["0"]
+
+
+def changed_columns(path: Path, gone: str, **added: np.ndarray) -> None:
+    """Rewrite a PLY without some properties, and with others."""
+    table = read_ply_table(path)
+    kept = [name for name in table.names if not re.fullmatch(gone, name)]
+    table = replace(table, rows=table.rows[kept].astype([(name, table.rows.dtype[name]) for name in kept]))
+    for name, column in added.items():
+        table = table.with_column(name, column)
+    write_ply_table(table, path, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("gone", "added", "change"),
+    [
+        (
+            "scale_2",
+            {},
+            {"scales": lambda given: torch.cat([given.scales[:, :2], torch.full((5, 1), 1e-6)], 1)},
+        ),
+        ("scale_[12]", {}, {"scales": lambda given: given.scales[:, :1].expand(-1, 3)}),
+        ("f_dc_.", {"red": 255, "green": 0, "blue": 51}, {}),
+        ("f_dc_.", {"red": 1.0, "green": 0.0, "blue": 0.2}, {}),
+        ("f_dc_.", {"red": 65535, "green": 0, "blue": 13107}, {}),
+    ],
+)
+def test_splats_with_other_properties(tmp_path: Path, gone: str, added: Any, change: Any) -> None:
+    given = some_gaussians(5, 1)
+    save_gaussians(given, tmp_path / "a.ply")
+    kinds = {float: np.float32, int: np.uint16 if 65535 in added.values() else np.uint8}
+    columns = {name: np.full(5, value, kinds[type(value)]) for name, value in added.items()}
+    changed_columns(tmp_path / "a.ply", gone, **columns)
+    found = load_gaussians(tmp_path / "a.ply")
+    expected = given.tensors() | {name: function(given) for name, function in change.items()}
+    if added:
+        expected["sh"] = given.sh.clone()
+        expected["sh"][:, 0] = (torch.tensor([1.0, 0.0, 0.2]) - 0.5) / SH_C0
+    for name, tensor in found.tensors().items():
+        torch.testing.assert_close(tensor, expected[name], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("gone", "added", "said"),
+    [
+        ("rot_.", (), "lacks rot_0, .*; export the trained splat again"),
+        ("f_dc_.", ("red",), "lacks f_dc_0"),
+        ("scale_0", (), "lacks scale_0"),
+        ("f_dc_.", ("f_anchor_feat_0", "scale_3"), "anchors of Scaffold-GS"),
+        ("(scale|rot|f_dc)_.|opacity", ("red", "green", "blue"), "not a point cloud or mesh"),
+    ],
+)
+def test_what_no_splat_lacks(tmp_path: Path, gone: str, added: tuple[str, ...], said: str) -> None:
+    save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
+    changed_columns(tmp_path / "a.ply", gone, **dict.fromkeys(added, np.zeros(5, np.uint8)))
+    with pytest.raises(FileFormatError, match=said):
+        load_gaussians(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    "name", ["trbf_center", "trbf_scale_0", "motion_3", "t", "scale_3", "nu_degree", "beta"]
+)
+def test_gaussians_that_are_not_plain(tmp_path: Path, name: str) -> None:
+    save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
+    changed_columns(tmp_path / "a.ply", "", semantic_0=np.zeros(5), label=np.zeros(5, np.int32))
+    assert len(load_gaussians(tmp_path / "a.ply")) == 5
+    changed_columns(tmp_path / "a.ply", "", **{name: np.zeros(5, np.float32)})
+    with pytest.warns(ScoupWarning, match=f"change with time or have another kernel \\({name}\\)"):
+        load_gaussians(tmp_path / "a.ply")
