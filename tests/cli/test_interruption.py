@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE, Popen
 
 import pytest
 
+from children import child
 from cli_support import BUILD, QUICK, RUN, refused, run, run_json
 from scoup.base.atomic import reserved_output
 from scoup.base.locks import locked
 from scoup.io import load_gaussians, save_gaussians, save_png
 from scoup.io.regions.store import RegionStore
-from support import HANGS
 
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
@@ -25,8 +25,7 @@ FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
 # A build in a process of its own that rasterises no third view: it waits, once two are in their files.
 STUCK = """
-import signal, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell without job control has it ignored
+import time
 from scoup import raster
 from scoup.cli.app import entry
 from scoup.uplift.region_sums import RegionSums
@@ -54,19 +53,15 @@ def names() -> set[str]:
 
 
 @contextmanager
-def stuck(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+def stuck(*arguments: object) -> Iterator[Popen[str]]:
     """The build, stuck after two views."""
-    command = [sys.executable, "-c", STUCK, *map(str, arguments)]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+    command = [sys.executable, "-c", STUCK, *arguments]
+    with child(command) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
         while line and not line.startswith("two views"):
             line = process.stdout.readline()
-        try:
-            yield process
-        finally:
-            process.kill()  # a test that fails must not wait for it
+        yield process
 
 
 @pytest.mark.parametrize(
@@ -78,7 +73,7 @@ def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word:
     with stuck(*KEEP) as build:
         assert refused(*KEEP).startswith("a.scoup: is being written by another process; wait for it")
         build.send_signal(number)
-        _, err = build.communicate(timeout=HANGS)
+        _, err = build.communicate()
     assert build.returncode == code
     assert err == f"error: {word}; 2 of 4 views are kept, run the same command again to continue\n"
     assert names() - before == {"sums"}  # neither lock nor temporary files
@@ -93,7 +88,7 @@ def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
     before = names()
     with stuck(*KEEP) as build:
         build.kill()
-        build.communicate(timeout=HANGS)
+        build.communicate()
     assert names() - before == {"sums", ".a.scoup.work.lock"}
     code, out, err = run(*KEEP)
     assert (code, err) == (0, "")
@@ -105,7 +100,7 @@ def test_without_kept_sums_nothing_is_kept() -> None:
     before = names()
     with stuck(*BUILD) as build:
         build.send_signal(signal.SIGINT)
-        _, err = build.communicate(timeout=HANGS)
+        _, err = build.communicate()
     assert err == "error: interrupted; nothing was written\n"
     assert names() == before
 
@@ -114,7 +109,7 @@ def test_what_a_killed_build_leaves_goes_with_the_next() -> None:
     before = names()
     with stuck(*BUILD) as build:
         build.kill()
-        build.communicate(timeout=HANGS)
+        build.communicate()
     assert names() - before == {".a.scoup.work", ".a.scoup.work.lock"}
     assert run(*BUILD)[0] == 0
     assert names() - before == {"a.scoup"}
@@ -201,10 +196,9 @@ def test_where_nothing_is_kept_nothing_is_left(verb, inside: str, monkeypatch: p
 def test_a_server_of_agents_ends_quietly_when_it_is_terminated() -> None:
     pytest.importorskip("mcp", reason="needs scoup[mcp]")
     command = [sys.executable, "-c", RUN, "mcp", "f.scoup"]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as server:
+    with child(command, stdin=PIPE) as server:
         assert server.stderr is not None
         assert "serving f" in server.stderr.readline()
         server.send_signal(signal.SIGTERM)
-        _, err = server.communicate(timeout=HANGS)
+        _, err = server.communicate()
     assert (server.returncode, err) == (143, "")
