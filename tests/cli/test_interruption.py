@@ -12,7 +12,7 @@ from subprocess import PIPE, Popen
 
 import pytest
 
-from children import child
+from children import child, finished
 from cli_support import BUILD, QUICK, RUN, refused, run, run_json
 from scoup.base.atomic import reserved_output
 from scoup.base.locks import locked
@@ -21,6 +21,7 @@ from scoup.io.regions.store import RegionStore
 
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
+PYTHON = sys.executable  # that of most tests here has imported everything already
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
 # A build in a process of its own that rasterises no third view: it waits, once two are in their files.
@@ -202,3 +203,57 @@ def test_a_server_of_agents_ends_quietly_when_it_is_terminated() -> None:
         server.send_signal(signal.SIGTERM)
         _, err = server.communicate()
     assert (server.returncode, err) == (143, "")
+
+
+# The command line, which sends itself a signal when it has imported so many modules, one of which makes another error
+# of an interruption.
+AT_AN_IMPORT = """
+import signal, sys
+from scoup.cli.app import entry
+number, count = int(sys.argv.pop(1)), int(sys.argv.pop(1))
+class Interrupts:
+    def find_spec(self, name, *_):
+        global count
+        count -= 1
+        try:
+            count or signal.raise_signal(number)
+        except KeyboardInterrupt as error:
+            raise ImportError(name) from error
+sys.meta_path.insert(0, Interrupts())
+entry()
+"""
+# An output is being written meanwhile.
+AT_WORK = """
+import sys, time
+from scoup.base.atomic import reserved_output
+from scoup.cli.stop import exit_code, stop_on_signals
+stop_on_signals()
+try:
+    with reserved_output("a.scoup"):
+        import stops
+        while True:
+            time.sleep(0.01)
+except KeyboardInterrupt as stop:
+    sys.exit(exit_code(stop))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("count", [1, 40, 160, 640, 1200])
+def test_a_stop_while_libraries_are_imported_is_quiet(number: int, count: int) -> None:
+    arguments = ("query", "f.scoup", "kettle", "--out", "answers")
+    done = finished([PYTHON, "-c", AT_AN_IMPORT, int(number), count, *arguments])
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
+    assert not Path("answers").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_during_an_import_waits_where_an_output_is_begun(number: int) -> None:
+    Path("stops.py").write_text(f"import signal\nsignal.raise_signal({int(number)})\nopen('whole', 'w')\n")
+    before = names()
+    done = finished([PYTHON, "-c", AT_WORK])
+    assert (done.returncode, done.stderr) == (128 + number, "")
+    assert names() - before - {"__pycache__"} == {
+        "whole"
+    }  # the import was not cut short, the output not left

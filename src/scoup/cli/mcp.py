@@ -8,9 +8,10 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from scoup.cli.console import Console, Terminated
+from scoup.cli.console import Console
 from scoup.cli.options import Common, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import check_metres
+from scoup.cli.stop import Terminated
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import re
 import shutil
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import or_
@@ -15,28 +14,11 @@ from typing import Annotated, Any
 
 import tyro
 
+from scoup.cli.family import Family
 from scoup.cli.option_groups import REGISTRY
 
 _WIDEST = 120  # columns: longer lines of text are hard to read
 _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining the lines
-
-
-@dataclass(frozen=True)
-class Family:
-    """Verbs by name, or families of verbs.
-
-    Attributes:
-        description: for the help; its first paragraph for lists.
-        verbs: where each is, "module:name" of a dataclass or of a further family; imported when it is used.
-    """
-
-    description: str
-    verbs: Mapping[str, str]
-
-    def load(self, name: str) -> type | Family:
-        """Import a verb, or a family of verbs."""
-        module, _, attribute = self.verbs[name].partition(":")
-        return getattr(importlib.import_module(module), attribute)
 
 
 def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
