@@ -194,15 +194,19 @@ def test_where_nothing_is_kept_nothing_is_left(verb, inside: str, monkeypatch: p
     assert {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()} == before
 
 
-def test_a_server_of_agents_ends_quietly_when_it_is_terminated() -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_a_server_of_agents_ends_quietly_while_its_input_is_open(number: signal.Signals, code: int) -> None:
     pytest.importorskip("mcp", reason="needs scoup[mcp]")
-    command = [sys.executable, "-c", RUN, "mcp", "f.scoup"]
-    with child(command, stdin=PIPE) as server:
+    with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
         assert server.stderr is not None
         assert "serving f" in server.stderr.readline()
-        server.send_signal(signal.SIGTERM)
-        _, err = server.communicate()
-    assert (server.returncode, err) == (143, "")
+        server.stdin.write("?\n")
+        server.stdin.flush()
+        assert "error" in server.stdout.readline()  # it reads
+        server.send_signal(number)
+        assert (server.wait(), server.stderr.read()) == (code, "")
 
 
 # The command line, which sends itself a signal when it has imported so many modules, one of which makes another error
