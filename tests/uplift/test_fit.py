@@ -267,6 +267,14 @@ def test_numbers_behind_a_verdict():
     )
 
 
+def test_cameras_that_see_next_to_nothing_of_another_splat():
+    own = np.array([0.0, 0.05, *[np.nan] * 6])
+    similarity = np.where(np.eye(8, dtype=bool), own, np.nan)
+    for coverage, verdict in ((0.001, Verdict.HOPELESS), (0.5, Verdict.DOUBTFUL)):
+        fit = Fit(tuple("abcdefgh"), np.array([0.5, 0.5, *[coverage] * 6]), similarity)
+        assert fit.verdict is verdict
+
+
 @pytest.mark.data
 def test_the_kitchen_and_the_splat_of_a_guitar(data_folder: Path):
     kitchen, guitar = data_folder / "kitchen", data_folder / "guitar"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import random
 import socket
@@ -21,9 +22,12 @@ import pytest
 from children import child
 
 pytest.importorskip("uvicorn", reason="needs scoup[view]")
+from starlette.responses import Response
 from view_samples import PAGE, viewed_field
 
 from scoup.view import connections
+from scoup.view.guard import Guard
+from scoup.view.server import _Guarded
 from scoup.view.viewer import Viewer
 
 ASK_LICENCES = "GET PATHlicences.txt HTTP/1.1\r\nHost: HOST\r\n\r\n"
@@ -107,6 +111,10 @@ def test_slow_readers_lock_nobody_out(viewer: Viewer) -> None:
         for _ in range(12):
             reader = stack.enter_context(connect(viewer, ASK_LICENCES))
             assert reader.recv(15) == b"HTTP/1.1 200 OK"
+            while not all(
+                each.flow.write_paused for each in connections.opened_of(viewer._server.server_state)
+            ):
+                time.sleep(0.01)
         assert answers(viewer)
 
 
@@ -127,6 +135,25 @@ def test_answers_arrive_whole(monkeypatch: pytest.MonkeyPatch, size: int) -> Non
         urllib.request.urlopen(f"{viewer.address}licences.txt", timeout=30) as answer,
     ):
         assert answer.read().decode() == text
+
+
+def test_others_have_their_turn_between_the_parts_of_an_answer() -> None:
+    told: list[str] = []
+
+    async def send(message: Any) -> None:
+        told.append("part" if message.get("body") else "start")
+
+    async def both() -> None:
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [(b"host", b"localhost")]}
+        inner: Any = Response(bytes(3 * connections.PART))
+        receive: Any = send  # nothing is received
+        answer = asyncio.ensure_future(_Guarded(inner, Guard.of("localhost"))(scope, receive, send))
+        while not answer.done():
+            told.append("others")
+            await asyncio.sleep(0)
+
+    asyncio.run(both())
+    assert told == ["others", "start", "part", "others", "part", "others", "part"]
 
 
 @pytest.mark.usefixtures("few_places")
@@ -170,6 +197,7 @@ def test_the_address_with_the_most_connections_makes_room() -> None:
 
 FEW_FILES = """
 import resource, sys
+from starlette.responses import Response
 from view_samples import PAGE, viewed_field
 from scoup.view import viewer
 viewer.page_files = lambda: PAGE

@@ -22,7 +22,14 @@ from scoup.base.counts import listed, share_of, verb
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.uplift.similarity import Array, load_photographs, render_small, similarities, small_views
+from scoup.uplift.similarity import (
+    LEAST_COVERED,
+    Array,
+    load_photographs,
+    render_small,
+    similarities,
+    small_views,
+)
 
 MOST_VIEWS = 8  # rendered
 BLIND = 0.0004  # share of covered pixels below which a camera sees nothing
@@ -117,7 +124,7 @@ class Fit:
         few = FEW * compared
         if len(self.unlike) <= few and not self.matches:
             return Verdict.FITS
-        own = np.where(self.blind, 0.0, self.own)  # what sees nothing looks like nothing
+        own = np.where(self.coverage < LEAST_COVERED, 0.0, self.own)  # next to nothing looks like nothing
         own = own[~np.isnan(own)]
         is_wrong = np.median(own) < LIKE or len(self.mistaken) > few or self.matches
         return Verdict.HOPELESS if is_wrong and len(own) >= ENOUGH else Verdict.DOUBTFUL

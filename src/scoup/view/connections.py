@@ -25,7 +25,7 @@ SECONDS = 20.0
 """For a whole request, and for reading each ``PART`` of an answer."""
 BURST = MOST // 2
 """Connections that are accepted in one go: their requests are read before as many again are."""
-PART = 262_144
+PART = 65_536
 """Bytes of an answer that are handed to the system at a time."""
 _UNAVAILABLE = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import tempfile
 from collections.abc import Awaitable, Callable
@@ -263,6 +264,7 @@ class _Guarded:
             body = message.get("body", b"")
             for start in range(PART, len(body), PART):  # a client has a deadline for each
                 await send({**message, "body": body[start - PART : start], "more_body": True})
+                await asyncio.sleep(0)  # others have their turn
             await send({**message, "body": body[(len(body) - 1) // PART * PART :]} if body else message)
 
         if reason is not None:
