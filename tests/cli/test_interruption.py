@@ -261,3 +261,10 @@ def test_a_stop_during_an_import_waits_where_an_output_is_begun(number: int) -> 
     assert names() - before - {"__pycache__"} == {
         "whole"
     }  # the import was not cut short, the output not left
+
+
+def test_who_ignores_interruptions_still_does() -> None:
+    """As jobs in the background of a shell."""
+    program = "import signal; signal.signal(2, signal.SIG_IGN); from scoup.cli.stop import stop_on_signals; "
+    program += "stop_on_signals(); print(signal.getsignal(2) is signal.SIG_IGN)"
+    assert finished([sys.executable, "-c", program], check=True).stdout == "True\n"
