@@ -28,7 +28,7 @@ test: .venv/installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
 
 test-all: test
-	SCOUP_TEST_EXAMPLES=all OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis"
+	SCOUP_TEST_EXAMPLES=all OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --timeout 1200 -m "slow or hypothesis"
 
 test-engines: .venv/installed-dev
 	$(BIN)/python -m pip install --quiet ray || true

@@ -6,7 +6,8 @@ import sys
 
 from benchmarks.study import Study, run
 from scoup.base.errors import ScoupError
-from scoup.cli.parsing import Family, parse
+from scoup.cli.family import Family
+from scoup.cli.parsing import parse
 
 STUDIES = Family(
     """Measure what the documents say. Each study prints a table and, with --out FILE.json, writes its figures with the

@@ -6,16 +6,18 @@ import contextlib
 import io
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any
 
 import numpy as np
 import torch
 
+from children import child
 from scoup.cli import main
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap
 from scoup.models.word_table import load_table, save_table
@@ -23,7 +25,7 @@ from scoup.models.words import CANONICAL_PHRASES
 from scoup.raster import render_colors
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import Regions
-from support import HANGS, small_scene, unit
+from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
 QUICK = ("--n-atoms", "8", "--effort", "fast")
@@ -83,20 +85,16 @@ def run(*arguments: object) -> tuple[int, str, str]:
     return code, out.getvalue(), err.getvalue()
 
 
-def together(*commands: Sequence[object]) -> list[subprocess.CompletedProcess[str]]:
+def together(*commands: Sequence[object]) -> list[CompletedProcess[str]]:
     """Verbs in processes that run at the same time, and how each ended."""
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-c", RUN, *map(str, command)],
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for command in commands
-    ]
-    ended = [(process, process.communicate(timeout=HANGS)) for process in started]
-    return [subprocess.CompletedProcess([], one.returncode, *streams) for one, streams in ended]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with ExitStack() as stack:
+        started = [
+            stack.enter_context(child([sys.executable, "-c", RUN, *command], env=environment))
+            for command in commands
+        ]
+        ended = [(process, process.communicate()) for process in started]
+    return [CompletedProcess([], one.returncode, *streams) for one, streams in ended]
 
 
 def run_json(*arguments: object) -> dict[str, Any]:

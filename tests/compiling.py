@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from children import finished
 from machine_code import unwritten
 
 _WARP = 32
@@ -75,7 +75,7 @@ def _cuobjdump(option: str, binary: Path) -> str:
     tool = Path(triton.__file__).parent / "backends" / "nvidia" / "bin" / "cuobjdump"
     if not tool.exists():
         pytest.skip("compiled; this triton comes without cuobjdump, which reports what spills")
-    return subprocess.run([str(tool), option, str(binary)], capture_output=True, text=True, check=True).stdout
+    return finished([tool, option, binary], check=True).stdout
 
 
 def _resources(binary: Path) -> tuple[int, int]:

@@ -7,16 +7,17 @@ import functools
 import importlib.util
 import os
 import shlex
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from subprocess import DEVNULL
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from children import child
 from scoup.base import native
 from support import examples
 
@@ -120,11 +121,10 @@ def preloaded_python() -> Iterator[str]:
         program.write_text(f'#!/bin/sh\nexec {shlex.join(map(str, client))} "$@"\n')
         program.chmod(0o755)
         server = [sys.executable, tests / "preloaded.py", address, program]
-        with subprocess.Popen(server, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
+        with child(server, stdin=DEVNULL, stderr=None) as process:
             assert process.stdout is not None
-            assert process.stdout.readline() == b"ready\n"
+            assert process.stdout.readline() == "ready\n"
             yield str(program)
-            process.terminate()
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ purpose: the tests then hold later code to it.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 import torch
 
 import scoup
+from children import finished
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.bench import random_scene_cameras, random_scene_gaussians, random_scene_regions
 
@@ -53,7 +53,7 @@ def room():
 def kitchen(folder: Path, features: Path):
     """(gaussians, cameras, regions) of the real kitchen at half size; ``features`` is a folder to write to."""
     script = [sys.executable, folder / "make_langsplat_features.py", folder, "--out", features]
-    subprocess.run([str(part) for part in script], check=True, capture_output=True)
+    finished(script, check=True)
     cameras = scoup.load_cameras(folder).scaled(0.5)
     return (
         scoup.load_gaussians(folder / "scene" / "model.splat"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from support import ready_processes
+from children import workers
 
 
 def interpret_kernels() -> None:
@@ -26,7 +26,7 @@ def interpret_kernels() -> None:
 @contextmanager
 def interpreter() -> Iterator[ProcessPoolExecutor]:
     """A process that interprets all kernels."""
-    with ProcessPoolExecutor(1, mp_context=ready_processes(), initializer=interpret_kernels) as worker:
+    with workers(1, interpret_kernels) as worker:
         yield worker
 
 

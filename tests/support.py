@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
-from multiprocessing import get_context
-from multiprocessing.context import BaseContext
 
 import torch
 from hypothesis import strategies as st
@@ -15,22 +12,10 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
 
-HANGS = 1800
-"""Seconds until a process that a test has started counts as one that never ends, on however busy a machine."""
-
 
 def examples(full: int) -> int:
     """How many examples a test tries: a quarter of ``full``; all of them in ``make test-all``."""
     return full if os.environ.get("SCOUP_TEST_EXAMPLES") == "all" else max(5, full // 4)
-
-
-def ready_processes() -> BaseContext:
-    """Starts processes that have imported torch and scoup already; elsewhere than on Linux, they import them."""
-    if not sys.platform.startswith("linux"):
-        return get_context("spawn")
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["scoup.uplift.build"])
-    return context
 
 
 KINDS = (

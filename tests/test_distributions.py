@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import shutil
-import subprocess
 import sys
 import tarfile
 import zipfile
@@ -16,6 +15,8 @@ import pytest
 from tools import check_distributions, release
 from tools.build_viewer import FINGERPRINT, is_current
 from tools.check_distributions import PAGE, faults, incomplete
+
+from children import finished
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = "scoup/_native.cpython-311-x86_64-linux-gnu.so"
@@ -125,10 +126,7 @@ def build(source: Path, kind: str, out: Path, **variables: str) -> Path:
     call = f"import build_backend; print(build_backend.build_{kind}({str(out)!r}))"
     environment = {**os.environ, "PATH": str(out), "PYTHONPATH": str(source / "tools"), **variables}
     out.mkdir(exist_ok=True)
-    done = subprocess.run(
-        [sys.executable, "-c", call], cwd=source, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = finished([sys.executable, "-c", call], check=True, cwd=source, env=environment)
     return out / done.stdout.splitlines()[-1]
 
 
@@ -156,9 +154,7 @@ def test_where_the_page_is_required_its_lack_is_an_error(tmp_path: Path) -> None
     shutil.copytree(ROOT / "tools", tmp_path / "tools")
     call = "import build_backend; build_backend.build_sdist('.')"
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "tools"), "SCOUP_PAGE_REQUIRED": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", call], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
+    done = finished([sys.executable, "-c", call], cwd=tmp_path, env=environment)
     assert done.returncode == 1
     assert done.stderr.startswith(
         "the page of scoup view could not be built: the sources of the page are not at"

@@ -9,20 +9,21 @@ from __future__ import annotations
 import os
 import shutil
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from children import child, finished
 from test_part_examples import EXAMPLES, is_whole
 from test_part_examples import original as original
 from test_part_examples import parts_folder as parts_folder
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_python")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800), pytest.mark.usefixtures("quick_python")]
 
 PATIENCE = 900  # seconds: machines that test may be busy
 # As the kernel does when memory runs out: it kills scoup, not the script that has started it.
@@ -67,7 +68,7 @@ def free_ports() -> tuple[int, int]:
 
 def said(*command: object) -> str:
     """What a program of Slurm prints; "" where it fails, as while the controller starts."""
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=120)
+    done = finished(command)
     return done.stdout.strip() if not done.returncode else ""
 
 
@@ -109,27 +110,21 @@ def slurm(
         "seed-file": "seed",
     }
     options = [f"--{option}={folder / name}" for option, name in places.items()]
-    started: list[subprocess.Popen[bytes]] = []
-    try:
+    with ExitStack() as started:
         for program, given in zip(
             programs, (["--foreground", "--force", *options], ["-D"], ["-D"]), strict=True
         ):
-            with (folder / f"{Path(str(program)).name}.out").open("wb") as log:
-                started.append(subprocess.Popen([str(program), *given], stdout=log, stderr=log))
+            log = started.enter_context((folder / f"{Path(str(program)).name}.out").open("wb"))
+            started.enter_context(child([program, *given], stdout=log, stderr=log))
             if program == programs[0]:
                 wait_for("munged has its socket", (folder / "munge.socket").exists)
         wait_for("the node is idle", lambda: "idle" in said("sinfo", "--noheader", "--format=%T"))
         yield
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait(60)
 
 
 def submitted(*command: object) -> None:
     """Submit jobs and wait for their end; a job that was put back is started at once, not two minutes later."""
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
-    assert not done.returncode, done.stdout + done.stderr
+    finished(command, check=True)
 
     def is_done() -> bool:
         waiting = said("squeue", "--noheader", "--array", "--format=%i %r").splitlines()
@@ -161,10 +156,8 @@ def test_ray_with_a_task_that_is_killed(here: Path, monkeypatch: pytest.MonkeyPa
         cluster.add_node(num_cpus=1)
         monkeypatch.setenv("RAY_ADDRESS", str(cluster.address))
         example = (EXAMPLES / "10_parts_with_ray.py", "scene", "scene/words.npz", 3, "g.scoup")
-        command = [sys.executable, *(str(part) for part in example)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+        finished([sys.executable, *example], check=True)
     finally:
         cluster.shutdown()
-    assert not done.returncode, done.stdout + done.stderr
     assert (here / "killed").exists()
     assert is_whole()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import torch
 from PIL import Image
 
 import scoup
+from children import finished
 from cli_support import run, write_scene
 from scoup.extract.plain_colors import PlainColors
 from scoup.models.word_table import save_table
@@ -31,10 +31,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def example(name: str, *arguments: object) -> str:
     """What an example prints."""
-    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return finished([sys.executable, EXAMPLES / name, *arguments], check=True).stdout
 
 
 def colored(scene: Path, folder: Path) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 import torch
 
 import scoup
+from children import finished
 from cli_support import run
 from scoup.io import load_image
 from scoup.raster import render_colors
@@ -26,7 +26,7 @@ def test_kitchen_from_files_to_scores(data_folder: Path, tmp_path: Path):
         pytest.skip(f"no kitchen in {data_folder}")
     features = tmp_path / "features"
     script = [sys.executable, kitchen / "make_langsplat_features.py", kitchen, "--out", features]
-    subprocess.run([str(part) for part in script], check=True, capture_output=True)
+    finished(script, check=True)
     out = tmp_path / "kitchen.scoup"
     # Eight of the 24 views hold less than the full build: every other labelled one, and views between.
     regions_kept = tmp_path / "some"

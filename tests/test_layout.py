@@ -20,7 +20,7 @@ EXPORTING = {"scoup", "scoup.base.errors", "scoup.coding", "scoup.io", "scoup.pi
 """Modules that hand on what their rooms, or all of them, export."""
 INNER = {
     "base": "atomic backends counts digests json_node native progress records registry staging version",
-    "cli": "console options parsing",
+    "cli": "console options family",
     "coding": "kmeans",
     "field": "part_sizes relevancy",
     "io": "images reading regions.views splats.ply",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from children import finished
 from cli_support import run, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick_python")
@@ -61,7 +61,7 @@ def parts_folder(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def launched(*command: object, code: int = 0) -> str:
     """What a program says, on both streams."""
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+    done = finished(command)
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout + done.stderr
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from children import finished
 from cli_support import write_scene
 
 PLUGIN = Path(__file__).resolve().parents[1] / "examples" / "plugin"
@@ -39,9 +39,9 @@ def test_a_package_is_used_by_name(tmp_path: Path) -> None:
     source = shutil.copytree(PLUGIN, tmp_path / "source", ignore=shutil.ignore_patterns("__pycache__"))
     quietly = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
     install = [sys.executable, "-m", "pip", "install", *quietly, "--target", tmp_path / "site", source]
-    subprocess.run(install, check=True)
+    finished(install, check=True)
     write_scene(tmp_path / "scene")
     (tmp_path / "words.npz.bak").touch()
     places = os.pathsep.join([str(tmp_path / "site"), str(Path(__file__).parent)])
     environment = {**os.environ, "PYTHONPATH": places, "OMP_NUM_THREADS": "1"}
-    subprocess.run([sys.executable, "-c", PROGRAM], check=True, cwd=tmp_path, env=environment)
+    finished([sys.executable, "-c", PROGRAM], check=True, cwd=tmp_path, env=environment)

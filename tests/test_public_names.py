@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import pytest
 
 import scoup
+from children import finished
 from scoup import raster
 
 
@@ -16,7 +16,7 @@ def test_importing_scoup_is_light():
 
     heavy = ("torch", "numpy", "transformers", "PIL", "scipy")
     code = f"import sys, scoup; print([name for name in {heavy} if name in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+    assert finished([sys.executable, "-c", code]).stdout.strip() == "[]"
 
 
 def test_every_public_name_loads():

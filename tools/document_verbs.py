@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from scoup.cli.app import SCOUP
+from scoup.cli.family import Family
 from scoup.cli.option_groups import attribute_texts, option_groups
-from scoup.cli.parsing import Family
 
 HEAD = """# Verbs and their options
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
-from scoup.base.errors import InputError, OutputExistsError
+from scoup.base.errors import InputError, OutputExistsError, WriteError
 
 
 def test_writes_and_makes_the_folder(tmp_path):
@@ -79,3 +79,23 @@ def test_same_permissions_as_any_other_file(tmp_path):
     write_text(tmp_path / "ours", "x")
     (tmp_path / "plain").write_text("x")
     assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_link_to_a_folder_is_named_with_the_folder(tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to("folder")
+    for overwrite in (False, True):
+        with pytest.raises(
+            InputError, match=r"link: is a link to the folder .*/folder; use the name of a file"
+        ):
+            check_output(tmp_path / "link", overwrite)
+
+
+def test_names_as_long_as_a_file_system_allows(tmp_path):
+    for length in (246, 255):
+        with atomic_file(tmp_path / ("a" * length)) as stream:
+            stream.write(b"whole")
+    said = r"/a{256}: cannot be written \(File name too long\); choose a shorter name$"
+    with pytest.raises(WriteError, match=said), atomic_file(tmp_path / ("a" * 256)):
+        pass
+    assert sorted(len(path.name) for path in tmp_path.iterdir()) == [246, 255]

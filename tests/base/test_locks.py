@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from subprocess import PIPE, Popen
 
 import pytest
 
+from children import child
 from scoup.base.atomic import atomic_file, atomic_path
 from scoup.base.errors import OutputExistsError, OutputInUseError, WriteError
 from scoup.base.locks import locked
@@ -37,13 +38,14 @@ with writer(Path(sys.argv[2])) as made:
 
 
 @contextmanager
-def another_process(what: str, path: Path) -> Iterator[subprocess.Popen[str]]:
+def another_process(what: str, path: Path) -> Iterator[Popen[str]]:
     """A process that writes a path until the block ends, or it is killed."""
     command = [sys.executable, "-c", HOLD, what, str(path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with child(command, stdin=PIPE) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "held\n"
         yield process
+        process.communicate()
 
 
 @pytest.mark.parametrize("what", WRITERS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -10,6 +9,7 @@ from types import ModuleType
 
 import pytest
 
+from children import finished
 from scoup.base import native
 from scoup.base.errors import InputError, ScoupWarning, warn_once
 
@@ -145,7 +145,7 @@ def test_settings_that_cannot_be_used(monkeypatch, setting, problem):
 
 def test_the_core_is_not_loaded_before_it_is_used():
     code = f"import sys, scoup, scoup.base.native; print({MODULE!r} in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = finished([sys.executable, "-c", code])
     assert done.stdout == "False\n", done.stderr
 
 

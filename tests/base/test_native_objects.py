@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 import sysconfig
 from pathlib import Path
 
 import pytest
+
+from children import finished
 
 CHECK = Path(__file__).resolve().parents[2] / "native" / "check_kernel_objects.cmake"
 
@@ -39,10 +40,10 @@ def check(folder: Path, *sources: str) -> tuple[bool, str]:
     for i, source in enumerate(sources):
         code, compiled = folder / f"{i}.cpp", folder / f"{i}.o"
         code.write_text(source, encoding="utf-8")
-        subprocess.run([compiler, "-O2", "-fPIC", "-c", str(code), "-o", str(compiled)], check=True)
+        finished([compiler, "-O2", "-fPIC", "-c", code, "-o", compiled], check=True)
         objects.append(str(compiled))
     command = [cmake, f"-DNM={nm}", f"-DOBJECTS={';'.join(objects)}", "-P", str(CHECK)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = finished(command)
     return done.returncode == 0, " ".join(done.stderr.split())
 
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import gc
 import os
-import signal
-import subprocess
 import sys
 import textwrap
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -17,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from children import finished, forked
 from scoup.base.native import missing_reason, native_core
 
 core: Any = native_core()
@@ -258,10 +256,9 @@ def test_memory_outlives_its_owner():
 
 LONG = textwrap.dedent(
     """
-    import os, signal, sys, threading, time
+    import os, sys, threading, time
     import numpy as np
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
-    sys.path[:0] = [os.environ["TESTS"]]
+    sys.path[:0] = [os.environ["TESTS"], os.path.dirname(os.environ["TESTS"])]
     from test_native_safety import core, image_of, project, round_of, vote_arrays
 
     projection = project(20000, width=1600, height=1600, intrinsics=(1600.0, 1600.0, 800.0, 800.0))
@@ -297,14 +294,8 @@ def test_ctrl_c_ends_a_long_call_and_leaves_the_process_usable():
             assert image_of(project()) == known
             assert round_of(core.Vote(**vote_arrays())) == voted
     """
-    done = subprocess.run(
-        [sys.executable, "-c", LONG + textwrap.dedent(script)],
-        env=os.environ | {"TESTS": str(Path(__file__).parent), "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0, done.stderr
+    environment = os.environ | {"TESTS": str(Path(__file__).parent), "OMP_NUM_THREADS": "1"}
+    done = finished([sys.executable, "-c", LONG + textwrap.dedent(script)], check=True, env=environment)
     late = [float(line) for line in done.stdout.split()]
     assert len(late) == 8
     assert max(late) < 1, late  # processor seconds: a busy machine makes nothing late
@@ -363,26 +354,10 @@ def test_a_forked_child_renders_the_same():
     worker.start()  # forked from while another thread is at work
     try:
         for _ in range(5):
-            child = os.fork()
-            if child == 0:
-                os._exit(0 if image_in_child(0) == expected else 3)
-            assert wait_for(child, 20) == 0
+            assert forked(lambda: int(image_in_child(0) != expected)) == 0
     finally:
         busy.set()
         worker.join()
-
-
-def wait_for(child: int, seconds: float) -> int:
-    """The child's exit status; it is killed after so many seconds."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        found, status = os.waitpid(child, os.WNOHANG)
-        if found:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.01)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    pytest.fail("the child hangs")
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system does not tell resident memory")

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from children import forked
 from cli_support import snapshot
 from scoup.base.atomic import atomic_file, atomic_path
 
@@ -45,13 +46,7 @@ def replace_output(writer: str, last: int) -> int:
 
 def replaced(writer: str, last: int) -> int:
     """``replace_output`` in a process of its own: its number of steps, or the signal that has ended it, negative."""
-    child = os.fork()
-    if not child:
-        try:
-            os._exit(replace_output(writer, last))
-        finally:  # after an error
-            os._exit(255)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return forked(lambda: replace_output(writer, last))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")

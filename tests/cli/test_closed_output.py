@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from children import finished
 from cli.test_no_space import VERBS, entries
 from cli.test_no_space import original as original  # the fixture: a scene, fields, region sums
 from cli_support import BUILD, RUN, run
@@ -66,7 +66,7 @@ def test_warnings_that_nobody_reads_end_nothing() -> None:
 def in_a_shell(python: str, *words: str, ending: str) -> int:
     """The exit code of the command line."""
     command = f"set -o pipefail; '{python}' -c '{RUN}' {' '.join(words)} {ending}"
-    return subprocess.run(["bash", "-c", command], check=False).returncode
+    return finished(["bash", "-c", command]).returncode
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")

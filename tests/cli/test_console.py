@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import scoup
+from children import finished
 from cli_support import RUN, run, run_json
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.file_names import slug, unique_slugs
@@ -60,7 +60,7 @@ def test_frames_of_the_parser_stay_out_of_json():
     said = set()
     for encoding in ("utf-8", "ascii"):
         environment = {**os.environ, "PYTHONIOENCODING": encoding}
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+        done = finished(command, env=environment)
         assert done.returncode == 2
         said.add(json.loads(done.stdout)["error"])
     assert said == {"Unrecognized options: --odd; see scoup --help, or scoup VERB --help"}

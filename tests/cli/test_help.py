@@ -11,8 +11,8 @@ import pytest
 
 from cli_support import run
 from scoup.cli.app import SCOUP
+from scoup.cli.family import Family
 from scoup.cli.option_groups import attribute_texts, option_groups
-from scoup.cli.parsing import Family
 
 
 def verbs(family: Family = SCOUP, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], type]]:

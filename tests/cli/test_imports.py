@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import pytest
 
+from children import finished
 from raster.parity import needs_native
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -21,9 +21,7 @@ sys.exit(code)
 
 
 def imported(*arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-c", CODE, *arguments], capture_output=True, text=True, check=True
-    )
+    done = finished([sys.executable, "-c", CODE, *arguments], check=True)
     assert done.stdout
     return done.stderr.splitlines()[-1]
 

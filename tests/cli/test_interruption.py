@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE, Popen
 
 import pytest
 
+from children import child, finished
 from cli_support import BUILD, QUICK, RUN, refused, run, run_json
 from scoup.base.atomic import reserved_output
 from scoup.base.locks import locked
 from scoup.io import load_gaussians, save_gaussians, save_png
 from scoup.io.regions.store import RegionStore
-from support import HANGS
 
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
+PYTHON = sys.executable  # that of most tests here has imported everything already
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
 # A build in a process of its own that rasterises no third view: it waits, once two are in their files.
 STUCK = """
-import signal, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell without job control has it ignored
+import time
 from scoup import raster
 from scoup.cli.app import entry
 from scoup.uplift.region_sums import RegionSums
@@ -54,19 +54,15 @@ def names() -> set[str]:
 
 
 @contextmanager
-def stuck(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+def stuck(*arguments: object) -> Iterator[Popen[str]]:
     """The build, stuck after two views."""
-    command = [sys.executable, "-c", STUCK, *map(str, arguments)]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+    command = [sys.executable, "-c", STUCK, *arguments]
+    with child(command) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
         while line and not line.startswith("two views"):
             line = process.stdout.readline()
-        try:
-            yield process
-        finally:
-            process.kill()  # a test that fails must not wait for it
+        yield process
 
 
 @pytest.mark.parametrize(
@@ -78,7 +74,7 @@ def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word:
     with stuck(*KEEP) as build:
         assert refused(*KEEP).startswith("a.scoup: is being written by another process; wait for it")
         build.send_signal(number)
-        _, err = build.communicate(timeout=HANGS)
+        _, err = build.communicate()
     assert build.returncode == code
     assert err == f"error: {word}; 2 of 4 views are kept, run the same command again to continue\n"
     assert names() - before == {"sums"}  # neither lock nor temporary files
@@ -93,7 +89,7 @@ def test_a_build_that_is_killed_leaves_nothing_in_the_way() -> None:
     before = names()
     with stuck(*KEEP) as build:
         build.kill()
-        build.communicate(timeout=HANGS)
+        build.communicate()
     assert names() - before == {"sums", ".a.scoup.work.lock"}
     code, out, err = run(*KEEP)
     assert (code, err) == (0, "")
@@ -105,7 +101,7 @@ def test_without_kept_sums_nothing_is_kept() -> None:
     before = names()
     with stuck(*BUILD) as build:
         build.send_signal(signal.SIGINT)
-        _, err = build.communicate(timeout=HANGS)
+        _, err = build.communicate()
     assert err == "error: interrupted; nothing was written\n"
     assert names() == before
 
@@ -114,7 +110,7 @@ def test_what_a_killed_build_leaves_goes_with_the_next() -> None:
     before = names()
     with stuck(*BUILD) as build:
         build.kill()
-        build.communicate(timeout=HANGS)
+        build.communicate()
     assert names() - before == {".a.scoup.work", ".a.scoup.work.lock"}
     assert run(*BUILD)[0] == 0
     assert names() - before == {"a.scoup"}
@@ -198,13 +194,77 @@ def test_where_nothing_is_kept_nothing_is_left(verb, inside: str, monkeypatch: p
     assert {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()} == before
 
 
-def test_a_server_of_agents_ends_quietly_when_it_is_terminated() -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+def test_a_server_of_agents_ends_quietly_while_its_input_is_open(number: signal.Signals, code: int) -> None:
     pytest.importorskip("mcp", reason="needs scoup[mcp]")
-    command = [sys.executable, "-c", RUN, "mcp", "f.scoup"]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as server:
+    with child([sys.executable, "-c", RUN, "mcp", "f.scoup"], stdin=PIPE) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
         assert server.stderr is not None
         assert "serving f" in server.stderr.readline()
-        server.send_signal(signal.SIGTERM)
-        _, err = server.communicate(timeout=HANGS)
-    assert (server.returncode, err) == (143, "")
+        server.stdin.write("?\n")
+        server.stdin.flush()
+        assert "error" in server.stdout.readline()  # it reads
+        server.send_signal(number)
+        assert (server.wait(), server.stderr.read()) == (code, "")
+
+
+# The command line, which sends itself a signal when it has imported so many modules, one of which makes another error
+# of an interruption.
+AT_AN_IMPORT = """
+import signal, sys
+from scoup.cli.app import entry
+number, count = int(sys.argv.pop(1)), int(sys.argv.pop(1))
+class Interrupts:
+    def find_spec(self, name, *_):
+        global count
+        count -= 1
+        try:
+            count or signal.raise_signal(number)
+        except KeyboardInterrupt as error:
+            raise ImportError(name) from error
+sys.meta_path.insert(0, Interrupts())
+entry()
+"""
+# An output is being written meanwhile.
+AT_WORK = """
+import sys, time
+from scoup.base.atomic import reserved_output
+from scoup.cli.stop import exit_code, stop_on_signals
+stop_on_signals()
+try:
+    with reserved_output("a.scoup"):
+        import stops
+        while True:
+            time.sleep(0.01)
+except KeyboardInterrupt as stop:
+    sys.exit(exit_code(stop))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("count", [1, 40, 160, 640, 1200])
+def test_a_stop_while_libraries_are_imported_is_quiet(number: int, count: int) -> None:
+    arguments = ("query", "f.scoup", "kettle", "--out", "answers")
+    done = finished([PYTHON, "-c", AT_AN_IMPORT, int(number), count, *arguments])
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
+    assert not Path("answers").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_during_an_import_waits_where_an_output_is_begun(number: int) -> None:
+    Path("stops.py").write_text(f"import signal\nsignal.raise_signal({int(number)})\nopen('whole', 'w')\n")
+    before = names()
+    done = finished([PYTHON, "-c", AT_WORK])
+    assert (done.returncode, done.stderr) == (128 + number, "")
+    assert names() - before - {"__pycache__"} == {
+        "whole"
+    }  # the import was not cut short, the output not left
+
+
+def test_who_ignores_interruptions_still_does() -> None:
+    """As jobs in the background of a shell."""
+    program = "import signal; signal.signal(2, signal.SIG_IGN); from scoup.cli.stop import stop_on_signals; "
+    program += "stop_on_signals(); print(signal.getsignal(2) is signal.SIG_IGN)"
+    assert finished([sys.executable, "-c", program], check=True).stdout == "True\n"

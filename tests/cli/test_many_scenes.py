@@ -6,12 +6,12 @@ import importlib.util
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from children import finished
 from cli_support import RUN, run, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick_python")
@@ -40,15 +40,8 @@ def check_fields() -> None:
         assert run("info", f"fields/{name}.scoup")[0] == 0
 
 
-def finished(*command: object, **more: str) -> None:
-    done = subprocess.run(
-        [str(part) for part in command],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **more},
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+def succeeds(*command: object, **more: str) -> None:
+    finished(command, check=True, env={**os.environ, **more})
 
 
 def needs(tool: str) -> None:
@@ -65,7 +58,7 @@ def test_the_page_has_what_is_tested() -> None:
 def test_a_shell(here: Path) -> None:
     shutil.copytree("scenes/a", "scenes/bad")
     shutil.rmtree("scenes/bad/language_features")
-    finished("bash", "-c", RECIPES["Shell"])
+    succeeds("bash", "-c", RECIPES["Shell"])
     check_fields()
     assert Path("failed.txt").read_text() == "scenes/bad/\n"
 
@@ -74,29 +67,29 @@ def test_a_shell(here: Path) -> None:
 def test_slurm_deals_scenes_out(here: Path) -> None:
     """Each task as Slurm would start it, without a GPU."""
     script = RECIPES["Slurm"].replace(" --device cuda", "")
-    finished("bash", "-c", script, SLURM_ARRAY_TASK_ID="1", SLURM_ARRAY_TASK_COUNT="2")
+    succeeds("bash", "-c", script, SLURM_ARRAY_TASK_ID="1", SLURM_ARRAY_TASK_COUNT="2")
     assert [path.name for path in Path("fields").glob("*.scoup")] == ["b.scoup"]
-    finished("bash", "-c", script, SLURM_ARRAY_TASK_ID="0", SLURM_ARRAY_TASK_COUNT="2")
+    succeeds("bash", "-c", script, SLURM_ARRAY_TASK_ID="0", SLURM_ARRAY_TASK_COUNT="2")
     check_fields()
 
 
 def test_make(here: Path) -> None:
     needs("make")
     Path("Makefile").write_text(RECIPES["Make"])
-    finished("make", "--keep-going", "--jobs", "2")
+    succeeds("make", "--keep-going", "--jobs", "2")
     check_fields()
 
 
 def test_gnu_parallel(here: Path) -> None:
     needs("parallel")
-    finished("bash", "-c", RECIPES["GNU parallel"])
+    succeeds("bash", "-c", RECIPES["GNU parallel"])
     check_fields()
 
 
 def test_snakemake(here: Path) -> None:
     needs("snakemake")
     Path("Snakefile").write_text(RECIPES["Snakemake"])
-    finished("snakemake", "--cores", "2")
+    succeeds("snakemake", "--cores", "2")
     check_fields()
 
 
@@ -106,5 +99,5 @@ def test_snakemake(here: Path) -> None:
 def test_packages_of_python(here: Path, recipe: str, package: str) -> None:
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed")
-    finished(sys.executable, "-c", RECIPES[recipe])
+    succeeds(sys.executable, "-c", RECIPES[recipe])
     check_fields()

@@ -10,7 +10,6 @@ import errno
 import os
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -20,6 +19,7 @@ import pytest
 import torch
 
 import scoup.io as scoup_io
+from children import finished
 from cli_support import QUICK, run, snapshot
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import WriteError
@@ -221,7 +221,7 @@ def test_folders_that_may_not_be_written_to(here: Path, verb: str, monkeypatch: 
 def test_standard_output_that_is_full() -> None:
     command = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", "info", "f.scoup"]
     with open("/dev/full", "w") as full:
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+        done = finished(command, stdout=full)
     assert done.returncode == 2
     assert done.stderr.startswith("error: standard output: cannot be written (No space left on device)")
     assert len(done.stderr.splitlines()) == 1

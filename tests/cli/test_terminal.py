@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
+from children import finished
 from cli_support import BUILD, QUICK, RUN, run, write_scene
-from support import HANGS
 
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 MARK = "a\x1b[2J\x07\u202eb "
@@ -64,7 +64,6 @@ def test_control_characters_are_escaped(verb: str, hostile: Path, monkeypatch: p
 def test_an_interruption_before_the_verb_begins_is_no_fault() -> None:
     program = f"""
 import os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)
 class Interrupts:
     def find_spec(self, name, *_):
         if name == "scoup.cli.options":
@@ -72,7 +71,7 @@ class Interrupts:
 sys.meta_path.insert(0, Interrupts())
 {RUN}
 """
-    done = subprocess.run([sys.executable, "-c", program, "info", "x"], capture_output=True, text=True)
+    done = finished([sys.executable, "-c", program, "info", "x"])
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
@@ -85,11 +84,11 @@ sys.argv = ["scoup", *sys.argv[3:]]
 LESS_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 
 
-def limited(limit: str, most: int, *arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", LIMITED + RUN, limit, str(most), *map(str, arguments)]
+def limited(limit: str, most: int, *arguments: object) -> CompletedProcess[str]:
+    command = [sys.executable, "-c", LIMITED + RUN, limit, most, *arguments]
     # Linear algebra asks for memory per thread, and ends the process itself where it gets none.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    return subprocess.run(command, capture_output=True, text=True, timeout=HANGS, env=environment)
+    return finished(command, env=environment)
 
 
 @pytest.mark.usefixtures("here")

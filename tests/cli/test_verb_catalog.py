@@ -49,11 +49,16 @@ def test_names_out_of_a_list_are_escaped(monkeypatch: pytest.MonkeyPatch):
     from scoup.models.word_table import load_table, save_table
 
     table = load_table(Path("scene/words.npz"))
-    names = ["<script>alert(1)</script>" if name == "mug" else name for name in table.names]
+    odd = {"mug": "<script>alert(1)</script>", "kettle": "=1+1", "wooden table": "@SUM(1)"}
+    names = [odd.get(name, name) for name in table.names]
     save_table(Path("odd.npz"), names, table.vectors)
     code, _, err = run("catalog", "f.scoup", "--text", "odd.npz", "--out", "odd", "--quiet")
     assert code == 0, err
     assert "<script>alert" not in Path("odd/index.html").read_text()
+    rows = list(csv.DictReader(Path("odd/catalog.csv").read_text().splitlines()))
+    assert {row["name"] for row in rows} <= {"<script>alert(1)</script>", "'=1+1", "'@SUM(1)"}
+    assert all(not row["other names"].startswith(("=", "@")) for row in rows)
+    assert any(float(row["x"]) < 0 for row in rows)  # a number stays one
 
 
 def test_a_field_without_things_is_refused():

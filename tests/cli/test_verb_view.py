@@ -5,20 +5,20 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
-import subprocess
 import sys
 import threading
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import Popen
 
 import pytest
 
+from children import child
 from cli_support import refused, run, run_json
 from scoup.view import export, page, viewer
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
-from support import HANGS
 
 PAGE = PageFiles(f"<head>{STYLE}{SETTINGS}</head>{PROGRAM}", b"", "", "")
 BUILT = page.page_files
@@ -26,8 +26,6 @@ QUERY = json.dumps({"texts": ["kettle"]}).encode()
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
 SERVE = f"""
-import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # which a child of a background process lacks
 from scoup.view import page, viewer
 page.page_files = viewer.page_files = lambda: page.PageFiles({PAGE.index!r}, b"", "", "")
 from scoup.cli.app import entry
@@ -80,10 +78,10 @@ def test_a_page_that_was_not_built_is_said(monkeypatch: pytest.MonkeyPatch, tmp_
 
 
 @contextmanager
-def served(before: str = "") -> Iterator[tuple[subprocess.Popen[str], str]]:
+def served(before: str = "") -> Iterator[tuple[Popen[str], str]]:
     """A server in a process of its own, which runs some Python before, and the address of its queries."""
     command = [sys.executable, "-c", before + SERVE, "view", "f.scoup", "--port", "0", "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with child(command) as process:
         assert process.stdout is not None
         lines = []
         while not lines or lines[-1] != "}\n":
@@ -98,7 +96,7 @@ def test_it_serves_until_it_is_stopped(stop: signal.Signals, code: int):
         with urllib.request.urlopen(urllib.request.Request(queries, QUERY)) as answer:
             assert json.load(answer)["answers"][0]["text"] == "kettle"
         process.send_signal(stop)
-        _, err = process.communicate(timeout=HANGS)
+        _, err = process.communicate()
     assert (process.returncode, err) == (code, "")
 
 
@@ -115,7 +113,7 @@ ViewedField.answers = answers
 def test_it_stops_quietly_while_requests_wait():
     def ask(queries: str) -> None:
         with contextlib.suppress(OSError):  # nobody answers, or it is said that the server ends
-            urllib.request.urlopen(urllib.request.Request(queries, QUERY), timeout=HANGS)
+            urllib.request.urlopen(urllib.request.Request(queries, QUERY))
 
     with served(SLOW) as (process, queries):
         visitors = [threading.Thread(target=ask, args=(queries,)) for _ in range(3)]
@@ -124,7 +122,7 @@ def test_it_stops_quietly_while_requests_wait():
         assert process.stdout is not None
         assert process.stdout.readline() == "asked\n"
         process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=HANGS)
+        _, err = process.communicate()
         for visitor in visitors:
             visitor.join()
     assert (process.returncode, err) == (143, "")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 import torch
 
+from children import finished
 from io_samples import camera_difference, same_gaussians
 from scoup.base.errors import ScoupWarning
 from scoup.io import (
@@ -117,7 +117,7 @@ def test_desk_cameras_agree(data_folder):
 def test_kitchen_features(data_folder, tmp_path):
     script = data_folder / "kitchen" / "make_langsplat_features.py"
     command = [sys.executable, script, data_folder / "kitchen", "--out", tmp_path]
-    subprocess.run(command, check=True, capture_output=True)
+    finished(command, check=True)
     cameras = load_cameras(data_folder / "kitchen")
     regions = load_regions(tmp_path, cameras)
     assert regions.view_names == cameras.names

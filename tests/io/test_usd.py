@@ -102,6 +102,13 @@ def test_what_the_format_has_no_place_for(tmp_path: Path) -> None:
     assert not (tmp_path / "b.usdc").exists()
 
 
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_longest_name(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / ("a" * (255 - len(suffix)) + suffix)
+    save_gaussians(some_gaussians(5), path)
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
 def test_a_refusal_of_the_system_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*given: Any) -> Any:
         class Stage:

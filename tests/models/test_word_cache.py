@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +14,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from children import workers
 from scoup.base.npz import write_npz
 from scoup.models import text, word_cache
 from scoup.models.hub import ModelIdentity, file_states
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import load_table
 from scoup.models.words import EVERYDAY_WORDS
-from support import ready_processes, unit
+from support import unit
 from tiny_models import save_text_clip
 
 MODEL = ModelIdentity("a/model", "c0ffee", "package 1")
@@ -237,8 +237,8 @@ def write_at_once(cache: str) -> list[list[float]]:
 
 def test_processes_that_write_at_once(cache: Path) -> None:
     expected = ask()[0].flatten().tolist()
-    with ProcessPoolExecutor(2, mp_context=ready_processes()) as workers:
-        for found in workers.map(write_at_once, [str(cache.parent)] * 2):
+    with workers(2) as pool:
+        for found in pool.map(write_at_once, [str(cache.parent)] * 2):
             assert found == [expected] * 20
     ask()
     (path,) = cache.iterdir()  # and no temporary file

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-
 import torch
 from torch import Tensor
 
+from children import finished
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS, LEAST_WORDS, with_everyday
 from support import unit
 
@@ -20,7 +19,7 @@ def test_the_list_is_read_when_it_is_needed(preloaded_python: str) -> None:
         "import scoup.models.text, scoup.models.words as words; assert 'EVERYDAY_WORDS' not in vars(words); "
         "assert words.EVERYDAY_WORDS is words.EVERYDAY_WORDS; assert not hasattr(words, 'OTHER_WORDS')"
     )
-    subprocess.run([preloaded_python, "-c", program], check=True)
+    finished([preloaded_python, "-c", program], check=True)
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:

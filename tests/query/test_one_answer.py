@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from children import finished
 from query.conftest import without_things
 from scoup import raster
 from scoup.field.language_field import LanguageField
@@ -173,7 +173,7 @@ def desk(data: Path, _: Path) -> tuple[LanguageField, list[str]]:
 def kitchen(data: Path, out: Path) -> tuple[LanguageField, list[str]]:
     folder = data / "kitchen"
     script = [sys.executable, folder / "make_langsplat_features.py", folder, "--out", out]
-    subprocess.run([str(part) for part in script], check=True, capture_output=True)
+    finished(script, check=True)
     cameras = load_cameras(folder, downscale=4)
     regions = load_regions(out, cameras)
     field = build(load_gaussians(folder / "scene" / "model.splat"), cameras, regions, SETTINGS)

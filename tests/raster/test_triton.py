@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -13,6 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from children import finished
 from compiling import compile_kernel
 from launches import launches
 from machine_code import unwritten
@@ -155,7 +155,7 @@ def test_triton_is_not_imported_for_a_cpu(preloaded_python: str) -> None:
         "found = {'triton', 'scoup.raster.triton.rendering', 'scoup.coding.triton.coder'} & set(sys.modules); "
         "sys.exit(bool(found))"
     )
-    subprocess.run([preloaded_python, "-c", program], check=True)
+    finished([preloaded_python, "-c", program], check=True)
 
 
 def test_tensors_on_a_cpu_are_refused() -> None:

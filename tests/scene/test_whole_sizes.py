@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 import torch
 
+from children import finished
 from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera
 
@@ -32,6 +32,6 @@ def test_other_sizes_are_refused(bad: object) -> None:
 
 
 def test_the_command_line_is_a_module_too() -> None:
-    done = subprocess.run([sys.executable, "-m", "scoup", "--help"], capture_output=True, text=True)
+    done = finished([sys.executable, "-m", "scoup", "--help"])
     assert done.returncode == 0
     assert done.stdout.startswith("usage: scoup")

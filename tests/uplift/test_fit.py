@@ -94,6 +94,23 @@ def test_what_is_refused(seed: int, tmp_path: Path):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_other_focal_lengths_and_mirrored_splats_are_named(seed: int, tmp_path: Path):
+    gaussians, cameras = scene(seed, tmp_path)
+    for factor, found in ((0.9, "110%"), (1.1, "90%")):
+        scale = torch.tensor([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+        views = [replace(camera, K=camera.K * scale) for camera in cameras]
+        with pytest.raises(
+            InputError, match=f"the photographs match focal lengths of {found}; .*check the focal"
+        ):
+            check_fit(gaussians, views)
+    signs = torch.tensor([1.0, -1, 1])
+    quats = torch.cat([gaussians.quats[:, :1], -signs * gaussians.quats[:, 1:]], 1)
+    mirrored = replace(gaussians, means=signs * gaussians.means, quats=quats)
+    with pytest.raises(InputError, match="the photographs match the splat with y negated"):
+        check_fit(mirrored, cameras)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_the_camera_of_a_photograph_is_named(seed: int, tmp_path: Path):
     gaussians, cameras = scene(seed, tmp_path)
     one_off = with_photographs_of(cameras, [*cameras[1:], cameras[0]])
@@ -248,6 +265,14 @@ def test_numbers_behind_a_verdict():
         "1 of 4 cameras tried sees nothing of the splat (d), 1 of 3 renders tried looks unlike its photograph "
         "(c; median correlation 0.80)"
     )
+
+
+def test_cameras_that_see_next_to_nothing_of_another_splat():
+    own = np.array([0.0, 0.05, *[np.nan] * 6])
+    similarity = np.where(np.eye(8, dtype=bool), own, np.nan)
+    for coverage, verdict in ((0.001, Verdict.HOPELESS), (0.5, Verdict.DOUBTFUL)):
+        fit = Fit(tuple("abcdefgh"), np.array([0.5, 0.5, *[coverage] * 6]), similarity)
+        assert fit.verdict is verdict
 
 
 @pytest.mark.data

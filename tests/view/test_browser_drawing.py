@@ -33,7 +33,6 @@ from scoup.view import parts
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError
-from support import HANGS
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -78,7 +77,7 @@ def test_a_large_scene_is_seen_coarsely_first(
     part = viewed.part
 
     def part_when(number: int, whole: bool) -> bytes:
-        assert held.wait(HANGS)
+        held.wait()
         if busy:
             busy.clear()
             raise BusyError

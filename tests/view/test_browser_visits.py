@@ -6,9 +6,9 @@ import io
 import re
 import shlex
 import signal
-import subprocess
 import sys
 from pathlib import Path
+from subprocess import STDOUT
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,13 +28,13 @@ from browser_support import (
 from PIL import Image
 
 import scoup
-from cli_support import run_json
+from children import child
+from cli_support import RUN, run_json
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera
 from scoup.view.exact import PictureMode
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
-from support import HANGS
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -315,36 +315,24 @@ def test_a_folder_works_without_a_network(
         assert "kettle" in visit.click(places_in(camera)["kettle"])
 
 
-PROGRAM = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
-from scoup.cli.app import entry
-entry()
-"""
-
-
 def test_from_the_command_line_to_its_end(browser: Browser, saved: Path):
     field = saved
     words = str(field.with_name("words.npz"))
-    command = [sys.executable, "-c", PROGRAM, "view", str(field), "--text", words, "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    try:
+    command = [sys.executable, "-c", RUN, "view", str(field), "--text", words, "--port", "0"]
+    with child(command, stderr=STDOUT) as process:
         assert process.stdout is not None
         address = re.search(r"http://\S+", process.stdout.readline())
         assert address is not None
         with visiting(browser, address[0]) as visit:
             visit.ask("kettle")
             process.send_signal(signal.SIGINT)
-            assert process.wait(HANGS) == 0
+            assert process.wait() == 0
             dialog = visit.page.get_by_role("alertdialog")
             dialog.wait_for()
             assert "The server was closed. Start it again: scoup view" in dialog.inner_text()
             assert str(field) in dialog.inner_text()
             assert visit.problems  # requests that nobody answers
             visit.problems.clear()
-    finally:
-        process.kill()
-        process.wait()
 
 
 def test_the_page_goes_on_when_its_server_is_back(browser: Browser, viewed: ViewedField):

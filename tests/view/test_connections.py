@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+import random
 import socket
+import sys
+import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
+from subprocess import PIPE
+from types import SimpleNamespace
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 
+from children import child
+
 pytest.importorskip("uvicorn", reason="needs scoup[view]")
+from starlette.responses import Response
 from view_samples import PAGE, viewed_field
 
 from scoup.view import connections
+from scoup.view.guard import Guard
+from scoup.view.server import _Guarded
 from scoup.view.viewer import Viewer
+
+ASK_LICENCES = "GET PATHlicences.txt HTTP/1.1\r\nHost: HOST\r\n\r\n"
 
 
 @pytest.fixture
 def viewer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Viewer]:
-    monkeypatch.setattr("scoup.view.viewer.page_files", lambda: PAGE)
+    page = replace(PAGE, licences="x" * (32 << 20))  # more than the system takes
+    monkeypatch.setattr("scoup.view.viewer.page_files", lambda: page)
     with Viewer(viewed_field(count=40), port=0) as opened:
         yield opened
 
@@ -65,32 +82,141 @@ def test_who_does_not_end_a_request_is_let_go(viewer: Viewer, monkeypatch, sent:
     assert answers(viewer)
 
 
-def test_more_than_so_many_are_turned_away_and_the_rest_is_served(viewer: Viewer, monkeypatch) -> None:
-    monkeypatch.setattr(connections, "MOST", 5)
-    monkeypatch.setattr(connections, "SECONDS", 600.0)
+@pytest.fixture
+def few_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Places that no deadline frees: a visitor who is answered at all was let in at once."""
+    for name, value in {"MOST": 8, "STRANGERS": 4, "SECONDS": 600.0}.items():
+        monkeypatch.setattr(connections, name, value)
+
+
+@pytest.mark.usefixtures("few_places")
+@pytest.mark.parametrize(
+    "sent",
+    ["", "GET PATH", "POST PATHapi/query HTTP/1.1\r\nHost: HOST\r\nContent-Length: 40\r\n\r\n"],
+    ids=len,
+)
+def test_idle_and_half_sent_requests_lock_nobody_out(viewer: Viewer, sent: str) -> None:
     with ExitStack() as stack:
-        kept = [stack.enter_context(connect(viewer, "GET PATH")) for _ in range(5)]
-        for _ in range(30):
-            with connect(viewer) as refused:
-                assert is_closed_by_the_server(refused)
-        parts = urlsplit(viewer.address)
-        rest = f"api/alive HTTP/1.1\r\nHost: {parts.netloc}\r\nConnection: close\r\n\r\n"
-        for opened in kept:
-            opened.sendall(rest.encode())
-            assert opened.recv(100).startswith(b"HTTP/1.1 204")
-    assert answers(viewer)
+        opened = [stack.enter_context(connect(viewer, sent)) for _ in range(30)]
+        assert answers(viewer)
+        assert len(viewer._server.server_state.connections) <= connections.MOST
+        for ended in opened[:20]:
+            assert ended.recv(100).startswith(b"HTTP/1.1 503 Service Unavailable\r\n")
+            assert is_closed_by_the_server(ended)
 
 
-def test_one_who_waits_for_a_long_answer_is_not_slow(viewer: Viewer, monkeypatch) -> None:
+@pytest.mark.usefixtures("few_places")
+def test_slow_readers_lock_nobody_out(viewer: Viewer) -> None:
+    with ExitStack() as stack:
+        for _ in range(12):
+            reader = stack.enter_context(connect(viewer, ASK_LICENCES))
+            assert reader.recv(15) == b"HTTP/1.1 200 OK"
+            while not all(
+                each.flow.write_paused for each in connections.opened_of(viewer._server.server_state)
+            ):
+                time.sleep(0.01)
+        assert answers(viewer)
+
+
+def test_who_does_not_read_an_answer_is_let_go(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "SECONDS", 0.2)
-    import time
+    with connect(viewer, ASK_LICENCES) as reader:
+        assert reader.recv(15) == b"HTTP/1.1 200 OK"
+        while viewer._server.server_state.connections:
+            time.sleep(0.01)
 
-    slow = viewer.viewed.vocabulary
 
-    def vocabulary():
-        time.sleep(1.0)
-        return slow()
+@pytest.mark.parametrize("size", [0, 1, connections.PART, 2 * connections.PART + 1])
+def test_answers_arrive_whole(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
+    text = random.Random(size).randbytes(size).hex()[:size]
+    monkeypatch.setattr("scoup.view.viewer.page_files", lambda: replace(PAGE, licences=text))
+    with (
+        Viewer(viewed_field(count=40), port=0) as viewer,
+        urllib.request.urlopen(f"{viewer.address}licences.txt", timeout=30) as answer,
+    ):
+        assert answer.read().decode() == text
 
-    monkeypatch.setattr(viewer.viewed, "vocabulary", vocabulary)
-    with urllib.request.urlopen(f"{viewer.address}api/vocabulary", timeout=30) as answer:
-        assert answer.status == 200
+
+def test_others_have_their_turn_between_the_parts_of_an_answer() -> None:
+    told: list[str] = []
+
+    async def send(message: Any) -> None:
+        told.append("part" if message.get("body") else "start")
+
+    async def both() -> None:
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": [(b"host", b"localhost")]}
+        inner: Any = Response(bytes(3 * connections.PART))
+        receive: Any = send  # nothing is received
+        answer = asyncio.ensure_future(_Guarded(inner, Guard.of("localhost"))(scope, receive, send))
+        while not answer.done():
+            told.append("others")
+            await asyncio.sleep(0)
+
+    asyncio.run(both())
+    assert told == ["others", "start", "part", "others", "part", "others", "part"]
+
+
+@pytest.mark.usefixtures("few_places")
+def test_who_lacks_the_token_has_few_places_and_one_answer_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scoup.view.viewer.page_files", lambda: PAGE)
+    ask = "GET {} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    with Viewer(viewed_field(count=40), host="0.0.0.0", port=0) as viewer, ExitStack() as stack:
+        path = f"{urlsplit(viewer.address).path}api/alive"
+        with connect(viewer, ask.format("/nothing")) as stranger:
+            assert b"connection: close" in stranger.recv(10_000).lower()
+            assert is_closed_by_the_server(stranger)
+        visitors = [stack.enter_context(connect(viewer, ask.format(path))) for _ in range(3)]
+        for visitor in visitors:
+            assert visitor.recv(10_000).startswith(b"HTTP/1.1 204")
+        for _ in range(30):
+            stack.enter_context(connect(viewer))
+        for visitor in visitors:  # as before: strangers ended one another
+            visitor.sendall(ask.format(path).encode())
+            assert visitor.recv(10_000).startswith(b"HTTP/1.1 204")
+        assert len(viewer._server.server_state.connections) <= 3 + connections.STRANGERS
+
+
+def test_the_address_with_the_most_connections_makes_room() -> None:
+    def opened(address: str, when: float, is_stranger: bool = False) -> Any:
+        deadline = SimpleNamespace(when=lambda: when)
+        return SimpleNamespace(client=(address, 1), is_stranger=is_stranger, deadline=deadline)
+
+    busy = SimpleNamespace(client=("b", 1), is_stranger=False, deadline=None)
+    found: list[Any] = [
+        opened("a", 1),
+        opened("b", 3),
+        opened("b", 2),
+        busy,
+        opened("c", 9, is_stranger=True),
+    ]
+    assert connections.idlest(found) is found[4]
+    assert connections.idlest(found[:4]) is found[2]
+    assert connections.idlest(found[:4], but=found[2]) is found[1]
+    assert connections.idlest(found[3:4]) is None
+
+
+FEW_FILES = """
+import resource, sys
+from starlette.responses import Response
+from view_samples import PAGE, viewed_field
+from scoup.view import viewer
+viewer.page_files = lambda: PAGE
+with viewer.Viewer(viewed_field(count=40), port=0) as opened:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
+    print(opened.address, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of Unix")
+def test_a_burst_beyond_the_limit_of_open_files_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    with child([sys.executable, "-c", FEW_FILES], stdin=PIPE) as process, ExitStack() as stack:
+        assert process.stdout is not None
+        viewer: Any = SimpleNamespace(address=process.stdout.readline().strip())
+        for _ in range(80):
+            stack.enter_context(connect(viewer, "GET PATH"))
+        assert answers(viewer)
+        _, err = process.communicate()
+    assert err.count("\n") == 1
+    assert "new connections were refused (Too many open files); raise the limit of open files" in err

@@ -28,7 +28,8 @@ def check_output(path: str | Path, overwrite: bool = False) -> Path:
     """
     path = Path(path)
     if os.path.isdir(path):
-        raise InputError(f"{path}: is a folder; use the name of a file to write")
+        what = f"is a link to the folder {os.path.realpath(path)}" if os.path.islink(path) else "is a folder"
+        raise InputError(f"{path}: {what}; use the name of a file to write")
     if os.path.lexists(path):
         if os.path.exists(path) and not os.path.isfile(path):
             raise InputError(f"{path}: is not a regular file; use another name")

@@ -69,6 +69,8 @@ def remedy_of(error: OSError) -> str:
         return "free some space, or choose another place"
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return "raise the limit of open files (ulimit -n)"
+    if error.errno == errno.ENAMETOOLONG:
+        return "choose a shorter name"
     return ""
 
 

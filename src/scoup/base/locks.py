@@ -11,6 +11,8 @@ from scoup.base.file_names import hidden_name
 
 WAIT = 60.0
 """Seconds to wait for another process that writes the same file of a shared folder."""
+held: set[Path] = set()
+"""Lock files of this process: of outputs that are being written."""
 
 
 @contextmanager
@@ -41,9 +43,11 @@ def locked(output: Path, wait: float = 0.0, kind: str = "lock") -> Iterator[None
         raise OutputInUseError(output) from None
     except OSError as error:
         raise WriteError.of(output, error) from error
+    held.add(path)
     try:
         yield
     finally:
+        held.discard(path)
         with suppress(OSError):
             path.unlink()  # while it is still locked
         lock.release(force=True)

@@ -5,15 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import signal
 import sys
 
-try:
-    from scoup.cli.console import Console, Terminated, run_verb, silence
-    from scoup.cli.options import Common
-    from scoup.cli.parsing import Family, in_one_line, parse
-except KeyboardInterrupt:  # these load for a moment
-    sys.exit(130)
+from scoup.cli.family import Family
+from scoup.cli.stop import exit_code, stop_on_signals
 
 DESCRIPTION = """Give a trained 3D Gaussian Splatting scene a language field, and query it.
 
@@ -66,6 +61,10 @@ def run(arguments: list[str]) -> int:
 
         print(f"scoup {VERSION}")
         return 0
+    from scoup.cli.console import Console, run_verb
+    from scoup.cli.options import Common
+    from scoup.cli.parsing import in_one_line, parse
+
     for_machines = "--json" in arguments
     refusal = io.StringIO()
     try:
@@ -82,17 +81,19 @@ def run(arguments: list[str]) -> int:
 
 def entry() -> None:
     """The console script."""
+    stop_on_signals()
+    from scoup.cli.console import silence
+
     _fill_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # File names and texts may hold letters that the terminal's encoding lacks.
             stream.reconfigure(errors="backslashreplace")
     try:
-        signal.signal(signal.SIGTERM, _terminate)
         code = run(sys.argv[1:])
         sys.stdout.flush()
     except KeyboardInterrupt as stop:  # before a verb has begun
-        code = 143 if isinstance(stop, Terminated) else 130
+        code = exit_code(stop)
     except BrokenPipeError:  # whoever read the help, such as head, has seen enough
         silence(sys.stdout)
         code = 0
@@ -112,12 +113,3 @@ def _fill_closed_streams() -> None:
                 os.dup2(opened, number)
                 os.close(opened)
             setattr(sys, name, open(number, "r" if name == "stdin" else "w", closefd=False))  # noqa: SIM115
-
-
-def _terminate(*_: object) -> None:
-    """End as after an interruption: temporary files and locks are removed."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough; cleaning up is not to be cut short
-    raise Terminated
-
-
-__all__ = ["Console", "entry", "run"]

@@ -17,6 +17,7 @@ from scoup.base.errors import ScoupError, ScoupWarning, WriteError, remedy_of
 from scoup.base.printable import printable
 from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
+from scoup.cli.stop import exit_code
 
 _ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
 """How messages of the library name an argument, alone or with a value."""
@@ -24,10 +25,6 @@ _OPTIONS = {"count": "--views", "distorted": "--undistort"}
 """Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 _SIGNS_OF_MEMORY = ("allocate", "out of memory", "failed to map segment")
-
-
-class Terminated(KeyboardInterrupt):
-    """The process was asked to end (SIGTERM): cleaned up after as after an interruption."""
 
 
 class Console:
@@ -132,7 +129,8 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
         except ScoupError as error:
             return console.fail(str(error), 2)
         except KeyboardInterrupt as stop:
-            word, code = ("terminated", 143) if isinstance(stop, Terminated) else ("interrupted", 130)
+            code = exit_code(stop)
+            word = "interrupted" if code == 130 else "terminated"
             return console.fail(f"{word}; {console.kept()}", code)
         except MemoryError:
             return console.fail(_OUT_OF_MEMORY, 2)

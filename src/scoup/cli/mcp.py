@@ -8,9 +8,10 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from scoup.cli.console import Console, Terminated
+from scoup.cli.console import Console
 from scoup.cli.options import Common, OptionalNumber, OptionalPath, OptionalText, OptionGroups
 from scoup.cli.query_options import check_metres
+from scoup.cli.stop import Terminated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +38,7 @@ class ServeAgents(Common):
         """Open the fields and serve them until the client leaves, or ends this process."""
         from scoup.base.errors import InputError, MissingFileError
         from scoup.field.language_field import LanguageField
-        from scoup.view.mcp_server import make_server
+        from scoup.view.mcp_server import make_server, serve
         from scoup.view.scene_tools import SceneTools
 
         check_metres(self.metres_per_unit)
@@ -57,7 +58,7 @@ class ServeAgents(Common):
         server = make_server(SceneTools(fields, self.out, self.metres_per_unit))
         try:
             console.warn(f"serving {', '.join(names)} over standard input and output")
-            server.run("stdio")
+            serve(server)
         except KeyboardInterrupt as stop:
             return 143 if isinstance(stop, Terminated) else 0
         return 0

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import re
 import shutil
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import or_
@@ -15,40 +14,11 @@ from typing import Annotated, Any
 
 import tyro
 
+from scoup.cli.family import Family
 from scoup.cli.option_groups import REGISTRY
 
 _WIDEST = 120  # columns: longer lines of text are hard to read
 _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining the lines
-
-
-@dataclass(frozen=True)
-class Family:
-    """Verbs by name, or families of verbs.
-
-    Attributes:
-        description: for the help; its first paragraph for lists.
-        verbs: where each is, "module:name" of a dataclass or of a further family; imported when it is used.
-        others: where a function from any other name to a verb, or None, is; "" if there are no others.
-    """
-
-    description: str
-    verbs: Mapping[str, str]
-    others: str = ""
-
-    def load(self, name: str) -> type | Family:
-        """Import a verb, or a family of verbs."""
-        return _imported(self.verbs[name])
-
-    def find(self, name: str) -> type | Family | None:
-        """Return what a name means; None if nothing."""
-        if name in self.verbs:
-            return self.load(name)
-        return _imported(self.others)(name) if self.others and name[:1].isalnum() else None
-
-
-def _imported(place: str) -> Any:
-    module, _, attribute = place.partition(":")
-    return getattr(importlib.import_module(module), attribute)
 
 
 def parse(arguments: Sequence[str], family: Family, program: str) -> Any:

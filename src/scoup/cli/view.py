@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from scoup.base.counts import counted
-from scoup.cli.console import Console, Terminated
+from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups
 from scoup.cli.query_options import TextOptions
+from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
     from scoup.view.viewed_field import ViewedField

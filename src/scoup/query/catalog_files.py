@@ -8,6 +8,7 @@ import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,6 +27,7 @@ from scoup.scene.cameras import Camera
 
 GRAPH, TABLE, PAGE, PICTURES = "catalog.json", "catalog.csv", "index.html", "pictures"
 MARGIN = 0.35  # around a thing in its picture, in units of its size
+_FORMULAS = (*"=+-@\t\r\n", *"＝＋－＠")
 SIDE = 240  # pixels of the longer side of a picture
 COVERED = 0.5  # share of a pixel's light from which it shows a thing
 
@@ -56,12 +58,17 @@ def save_catalog(
     """
     graph = json.dumps(catalog.to_dict(metres_per_unit), indent=1, allow_nan=False)
     write_text(folder / GRAPH, graph + "\n")
-    rows = catalog_rows(catalog, metres_per_unit)
+    rows = [[_disarmed(cell) for cell in row] for row in catalog_rows(catalog, metres_per_unit)]
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_text(folder / TABLE, text.getvalue())
     drawn = _save_pictures(field, catalog, folder, cameras, progress) if cameras else set()
     write_text(folder / PAGE, _page(catalog, drawn, field.path.name if field.path else "scene"))
+
+
+def _disarmed(cell: Any) -> Any:
+    """The cell of a table, which no spreadsheet takes for a formula: of text only, numbers may be negative."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULAS) else cell
 
 
 def _picture_name(thing: Thing) -> str:

@@ -1,50 +1,142 @@
-"""Connections to the viewer's server: not too many, and none that is slow to say what it wants.
+"""Connections to the viewer's server: a place for everybody who asks, and none for those who only hold one.
 
-uvicorn bounds requests and idle connections; it neither bounds connections nor ends one that sends half a request.
+uvicorn ends idle connections, and refuses the newest requests beyond a number; it neither makes room for new visitors
+nor ends a connection that is slow to send a request or to read an answer.
 """
 
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+import errno
+import logging
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
 
 MOST = 128
 """Connections at a time; browsers keep six to a server."""
+STRANGERS = 32
+"""Of these, connections that have not sent the token yet."""
 SECONDS = 20.0
-"""From the first sign of a request to its end; messages are a few hundred bytes."""
+"""For a whole request, and for reading each ``PART`` of an answer."""
+BURST = MOST // 2
+"""Connections that are accepted in one go: their requests are read before as many again are."""
+PART = 65_536
+"""Bytes of an answer that are handed to the system at a time."""
+_UNAVAILABLE = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
 class BoundedConnection(H11Protocol):
-    """A connection that is closed at once beyond ``MOST``, and after ``SECONDS`` without a whole request."""
+    """A connection that the server waits for no longer than ``SECONDS``, and that makes room for a new one.
 
-    _deadline: asyncio.TimerHandle | None = None
+    Where all places are taken, the connection that the server has waited for longest ends: of strangers first, then of
+    the address with the most connections.
+    """
+
+    prefix: ClassVar[str] = ""
+    """First part of the paths of those who have the token."""
+    is_stranger = False
+    deadline: asyncio.TimerHandle | None = None  # while the server waits for the client
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
-        if len(self.connections) > MOST:
-            transport.abort()
-        else:
-            self._wait()
+        self.is_stranger = bool(self.prefix)
+        self._wait()
+        opened = opened_of(self.server_state)
+        strangers = [each for each in opened if each.is_stranger]
+        if len(strangers) > STRANGERS:
+            (idlest(strangers, self) or self).end()
+        elif len(opened) > MOST:
+            (idlest(opened, self) or self).end()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
-        if self.conn.their_state in (h11.IDLE, h11.SEND_BODY):
-            self._wait()
-        else:
-            self._be_content()
+        if self.scope is not None and self.scope["path"].startswith(f"{self.prefix}/"):
+            self.is_stranger = False
+        self._wait()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._wait()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._wait(anew=True)
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._wait(anew=True)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._be_content()
+        self._stop_waiting()
         super().connection_lost(exc)
 
-    def _wait(self) -> None:
-        if self._deadline is None:
-            self._deadline = self.loop.call_later(SECONDS, self.transport.abort)
+    def end(self) -> None:
+        """End it; tell the reason to a client that has no part of an answer yet."""
+        self.connections.discard(self)
+        if self.transport.get_write_buffer_size():
+            self.transport.abort()
+        else:
+            self.transport.write(_UNAVAILABLE)
+            self.transport.close()
 
-    def _be_content(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-            self._deadline = None
+    def _wait(self, anew: bool = False) -> None:
+        """Set the deadline if the client is to act: to send the rest of a request, or to read an answer."""
+        asked = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
+        waits = asked or self.flow.write_paused or self.transport.is_closing()
+        if anew or not waits:
+            self._stop_waiting()
+        if waits and self.deadline is None:
+            self.deadline = self.loop.call_later(SECONDS, self.transport.abort)
+
+    def _stop_waiting(self) -> None:
+        if self.deadline is not None:
+            self.deadline.cancel()
+            self.deadline = None
+
+
+def opened_of(server: ServerState) -> list[BoundedConnection]:
+    """Return the connections of a server."""
+    return [each for each in server.connections if isinstance(each, BoundedConnection)]
+
+
+def idlest(opened: list[BoundedConnection], but: BoundedConnection | None = None) -> BoundedConnection | None:
+    """Return the connection with the earliest deadline: of strangers first, then of the address with the most."""
+    addresses = Counter(each.client and each.client[0] for each in opened)
+    waiting = [
+        (not each.is_stranger, -addresses[each.client and each.client[0]], each.deadline.when(), number)
+        for number, each in enumerate(opened)
+        if each.deadline is not None and each is not but
+    ]
+    return opened[min(waiting)[-1]] if waiting else None
+
+
+def make_room_when_refused(
+    server: ServerState,
+) -> Callable[[asyncio.AbstractEventLoop, dict[str, Any]], None]:
+    """Return a handler of the loop's errors: where the system has no descriptors left for new connections, end the
+    idlest ones and say so once; asyncio would write a traceback per attempt."""
+    freed: list[float] = []  # when
+
+    def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        if not isinstance(error, OSError) or error.errno not in (errno.EMFILE, errno.ENFILE):
+            loop.default_exception_handler(context)
+            return
+        if freed and loop.time() < freed[-1] + 0.5:  # asyncio tries again at once, hundreds of times
+            return
+        for _ in range(STRANGERS):
+            found = idlest(opened_of(server))
+            if found is not None:
+                found.end()
+        freed.append(loop.time())
+        if len(freed) == 1:
+            logging.getLogger("uvicorn.error").error(
+                "new connections were refused (%s); raise the limit of open files (ulimit -n)", error.strerror
+            )
+
+    return handle

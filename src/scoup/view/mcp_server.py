@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import functools
 import io
-from collections.abc import Callable
+import itertools
+import json
+import os
+import sys
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -13,6 +20,7 @@ from PIL import Image as Pictures
 from scoup.base.errors import ScoupError
 from scoup.base.version import VERSION
 from scoup.pictures.colors import Picture
+from scoup.view.guard import MOST_BYTES
 from scoup.view.scene_tools import SceneTools
 
 INSTRUCTIONS = (
@@ -61,6 +69,78 @@ def make_server(tools: SceneTools) -> Any:
     if tools.export_folder is not None:
         add(tools.export_selection)
     return server
+
+
+def serve(server: Any) -> None:
+    """Serve over standard input and output until the input ends, or the process is interrupted."""
+    asyncio.run(_serve(server))
+
+
+async def _serve(server: Any) -> None:
+    from mcp.server.stdio import stdio_server
+
+    lines: Any = _Lines()
+    async with stdio_server(stdin=lines) as (messages, replies):
+        lines.replies = replies
+        inner = server._lowlevel_server
+        await inner.run(messages, replies, inner.create_initialization_options())
+
+
+class _Lines:
+    """Lines of standard input that are messages. All others are answered here: the package ignores them.
+
+    They are read by a thread that nothing waits for: the package's own would keep the process until the input ends.
+    """
+
+    replies: Any
+
+    async def __aiter__(self) -> AsyncIterator[str]:
+        from mcp_types import jsonrpc_message_adapter
+
+        loop, lines = asyncio.get_running_loop(), asyncio.Queue[bytes | None](1)
+        threading.Thread(target=self._read, args=(loop, lines), daemon=True).start()
+        while (line := await lines.get()) is not None:
+            try:
+                jsonrpc_message_adapter.validate_json(line, by_name=False)
+            except ValueError:
+                if line.strip():
+                    await self._refuse(line)
+            else:
+                yield line.decode()
+
+    def _read(self, loop: asyncio.AbstractEventLoop, lines: asyncio.Queue[bytes | None]) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            for line in itertools.chain(_split(sys.stdin.fileno()), [None]):
+                asyncio.run_coroutine_threadsafe(lines.put(line), loop).result()
+
+    async def _refuse(self, line: bytes) -> None:
+        from mcp.shared.message import SessionMessage
+        from mcp_types import INVALID_REQUEST, PARSE_ERROR, ErrorData, JSONRPCError
+
+        code, number, reason = PARSE_ERROR, None, "the line is not JSON"
+        if len(line) > MOST_BYTES:
+            code, reason = INVALID_REQUEST, f"a message has at most {MOST_BYTES:,} bytes"
+        else:
+            with suppress(ValueError, RecursionError):
+                message = json.loads(line)
+                code, reason = INVALID_REQUEST, "the line is not a message of JSON-RPC 2.0 in UTF-8"
+                number = message.get("id") if isinstance(message, dict) else None
+            if type(number) not in (int, str) or not str(number).isprintable():  # lone surrogates are not
+                number = None
+        error = JSONRPCError(jsonrpc="2.0", id=number, error=ErrorData(code=code, message=reason))
+        await self.replies.send(SessionMessage(error))
+
+
+def _split(file: int) -> Iterator[bytes]:
+    """Lines of a file descriptor; of one that is too long, the beginning, which is too long, too."""
+    kept = b""
+    while data := os.read(file, MOST_BYTES):
+        *ends, last = data.split(b"\n")
+        for end in ends:
+            yield (kept + end)[: MOST_BYTES + 1]
+            kept = b""
+        kept = (kept + last)[: MOST_BYTES + 1]
+    yield kept
 
 
 def _png(picture: Picture) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import tempfile
 from collections.abc import Awaitable, Callable
@@ -21,6 +22,7 @@ from starlette.types import Message as AsgiMessage
 from scoup.base.errors import ScoupError, UnknownNameError
 from scoup.field.cache import Cache
 from scoup.io import write_ply_table
+from scoup.view.connections import PART
 from scoup.view.export import jpeg
 from scoup.view.guard import HEADERS, MOST_BYTES, Guard
 from scoup.view.page import PageFiles
@@ -248,15 +250,23 @@ class _Guarded:
             await self.inner(scope, receive, send)
             return
 
-        async def send_with_headers(message: AsgiMessage) -> None:
-            if message["type"] == "http.response.start":
-                own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
-                message = {**message, "headers": [*message.get("headers", []), *own]}
-            await send(message)
-
         headers = Request(scope).headers
         names = headers.get("host"), headers.get("origin"), headers.get("sec-fetch-site")
         reason = self.guard.refuses(scope["method"], *names)
+        # Who lacks the token has one answer per connection.
+        ends = reason is not None or not scope["path"].startswith(f"{self.guard.prefix}/")
+        added = {**HEADERS, "connection": "close"} if ends else HEADERS
+
+        async def send_with_headers(message: AsgiMessage) -> None:
+            if message["type"] == "http.response.start":
+                own = [(name.encode(), value.encode()) for name, value in added.items()]
+                message = {**message, "headers": [*message.get("headers", []), *own]}
+            body = message.get("body", b"")
+            for start in range(PART, len(body), PART):  # a client has a deadline for each
+                await send({**message, "body": body[start - PART : start], "more_body": True})
+                await asyncio.sleep(0)  # others have their turn
+            await send({**message, "body": body[(len(body) - 1) // PART * PART :]} if body else message)
+
         if reason is not None:
             await _error(403, reason)(scope, receive, send_with_headers)
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import html
 import importlib.util
 import logging
@@ -61,7 +62,7 @@ class Viewer:
         page = page_files()
         import uvicorn
 
-        from scoup.view.connections import BoundedConnection
+        from scoup.view.connections import BURST, BoundedConnection
         from scoup.view.server import application
 
         guard = Guard.of(host)
@@ -71,8 +72,10 @@ class Viewer:
         self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
         config = uvicorn.Config(
             application(viewed, page, guard, remote),
-            http=BoundedConnection,
-            log_level="warning",
+            http=type("Connection", (BoundedConnection,), {"prefix": guard.prefix}),
+            ws="none",
+            backlog=BURST,
+            log_level="error",  # a warning per odd request would fill the terminal
             access_log=False,
             server_header=False,
             lifespan="off",
@@ -87,9 +90,15 @@ class Viewer:
 
     def _serve(self) -> None:
         try:
-            self._server.run(sockets=[self._socket])
+            asyncio.run(self._answer())
         finally:
             self._ended.set()
+
+    async def _answer(self) -> None:
+        from scoup.view.connections import make_room_when_refused
+
+        asyncio.get_running_loop().set_exception_handler(make_room_when_refused(self._server.server_state))
+        await self._server.serve(sockets=[self._socket])
 
     def _wait_for_start(self) -> None:
         end = time.monotonic() + _START_SECONDS
@@ -98,6 +107,7 @@ class Viewer:
                 self.close()
                 raise ScoupError("the viewer's server did not start")
             time.sleep(0.01)
+        self._socket.listen(socket.SOMAXCONN)  # the others wait with the system, which dropped them otherwise
 
     @property
     def is_open(self) -> bool:

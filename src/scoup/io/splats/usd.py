@@ -52,7 +52,8 @@ def write_usd(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
         raise InputError(f"{path}: there are no Gaussians to write")
     with atomic_path(path, overwrite) as temporary:
         is_package = path.suffix.lower() == ".usdz"
-        layer = temporary.with_suffix(".usdc") if is_package else temporary
+        # A short name: usd-core writes to a longer one first.
+        layer = temporary.with_name("splat.usdc" if is_package else f"splat{path.suffix}")
         stage = _stage(usd, finite)  # kept until the end: without it the layer crashes the process
         try:
             stage.GetRootLayer().Export(str(layer))
@@ -61,6 +62,8 @@ def write_usd(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
             raise WriteError(path, "usd-core cannot write it", remedy) from None
         if is_package:
             _pack(layer, temporary, path)
+        else:
+            layer.replace(temporary)
 
 
 def _pack(layer: Path, package: Path, path: Path) -> None:
