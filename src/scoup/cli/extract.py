@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from scoup.base.parts import Part
     from scoup.base.progress import Progress
     from scoup.extract import ExtractReport, MaskSettings
+    from scoup.extract.photographs import Photograph
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,7 @@ class Extract(WritesCommon):
     option_groups: ClassVar[OptionGroups] = {
         "photograph": "images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
+        "words": "concepts concept_model",
         "mask": "preset points_per_side with_default",
         "output": "out part",
     }
@@ -61,6 +63,12 @@ class Extract(WritesCommon):
     """A CLIP or SigLIP model by folder or hub id, with dense: before it for one pass over the photograph instead of
     one for each region; dense:onnx:FILE, an exported dense encoder; open_clip:ARCHITECTURE/PRETRAINED; or colors: no
     model; cannot be queried by text."""
+    concepts: OptionalText = None
+    """Also look for words in the photographs, by which scoup build names things: a file with one word per line, or
+    everyday, for about a thousand everyday words."""
+    concept_model: str = "owlv2"
+    """The model for --concepts: owlv2, owlv2-large, grounding-dino, grounding-dino-base, sam3, a folder or hub id of
+    such a model, or onnx:FOLDER."""
     segmenter_revision: OptionalText = None
     """Branch, tag or commit of the segmenter. The commit is recorded, and used again on resuming."""
     embedder_revision: OptionalText = None
@@ -122,7 +130,33 @@ class Extract(WritesCommon):
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
         record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **parts}
+        if self.concepts is not None:
+            record["concepts"] = self._look_for_words(console, photographs, out, part)
         return {"out": out, "photographs": len(photographs), **record}
+
+    def _look_for_words(
+        self, console: Console, photographs: Sequence[Photograph], out: Path, part: Part
+    ) -> dict[str, Any]:
+        """Store where a model finds words in the photographs; returns what the result says of it."""
+        from scoup.extract.concepts import extract_concepts
+        from scoup.io.detections import FOLDER_NAME
+        from scoup.models.concepts import open_concepts
+        from scoup.models.words import EVERYDAY_WORDS
+        from scoup.view.vocabulary import read_words
+
+        words = EVERYDAY_WORDS if self.concepts == "everyday" else read_words(Path(self.concepts or ""))
+        model, folder = open_concepts(self.concept_model, device=self.device), out / FOLDER_NAME
+        with console.progress() as progress:
+            height = self.max_height or None
+            report = extract_concepts(
+                photographs, folder, model, words, height, self.overwrite, part, progress
+            )
+        seconds = sum(report.seconds.values())
+        console.say(
+            f"{folder}: {counted(len(words), 'word')} looked for in {counted(len(report.made), 'photograph')}, "
+            f"{report.kept:,} already there, in {seconds:.0f} s"
+        )
+        return {"words": len(words), **_record(report)}
 
     def _masks(self, console: Console, device: str) -> tuple[str, MaskSettings]:
         """Segmenter and settings, which are printed: LangSplat's on a GPU, the fastest that are good without one."""

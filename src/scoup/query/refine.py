@@ -128,7 +128,10 @@ def choose_views(
     assert known is not None
     fits = known.fits(question.queries.float().cpu())[known.usable]
     weights = (fits - fits.amax(0)).exp().amax(1) + SOME / max(1, len(fits))
-    sizes = _apparent_sizes(field, cameras)[:, known.usable]
+    sizes = field.kept(
+        (_apparent_sizes, *(camera.fingerprint() for camera in cameras)),
+        lambda: _apparent_sizes(field, cameras),
+    )[:, known.usable]
     chosen: list[int] = []
     seen = torch.zeros(len(weights))
     for _ in range(min(most, len(cameras))):

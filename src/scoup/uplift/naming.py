@@ -7,7 +7,7 @@ alone weighs little. A text is as present as the mean of its best scores says. M
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -91,6 +91,46 @@ def box_ious(one: Tensor, other: Tensor) -> Tensor:
     return both / (areas[0][:, None] + areas[1] - both).clamp(min=1e-6)
 
 
+@dataclass(frozen=True, eq=False)
+class ViewVotes:
+    """What one photograph says of M texts and T things: E votes."""
+
+    rows: Tensor  # [E] int64, position of the text
+    things: Tensor  # [E] int64
+    votes: Tensor  # [E] float32
+    seen: Tensor  # [T] boolean, the things that it shows
+    tops: Tensor  # [M] float32, the best score of each text
+
+    def of_text(self, row: int) -> ViewVotes:
+        """Return the votes of one text, as the only one."""
+        mine = self.rows == row
+        rows = torch.zeros_like(self.rows[mine])
+        return ViewVotes(rows, self.things[mine], self.votes[mine], self.seen, self.tops[row : row + 1])
+
+
+def votes_in_view(view: ThingsInView, found: Detections, n_texts: int) -> ViewVotes:
+    """Return the votes of the detections in one photograph, the best of each text for each thing."""
+    count = max(1, len(view.masks))
+    ious = overlaps(found, view)
+    row, thing = (ious >= LEAST_OVERLAP).nonzero(as_tuple=True)
+    keys, place = (found.texts[row] * count + thing).unique(return_inverse=True)
+    votes = torch.zeros(len(keys)).scatter_reduce_(0, place, found.scores[row] * ious[row, thing], "amax")
+    tops = torch.zeros(n_texts).scatter_reduce_(0, found.texts, found.scores, "amax")
+    return ViewVotes(keys // count, keys % count, votes, view.seen, tops)
+
+
+def count_votes(texts: Sequence[str], views: Sequence[ViewVotes]) -> NameTable:
+    """Return the names that the votes of V >= 1 photographs give to things."""
+    seen_in = torch.stack([view.seen for view in views]).sum(0)
+    count = max(1, len(seen_in))
+    keys = torch.cat([view.rows * count + view.things for view in views])
+    key, vote = _sums_of_best(keys, torch.cat([view.votes for view in views]))
+    thing = key % count
+    votes = vote / seen_in[thing].clamp(2, BEST_VIEWS) if len(thing) else vote
+    presence = presence_of(torch.stack([view.tops for view in views]))
+    return NameTable(tuple(texts), presence, (key // count).int(), thing.int(), votes)
+
+
 def name_things(
     gaussians: Gaussians,
     table: ThingTable,
@@ -98,45 +138,21 @@ def name_things(
     texts: Sequence[str],
     raster_preset: str = "inria",
     backend: str | None = None,
-    view_of: Callable[[Camera], ThingsInView] | None = None,
 ) -> NameTable:
     """Let detections vote for the things of a scene.
 
     Args:
         gaussians: the trained scene.
         table: its T things.
-        views: photographs with what was found in them; detections count the texts as ``texts`` does.
+        views: V >= 1 photographs with what was found in them; detections count the texts as ``texts`` does.
         texts: M of them, looked for in all of the photographs.
         raster_preset, backend: of the rasteriser.
-        view_of: gives ``things_in_view`` of a camera, where it is known already.
     """
-
-    def fresh(camera: Camera) -> ThingsInView:
-        return things_in_view(gaussians, table, camera, raster_preset, backend)
-
-    count, seen_in = max(1, len(table)), torch.zeros(len(table))
-    keys, votes = [torch.zeros(0, dtype=torch.int64)], [torch.zeros(0)]
-    tops: list[Tensor] = []
-    for camera, found in views:
-        view = (view_of or fresh)(camera)
-        seen_in += view.seen
-        ious = overlaps(found, view)
-        row, thing = (ious >= LEAST_OVERLAP).nonzero(as_tuple=True)
-        scored = torch.zeros(len(texts) * count)
-        key = found.texts[row] * count + thing
-        scored.scatter_reduce_(0, key, found.scores[row] * ious[row, thing], "amax")
-        keys.append(key.unique())
-        votes.append(scored[keys[-1]])
-        tops.append(torch.zeros(len(texts)).scatter_reduce_(0, found.texts, found.scores, "amax"))
-    key, vote = _sums_of_best(torch.cat(keys), torch.cat(votes))
-    thing = key % count
-    return NameTable(
-        tuple(texts),
-        presence_of(torch.stack(tops) if tops else torch.zeros(1, len(texts))),
-        (key // count).int(),
-        thing.int(),
-        vote / seen_in[thing].clamp(2, BEST_VIEWS) if len(thing) else vote,
-    )
+    counted = [
+        votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), found, len(texts))
+        for camera, found in views
+    ]
+    return count_votes(texts, counted)
 
 
 def presence_of(scores: Tensor) -> Tensor:
