@@ -162,7 +162,8 @@ class Sam3Concepts(_Transformer):
                 kept = kept[scores[kept] >= LEAST_SCORE]
                 logits = output.pred_masks[0].cpu().float()[kept]
                 masks = torch.nn.functional.interpolate(logits[:, None], (height, width), mode="bilinear")
-                boxes = output.pred_boxes[0].cpu().float()[kept] * torch.tensor([width, height] * 2)
+                boxes = output.pred_boxes[0].cpu().float()[kept].clamp(0, 1)
+                boxes = boxes * torch.tensor([width, height] * 2)
                 found.append((torch.full((len(kept),), number), scores[kept], boxes, masks[:, 0] > 0))
         rows, scores, boxes, masks = (torch.cat(parts) for parts in zip(*found, strict=True))
         return Detections(rows, scores, boxes, (width, height), masks)
