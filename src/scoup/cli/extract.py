@@ -109,6 +109,7 @@ class Extract(WritesCommon):
             raise InputError("pass the folder of the scene, or --list")
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
+        words = self._words()  # a mistake shows before the long work
         segmenter_name, settings = self._masks(console, self.device)
         photographs = find_photographs(self.scene, self.images)
         part = Part() if self.part is None else Part.parse(self.part)
@@ -130,21 +131,27 @@ class Extract(WritesCommon):
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
         record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **parts}
-        if self.concepts is not None:
-            record["concepts"] = self._look_for_words(console, photographs, out, part)
+        if words:
+            record["concepts"] = self._look_for_words(console, photographs, words, out, part)
         return {"out": out, "photographs": len(photographs), **record}
 
+    def _words(self) -> tuple[str, ...]:
+        """The words of --concepts."""
+        from scoup.models.words import EVERYDAY_WORDS
+        from scoup.view.vocabulary import read_words
+
+        if self.concepts is None:
+            return ()
+        return EVERYDAY_WORDS if self.concepts == "everyday" else read_words(Path(self.concepts))
+
     def _look_for_words(
-        self, console: Console, photographs: Sequence[Photograph], out: Path, part: Part
+        self, console: Console, photographs: Sequence[Photograph], words: Sequence[str], out: Path, part: Part
     ) -> dict[str, Any]:
         """Store where a model finds words in the photographs; returns what the result says of it."""
         from scoup.extract.concepts import extract_concepts
         from scoup.io.detections import FOLDER_NAME
         from scoup.models.concepts import open_concepts
-        from scoup.models.words import EVERYDAY_WORDS
-        from scoup.view.vocabulary import read_words
 
-        words = EVERYDAY_WORDS if self.concepts == "everyday" else read_words(Path(self.concepts or ""))
         model, folder = open_concepts(self.concept_model, device=self.device), out / FOLDER_NAME
         with console.progress() as progress:
             height = self.max_height or None
