@@ -23,7 +23,7 @@ FOLDER_NAME = "concepts"
 MANIFEST = "concepts.json"
 SCHEMA = "scoup.concepts"
 VERSION = 1
-_REMEDY = "run scoup extract --concepts again"
+_REMEDY = "look for the words again"
 
 
 @dataclass(frozen=True)
