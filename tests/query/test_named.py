@@ -180,6 +180,9 @@ def test_the_verb_keeps_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     torch.testing.assert_close(kept.code_weights, field.code_weights)
     kept.text_encoder(words)
     assert kept.answer("lamp").things == (BALL,)
+    code, out, error = run(*("mug" if word == "lamp" else word for word in query), "--out", tmp_path / "d")
+    assert code == 0, error
+    assert json.loads(out)["places"][0]["things"] == [MUG, OTHER_MUG], "a text that is not a name"
     code, _, error = run(*query, "--out", tmp_path / "c", "--keep")
     assert code == 2
     assert "--refine" in error

@@ -28,8 +28,6 @@ KEPT = 0.4
 """Of these, those with at least this share of their own largest vote answer."""
 TOGETHER = 0.5
 """Where they disagree, things with at least this share of the largest vote answer together, and are instances."""
-NEAR = 0.95
-"""Least cosine with a name of a text that counts as the same."""
 NAMES = 3
 """Names kept per thing: the best and the next best ones."""
 HUB_THINGS, HUB_SHARE = 10, 0.5
@@ -69,25 +67,12 @@ def named_texts(field: LanguageField, question: Question) -> list[Named | None]:
     names = None if table is None else table.names
     if table is None or names is None:
         return [None] * len(question.texts)
-    numbers = [names.number(text) for text in question.texts]
-    if None in numbers:
-        near = _near_names(field, names, question.queries)
-        numbers = [other if number is None else number for number, other in zip(numbers, near, strict=True)]
-    return [None if number is None else Named(names, number, len(table)) for number in numbers]
-
-
-def _near_names(field: LanguageField, names: NameTable, queries: Tensor) -> list[int | None]:
-    encoder, voted = field.text_encoder(), names.rows.unique().tolist()
-    known = [row for row in voted if encoder.names is None or names.texts[row] in encoder.names]
-    if not known:
-        return [None] * len(queries)
-    texts = tuple(names.texts[row] for row in known)
-    vectors = field.kept((NameTable, texts), lambda: encoder.encode(texts))
-    cosines, places = (queries @ vectors.to(queries).T).max(1)
-    return [
-        known[place] if cosine >= NEAR else None
-        for cosine, place in zip(cosines.tolist(), places.tolist(), strict=True)
+    near = question.near or (None,) * len(question.texts)
+    numbers = [
+        names.number(other or text) if names.number(text) is None else names.number(text)
+        for text, other in zip(question.texts, near, strict=True)
     ]
+    return [None if number is None else Named(names, number, len(table)) for number in numbers]
 
 
 def choose(
