@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -27,12 +27,15 @@ from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines
 from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
+from benchmarks.gpu import Gpu
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
-from scoup.extract.registry import EMBEDDERS, SEGMENTERS, Choice
+from scoup.base.registry import Registry
+from scoup.extract.registry import EMBEDDERS, SEGMENTERS
+from scoup.models.entry import ModelEntry
 from scoup_lab.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,10 +147,10 @@ def bench() -> str:
     return markdown(["Gaussians", "stage", *head], [*body.values()])
 
 
-def choices(of: Sequence[Choice]) -> str:
+def models(of: Registry[ModelEntry]) -> str:
     """Return the table of segmenters or embedders, as `scoup extract --list` prints it."""
-    headers = [*of[0].cells(), "what it is"]
-    return markdown(headers, [[*choice.cells().values(), choice.what] for choice in of], left=len(headers))
+    rows = [{**entry.cells(), "what it is": entry.help} for entry in of.values()]
+    return markdown(list(rows[0]), [list(row.values()) for row in rows], left=len(rows[0]))
 
 
 def scannet() -> str:
@@ -174,6 +177,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
+    "gpu": (Gpu, "gpu-nvidia-h200"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
@@ -185,8 +189,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "ablations": lambda: ablations(record),
     "scannet": scannet,
     "bench": bench,
-    "segmenters": lambda: choices(SEGMENTERS),
-    "embedders": lambda: choices(EMBEDDERS),
+    "segmenters": lambda: models(SEGMENTERS),
+    "embedders": lambda: models(EMBEDDERS),
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""

@@ -1,8 +1,9 @@
-"""One view on a GPU, beside gsplat."""
+"""A GPU: one view beside gsplat, the whole build, queries, and the same answers as on a CPU."""
 
 from __future__ import annotations
 
 import importlib
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -11,6 +12,16 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from benchmarks.gpu_rows import (
+    QUERIES,
+    BuiltScene,
+    KernelTests,
+    Row,
+    answers_row,
+    build_scene,
+    parity_row,
+    query_row,
+)
 from benchmarks.study import Record, Study, report
 from scoup import raster
 from scoup.base.errors import InputError
@@ -32,12 +43,12 @@ Runs = dict[str, Callable[[], object]]
 
 @dataclass(frozen=True, kw_only=True)
 class Gpu(Study):
-    """Time one view of a random scene on this machine's GPU, beside gsplat.
+    """Measure this machine's GPU on a random scene: times of one view beside gsplat, a whole build, queries, parity.
 
-    Times are medians of device events, interleaved; ours include projection and sort, as gsplat's do. A row that fails
-    has the reason in place of a time. A kernel that breaks the device ends the command: with --rows FILE, the same
-    command goes on with the next row. gsplat (pip install gsplat) compiles itself with nvcc at first use, for minutes.
-    The tests of the kernels compare their answers: see docs/gpu.md.
+    Times of a view are medians of device events, interleaved; ours include projection and sort, as gsplat's do. A row
+    that fails has the reason in place of a time. A kernel that breaks the device ends the command: with --rows FILE,
+    the same command goes on with the next row. gsplat (pip install gsplat) compiles itself with nvcc at first use,
+    for minutes. tools/measure_gpu.sh runs this.
     """
 
     n_gaussians: int = 1_000_000
@@ -46,10 +57,16 @@ class Gpu(Study):
     """Of the view, in pixels."""
     height: int = HEIGHT
     """Of the view, in pixels."""
+    large: tuple[int, int] = (1920, 1080)
+    """Size of a second view that is compared with a CPU's."""
     n_atoms: tuple[int, ...] = (64, 128)
     """Sizes of the codebooks."""
+    views: int = 200
+    """Of the build."""
     repeats: int = 15
     """Timed repetitions of each row."""
+    tests: str = ""
+    """Tests to run, as pytest's -k takes them; all by default."""
 
     device: ClassVar[str] = "cuda"
     backend: ClassVar[str] = "triton"
@@ -61,6 +78,45 @@ class Gpu(Study):
             )
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        yield from self._view(known)
+        for name, run in self._parts(known).items():
+            if name not in known:
+                try:
+                    yield name, run()
+                except Exception as error:
+                    yield name, _reason(error)
+                    self._require_device()
+
+    def _parts(self, known: Mapping[str, Any]) -> dict[str, Callable[[], Row]]:
+        """Return the rows that are not of one view."""
+
+        @cache
+        def built() -> BuiltScene:
+            if "reason" in known.get("build", {}):
+                raise RuntimeError("the build failed")
+            return build_scene(self.n_gaussians, self.views, self.width, self.height, self.device)
+
+        tests = cache(partial(KernelTests, self.tests))
+
+        def parity(width: int, height: int) -> Row:
+            tests()  # nothing is timed from here on
+            return parity_row(self.n_gaussians, width, height, self.device, self.backend)
+
+        return {
+            "build": lambda: built().row,
+            **{
+                name: lambda name=name: query_row(built().field, name, self.device, self.repeats)
+                for name in QUERIES
+            },
+            **{
+                f"parity, {width} x {height}": partial(parity, width, height)
+                for width, height in ((self.width, self.height), self.large)
+            },
+            "answers of a scene, by the command line": lambda: answers_row(self.device),
+            "tests": lambda: tests().row(),
+        }
+
+    def _view(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         work = random_workload(self.n_gaussians, self.width, self.height).to(self.device)
         runs = {**renders(work, self.backend), **gsplat_runs(work)}
         for n_atoms in self.n_atoms:
@@ -75,7 +131,7 @@ class Gpu(Study):
                     run()  # compiles kernels
                     tasks[name] = Task(run, None, self.repeats)
                 except Exception as error:
-                    yield name, {"reason": " ".join(f"{type(error).__name__}: {error}".split())[:400]}
+                    yield name, _reason(error)
                     self._require_device()
         if DIFFERENCE not in known and tasks.keys() >= {THEIRS, "RGB"}:
             yield DIFFERENCE, {"value": float((runs["RGB"]() - runs[THEIRS]()).abs().mean())}  # pyright: ignore[reportOperatorIssue]
@@ -92,7 +148,7 @@ class Gpu(Study):
 
     @staticmethod
     def table(record: Record) -> str:
-        """Return milliseconds of each row, and their ratio to gsplat's RGB."""
+        """Return milliseconds of each row of a view, and their ratio to gsplat's RGB; the other rows as they are."""
         rows: dict[str, dict[str, Any]] = record["rows"]
         base = rows.get(THEIRS, {}).get("median_s")
         timed = [(name, of["median_s"]) for name, of in rows.items() if "median_s" in of]
@@ -100,20 +156,27 @@ class Gpu(Study):
             [name, milliseconds(seconds), f"{seconds / base:.3g}" if base else "-"] for name, seconds in timed
         ]
         notes = [
-            f"* {name}: {of.get('reason', of.get('value'))}"
+            f"* {name}: {str(of.get('reason', of.get('value', json.dumps(of))))[:90]}"
             for name, of in rows.items()
             if "median_s" not in of
         ]
         return "\n".join([markdown(["one view", "ms", "over gsplat's RGB"], body), "", *notes])
 
 
+def _reason(error: Exception) -> Row:
+    return {"reason": " ".join(f"{type(error).__name__}: {error}".split())[:200]}
+
+
 def renders(work: Workload, backend: str) -> Runs:
     """Return what does not depend on the codebook."""
     project = partial(raster.project, work.gaussians, work.camera, PRESET, backend)
+    projected, combined = cache(project), raster.combine(work.labels)
     return {
         "project, bin and sort": project,
+        "label tuples": lambda: raster.combine(work.labels),
         "RGB": lambda: raster.render_channels(project(), work.values)[0],
-        "region sums": lambda: raster.region_sums(project(), work.labels),
+        "region sums": lambda: raster.region_sums(project(), combined),
+        "region sums, projected before": lambda: raster.region_sums(projected(), combined),
     }
 
 
@@ -121,6 +184,7 @@ def code_runs(work: Workload, backend: str) -> Runs:
     """Return what depends on the size of the codebook."""
     project = partial(raster.project, work.gaussians, work.camera, PRESET, backend)
     n_atoms, codes = work.codebook.shape[1], (work.indices, work.weights)
+    projected = cache(project)
     kept = cache(lambda: region_sums_of_a_view(work, project()))
 
     def query() -> Tensor:
@@ -129,6 +193,9 @@ def code_runs(work: Workload, backend: str) -> Runs:
 
     runs: Runs = {
         "relevancy of a query": query,
+        "cosines, projected before": lambda: raster.render_cosines(
+            projected(), *codes, work.codebook, work.queries
+        ),
         "coefficient maps": lambda: raster.render_codes(project(), *codes, n_atoms),
         "features": lambda: raster.render_features(project(), *codes, work.codebook),
         "vote on the sums of the view": lambda: vote_of_a_view(work, kept(), backend),

@@ -77,13 +77,14 @@ def run(study: Study, name: str) -> Record:
     if study.out is not None:
         check_output(study.out, study.overwrite)
     environment = describe_environment()
+    head = {"what": f"benchmarks {name}", "machine": environment}
     rows = _kept(study)
     for key, figures in study.measure(dict(rows)):
         rows[key] = figures
         print(f"{key}: {study.line(figures)}", file=sys.stderr, flush=True)
         if study.rows is not None:
-            write_text(study.rows, json.dumps({**_identity(study), "rows": rows}), overwrite=True)
-    record = {"what": f"benchmarks {name}", "machine": environment, "settings": study.settings()}
+            write_text(study.rows, json.dumps({**head, **_identity(study), "rows": rows}), overwrite=True)
+    record = {**head, "settings": study.settings()}
     record = json.loads(json.dumps(record | study.record(rows)))
     print(in_one_line(environment))
     print(study.table(record))

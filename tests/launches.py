@@ -48,17 +48,50 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     types = {"indices": U8, "weights": HALF, "words": I32, "n_codes": "i32", "n_atoms": "i32"}
     constants = {"K": 4, "GROUPS": 1, "WIDE": False, "BLOCK": 128}
     found["pack"] = codes.pack_kernel, types, constants, 4
-    types = {"records": F32, "starts": I64, "columns": I16, "n_columns": I32, "bases": I64, "sums": F32}
+    of_tiles = {"columns": I16, "combinations": I32, "n_columns": I32}
+    types = {**of_tiles, **SIZE, "labels": I32, "starts": I64, "room": I64}
+    found["columns"] = regions.columns_kernel, types, {"TILE": TILE}, 4
+    entries = {
+        "keys": I32,
+        "weights": I64,
+        "n_entries": I32,
+        "ends": I64,
+        "first_tile": "i32",
+        "before": "i32",
+    }
     constants = {**blended, "CHUNK": gpu_regions.CHUNK, "COLUMNS": gpu_regions.COLUMNS}
-    types = {**types, **SIZE, **BOUNDS, "first_tile": "i32"}
+    types = {**LISTS, **of_tiles, **entries, **SIZE, **BOUNDS, "n_combinations": "i32", "scale": "fp32"}
     found["region sums"] = regions.region_sums_kernel, types, constants, gpu_regions.WARPS
+    types = {
+        "starts": I64,
+        "n_columns": I32,
+        **entries,
+        "entries_end": I64,
+        "keys_out": I32,
+        "weights_out": I64,
+    }
+    found["gather"] = regions.gather_kernel, types, {"BLOCK": 256}, 4
+    types = {
+        "keys": I32,
+        "totals": I64,
+        "gaussians": I32,
+        "combinations": I32,
+        "weights": F32,
+        "count": "i32",
+    }
+    found["unpack"] = (
+        regions.unpack_kernel,
+        {**types, "n_combinations": "i32", "scale": "fp32"},
+        {"BLOCK": 256},
+        4,
+    )
     types = {
         "starts": I64, "combinations": I32, "shares": F32, "rows": I32, "atoms": I32, "weights": F32,
         "inverse_norms": F32, "grams": F32, "earlier_atoms": I32, "earlier_weights": F32, "sharpness": F32, "out": F32,
-        "n_levels": "i32", "n_atoms": "i32",
+        "kept": I32, "n_levels": "i32", "n_atoms": "i32",
     }  # fmt: skip
-    for n_atoms, earlier_k in ((64, 0), (128, 4), (1024, 4)):
-        constants = {"K": 4, "EARLIER_K": earlier_k, **vote_triton.blocks(n_atoms)}
+    for n_atoms, earlier_k, keep in ((64, 0, 4), (128, 4, 4), (1024, 4, 0)):
+        constants = {"K": 4, "EARLIER_K": earlier_k, "KEEP": keep, **vote_triton.blocks(n_atoms)}
         warps = constants.pop("num_warps")
         found[f"vote, {n_atoms} atoms, {earlier_k} earlier"] = (
             vote_kernel.vote_kernel,
@@ -68,15 +101,23 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
         )
     types = {name: SCENE[name] for name in ("means", "scales", "opacities", "camera")}
     found["sieve"] = projection.sieve_kernel, {**types, "keep": I8, "count": "i32"}, {"BLOCK": 128}, 4
-    visible = {"rects": I32, "geometry": DOUBLE, "across": "i32", "down": "i32"}
-    types = {**SCENE, **visible, "ids": I64, "depths": DOUBLE, "counts": I32, "n_visible": "i32"}
+    visible = {"geometry": DOUBLE, "centres": DOUBLE, "rects": I32, "across": "i32", "down": "i32"}
+    types = {
+        **SCENE,
+        **visible,
+        "shapes": F32,
+        "ids": I64,
+        "depths": DOUBLE,
+        "counts": I32,
+        "n_visible": "i32",
+    }
     found["project"] = projection.project_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
-    lists = {"camera": DOUBLE, "ranks": I64, "order": I64, "tiles": I16, "n_candidates": "i32"}
-    types = {**visible, **lists, "firsts": I64}
+    lists = {"tiles": I16, "slots": I32, "n_candidates": "i32"}
+    types = {**visible, **lists, "camera": DOUBLE, "ranks": I64, "order": I64, "firsts": I64}
     found["expand"] = projection.expand_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
     types = {
-        **lists, "geometry": DOUBLE, "across": "i32", "down": "i32", "by_tile": I64, "ids": I64, "records": F32,
-        "numbers": I32, "n_records": "i32",
+        **lists, "shapes": F32, "centres": DOUBLE, "across": "i32", "down": "i32", "by_tile": I64, "ids": I64,
+        "records": F32, "n_records": "i32",
     }  # fmt: skip
     found["list"] = projection.list_kernel, types, {"TILE": TILE, "BLOCK": 128}, 4
     return found

@@ -54,7 +54,7 @@ def _effect(name: str, operands: str) -> tuple[set[int], set[int]]:
             for place in range(first, 4)
         }
     written: set[int] = set()
-    if (kind.startswith("U") or kind in ("R2UR", "S2UR")) and not kind.endswith("SETP"):
+    if (kind.startswith("U") or kind in ("R2UR", "S2UR", "REDUX")) and not kind.endswith("SETP"):
         while re.match(r"!?U?P[T\d]$", parts[0]):
             parts.pop(0)
         written = _registers(parts.pop(0), 2 if ".64" in name or "WIDE" in name else 1)

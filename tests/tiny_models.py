@@ -132,8 +132,9 @@ def tiny_siglip(seed: int = 0, side: int = 32) -> Any:
     return lively(transformers.SiglipModel(config).eval())
 
 
-def tiny_siglip2() -> Any:
-    """The variant for images of any shape."""
+def tiny_siglip2(seed: int = 0) -> Any:
+    """The variant for images of any shape, NaFlex."""
+    torch.manual_seed(seed)
     config = of_transformers("Siglip2Config")(
         text_config={"hidden_size": 16, "intermediate_size": 8, "num_hidden_layers": 1,
                      "num_attention_heads": 2, "vocab_size": 50},
@@ -141,6 +142,17 @@ def tiny_siglip2() -> Any:
                        "num_attention_heads": 2, "num_patches": 16, "patch_size": 8},
     )  # fmt: skip
     return lively(of_transformers("Siglip2Model")(config).eval())
+
+
+def tiny_tips(seed: int = 0, **text: Any) -> Any:
+    torch.manual_seed(seed)
+    config = of_transformers("Tipsv2Config")(
+        text_config={"hidden_size": 16, "intermediate_size": 8, "num_hidden_layers": 1, "num_attention_heads": 2,
+                     "vocab_size": 50, **text},
+        vision_config={"hidden_size": 16, "num_hidden_layers": 2, "num_attention_heads": 2, "image_size": 32,
+                       "patch_size": 8, "layerscale_value": 0.7, "num_register_tokens": 2},
+    )  # fmt: skip
+    return lively(of_transformers("Tipsv2Model")(config).eval())
 
 
 def saved(model: Any, folder: Path, **preprocessor: Any) -> Path:

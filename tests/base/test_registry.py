@@ -65,7 +65,9 @@ def test_entries_of_other_packages_follow(installed) -> None:
 )
 def test_a_damaged_package_is_one_warning(installed, module: str, problem: str) -> None:
     table = installed(module, "sky = paints:BLUE")
-    with pytest.warns(ScoupWarning, match=f"colour 'sky' of the package 'paints' is left out {problem}"):
+    with pytest.warns(
+        ScoupWarning, match=f"the package 'paints': 'sky' of its some.colours is left out {problem}"
+    ):
         assert list(table) == [entry.name for entry in OWN]
     assert table["red"] is OWN[0]
     with warnings.catch_warnings():

@@ -20,7 +20,7 @@ from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, code_cosines
 from scoup_lab.baselines.joint_codes import JointSettings
 from scoup_lab.baselines.method import Method, MethodSettings
-from scoup_lab.baselines.methods import METHODS, find_method
+from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.baselines.trained import QuantisedUplift
 from support import small_scene, unit
@@ -44,7 +44,7 @@ def texts() -> tuple[Tensor, Tensor]:
 
 @pytest.mark.parametrize("name", list(METHODS))
 def test_every_method_gives_relevancy(scene: RasterisedScene, name: str) -> None:
-    method = find_method(name)
+    method = METHODS[name]
     fitted = method.fit(scene, SETTINGS)
     queries, canonical = texts()
     projection = raster.project(scene.gaussians, scene.cameras[0])
@@ -173,7 +173,7 @@ def test_parts_of_a_quantised_feature(scene: RasterisedScene) -> None:
 
 def test_unknown_method() -> None:
     with pytest.raises(UnknownNameError, match="dense"):
-        find_method("dens")
+        METHODS["dens"]
 
 
 def test_the_table_of_methods_names_each_once() -> None:

@@ -11,13 +11,14 @@ import pytest
 import torch
 from benchmarks import gpu
 from benchmarks.gpu import Gpu
+from benchmarks.gpu_rows import TESTS, answers_row
 from benchmarks.study import run
 
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup_lab.bench import random_workload
 
-TINY = Gpu(n_gaussians=60, width=30, height=20, n_atoms=(8,), repeats=1)
+TINY = Gpu(n_gaussians=60, width=30, height=20, large=(32, 24), n_atoms=(8,), views=3, repeats=1)
 
 
 def stand_in(work: Any) -> Any:
@@ -35,16 +36,36 @@ def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Gpu, "device", "cpu")
     monkeypatch.setattr(Gpu, "backend", "reference")
     monkeypatch.setattr(gpu, "LEAST_SECONDS", 0.0)
+    monkeypatch.setattr(gpu, "answers_row", lambda device: {"device": device})  # tested below
 
 
 @pytest.mark.usefixtures("_on_a_cpu")
 def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
     rows = run(TINY, "gpu")["rows"]
-    assert len(rows) == 3 + 3 + 4 + 1
     assert rows.pop(gpu.DIFFERENCE)["value"] < 1e-6
+    tests, answers, build = (
+        rows.pop(name) for name in ("tests", "answers of a scene, by the command line", "build")
+    )
+    assert tests == {"passed": 0, "failed": {}, "skipped": len(TESTS)}
+    assert answers == {"device": "cpu"}
+    assert build["seconds"] >= build["stages"]["region sums"] > 0
+    for size in ("30 x 20", "32 x 24"):
+        parity = rows.pop(f"parity, {size}")
+        assert [len(set(parity["region sums"]["entries"])), parity["vote"]["other codes"]] == [1, 0]
+        assert all(
+            parity[name]["mean"] < 1e-6 for name in ("RGB", "coefficient maps", "cosines", "relevancy")
+        )
+    assert len(rows) == 5 + 3 + 5 + 3
     assert all(row["median_s"] > 0 for row in rows.values())
     assert "| gsplat: RGB " in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_answers_of_two_fields_by_the_command_line() -> None:
+    answers = answers_row("cpu", 2000, 40, 32, 3)
+    assert answers["least IoU"] == 1
+    assert answers["words"] == answers["same level"] > 1
 
 
 @pytest.mark.usefixtures("_on_a_cpu")

@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 
 from cli_support import BUILD, refused, run, run_json, write_scene
+from scoup.base.registry import Registry
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import formats
-from scoup.io.splats.ply import read_ply
+from scoup.io.splats.ply import FORMAT, read_ply
+from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import Gaussians
 
 
@@ -39,8 +41,8 @@ def test_info_reads_a_splat_once(monkeypatch: pytest.MonkeyPatch):
         read.append(path)
         return read_ply(path)
 
-    counted = replace(formats.FORMATS[0], read=counted_read)
-    monkeypatch.setattr(formats, "FORMATS", (counted, *formats.FORMATS[1:]))
+    table = [replace(FORMAT, read=counted_read)]
+    monkeypatch.setattr(formats, "FORMATS", Registry("splat format", "none", SplatFormat, table))
     assert "fit" in run_json("info", "scene")
     assert read == [Path("scene/point_cloud.ply")]
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from cli_support import refused, run, run_json
+from scoup.base.registry import Registry
 from scoup_lab.data.labels import read_labels
+from scoup_lab.evaluate import protocols
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
+from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 
 pytestmark = pytest.mark.slow
 
@@ -23,6 +27,14 @@ QUICK = ("--n-atoms", 16)
 def original(synthetic_data_sets: Path) -> Path:
     """A folder with a synthetic version of each data set; nobody writes into it."""
     return synthetic_data_sets
+
+
+def test_a_protocol_of_a_package_is_a_verb(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = replace(PROTOCOL, name="own", help="Score scenes of our own.")
+    monkeypatch.setattr(protocols, "PIXELS", Registry("protocol", "none", PixelProtocol, [own]))
+    assert "Score scenes of our own." in run("eval", "own", "--help")[1]
+    assert "no such folder" in refused("eval", "own", "absent")
+    assert "no-such" in run("eval", "no-such", "absent")[2]
 
 
 @pytest.mark.parametrize("name", ["lerf-ovs", "3d-ovs", "mipnerf360"])

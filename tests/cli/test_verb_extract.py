@@ -17,7 +17,6 @@ from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions
 from scoup.io.detections import find_detections
 from scoup.io.regions.manifest import MANIFEST
-from scoup.models.sam import SHORT_NAMES
 from scoup.scene.names import Detections
 from scoup.uplift.naming import things_in_view
 
@@ -172,8 +171,9 @@ def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path,
     pytest.importorskip("huggingface_hub")
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
     listed = run_json("extract", "--list")
+    assert {"owlv2", "grounding-dino", "sam3"} <= {row["name"] for row in listed.pop("concepts")}
     rows = {row["name"]: row for rows in listed.values() for row in rows}
-    assert {"mobile-sam", *SHORT_NAMES, "felzenszwalb", CLIP_MODEL, "colors"} <= set(rows)
+    assert {"mobile-sam", "sam-vit-h", "sam3", "felzenszwalb", CLIP_MODEL, "colors"} <= set(rows)
     assert [name for name, row in rows.items() if row["weights"] == "here"] == ["sam-vit-b"]
     assert (rows["mobile-sam"]["weights"], rows["colors"]["weights"]) == ("not here", "-")
     measured = json.loads((ROOT / "docs/benchmarks/extract.json").read_text())["rows"]

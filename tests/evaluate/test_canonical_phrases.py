@@ -18,7 +18,7 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
-from scoup_lab.baselines.methods import find_method
+from scoup_lab.baselines.methods import METHODS
 from scoup_lab.evaluate import pixel_evaluation
 from scoup_lab.evaluate.label_vectors import encode_labels
 from scoup_lab.evaluate.pixel_evaluation import predict
@@ -118,7 +118,7 @@ def test_evaluation(
 
 @pytest.mark.parametrize("name", ["sparse", "dense", "centre-pixel", "top-45-contributors", "autoencoder"])
 def test_comparison_of_methods(scene: StudyScene, table: tuple[Path, Tensor], name: str) -> None:
-    method, recorders = find_method(name), []
+    method, recorders = METHODS[name], []
 
     def uplift(inputs, settings):
         recorders.append(Recorder(method.uplift(inputs, settings)))

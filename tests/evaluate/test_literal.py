@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from evaluate import literal
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import PIXELS
-from scoup_lab.evaluate.rules import mask_rule
+from scoup_lab.evaluate.rules import MASK_RULES
 from support import examples
 
 HEIGHT, WIDTH = 13, 17
@@ -70,7 +70,7 @@ def test_protocols(levels: np.ndarray, frame: LabelledFrame, case: tuple[str, st
         iou, level = literal.mask_mean_level(levels[first:], truth, kernel, threshold)
         level += first
     else:
-        rule = mask_rule(case[1])
+        rule = MASK_RULES[case[1]]
         rules = rule.kernel, rule.border, rule.threshold, rule.smoothing, rule.smoothing_border
         iou, level, hit = literal.lerf_ovs(levels, truth, boxes, *rules)
     assert (pair.iou, pair.level, pair.hit) == (pytest.approx(iou, abs=1e-9), level, hit)

@@ -18,7 +18,7 @@ from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.baselines.fitted import FittedField
-from scoup_lab.baselines.methods import find_method
+from scoup_lab.baselines.methods import METHODS
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 from scoup_lab.evaluate.label_vectors import text_source
 from scoup_lab.evaluate.point_evaluation import PointEvaluation
@@ -33,7 +33,7 @@ def evaluation_of(methods: tuple[str, ...] = ()) -> PointEvaluation:
     return PointEvaluation(
         class_lists=tuple(scannet.find_class_list(classes) for classes in ("19", "10")),
         build=build_settings("default", n_atoms=32),
-        methods=tuple(find_method(method) for method in methods),
+        methods=tuple(METHODS[method] for method in methods),
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from scoup.base.errors import UnknownNameError
 from scoup_lab.evaluate.protocols import PIXELS
-from scoup_lab.evaluate.rules import DATASET_THRESHOLDS, MASK_RULES, MaskRule, mask_rule
+from scoup_lab.evaluate.rules import MASK_RULES, MaskRule
 
 
 def test_rules_are_those_of_the_protocols() -> None:
@@ -20,12 +20,12 @@ def test_rules_are_those_of_the_protocols() -> None:
 
 
 def test_rules_by_system_and_data_set() -> None:
-    assert all(mask_rule(system) == rule for system, rule in MASK_RULES.items())
-    assert mask_rule("scoup", "3d-ovs").threshold == 0.3
-    assert mask_rule("langsplatv2", "mipnerf360") == MASK_RULES["langsplatv2"]
-    for thresholds in DATASET_THRESHOLDS.values():
-        assert set(thresholds) <= set(MASK_RULES)
+    assert all(PIXELS["lerf-ovs"].rule(system) == rule for system, rule in MASK_RULES.items())
+    assert PIXELS["3d-ovs"].rule("scoup").threshold == 0.3
+    assert PIXELS["mipnerf360"].rule("langsplatv2").threshold == MASK_RULES["langsplatv2"].threshold
+    for protocol in PIXELS.values():
+        assert set(protocol.thresholds) <= set(MASK_RULES)
     with pytest.raises(UnknownNameError, match="scoup"):
-        mask_rule("skoup")
+        PIXELS["lerf-ovs"].rule("skoup")
     with pytest.raises(UnknownNameError, match="3d-ovs"):
-        mask_rule("langsplat", "3d-ovs")
+        PIXELS["3d-ovs"].rule("langsplat")

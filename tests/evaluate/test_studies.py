@@ -21,7 +21,7 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.method import MethodSettings
-from scoup_lab.baselines.methods import find_method
+from scoup_lab.baselines.methods import METHODS
 from scoup_lab.evaluate.plots import can_draw
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
@@ -84,7 +84,7 @@ def check_pairs(record: dict[str, Any], ious: list[float], miou: float) -> None:
 
 
 def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
-    methods = [find_method(name) for name in ("sparse", "dense", "centre-pixel")]
+    methods = [METHODS[name] for name in ("sparse", "dense", "centre-pixel")]
     study = Comparison(methods, RULE, SETTINGS, selection=True)
     results = study.results(scenes)
     assert [(result.method, result.score.scene) for result in results] == [
@@ -107,7 +107,7 @@ def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
 def test_each_method_of_a_comparison_learns_its_own_codes(scenes: list[StudyScene]) -> None:
     """Else the second would look cheaper than it is."""
     calls: list[str] = []
-    sparse = find_method("sparse")
+    sparse = METHODS["sparse"]
 
     def uplift(inputs, settings):
         calls.append("kept" if inputs.kept_codes else "new")
@@ -141,7 +141,7 @@ def test_all_ablations(scenes: list[StudyScene], tmp_path: Path) -> None:
 
 def test_rules_choose_levels(scenes: list[StudyScene]) -> None:
     scene = scenes[0]
-    fitted = find_method("dense").fit(scene.rasterised)
+    fitted = METHODS["dense"].fit(scene.rasterised)
     rules = {level: ScoringRule(RULE, (level,)) for level in ("s", "m", "l")}
     scores = scene.scores(fitted, {**rules, "all": ScoringRule(RULE)})
     peaks = [max(scores[level].pairs[0].score for level in rules), scores["all"].pairs[0].score]
@@ -177,7 +177,7 @@ def test_what_is_dropped_from_blending_hides_nothing(scenes: list[StudyScene]) -
     scores = scene.scores(fitted, rules)
     assert scores["kept"].pairs != scores["dropped"].pairs
     with pytest.raises(InputError, match="sparse codes"):
-        scene.scores(find_method("dense").fit(scene.rasterised), rules)
+        scene.scores(METHODS["dense"].fit(scene.rasterised), rules)
 
 
 def test_consistency(scenes: list[StudyScene], tmp_path: Path) -> None:

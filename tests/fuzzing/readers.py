@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from pathlib import Path
 import torch
 from tests.fuzzing import containers as of
 from tests.fuzzing.containers import Container
-from tests.fuzzing.samples import PICTURES, SIZE
+from tests.fuzzing.samples import OTHER_SPLATS, PICTURES, SIZE
 
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
@@ -234,7 +233,7 @@ READERS: Mapping[str, Reader] = {
     "jpg": _picture("a.jpg", "progressive.jpg"),
     "webp": _picture("a.webp", "lossless.webp"),
     **{ending: _picture(f"a.{ending}") for ending in PICTURES if ending in ("bmp", "tif")},
-    **({ending: _splat(f"a.{ending}", share=0.1, containers=(of.ZIP,) * (ending == "sog"))
-        for ending in ("ksplat", "sog") if importlib.util.find_spec("gaussforge") is not None}),
+    **{ending[1:]: _splat(f"a{ending}", share=0.1, containers=(of.ZIP,) * (ending == ".sog"))
+       for ending in OTHER_SPLATS},
 }  # fmt: skip
 """By name. Those that other programs read for us are there where these programs are."""

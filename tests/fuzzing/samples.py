@@ -43,6 +43,7 @@ from scoup.io import (
 from scoup.io.regions import compact
 from scoup.io.regions.manifest import RegionManifest, write_manifest
 from scoup.io.regions.views import ViewRegions
+from scoup.io.splats.formats import FORMATS
 from scoup.io.splats.gltf import write_gltf
 from scoup.io.splats.gltf_features import GaussianFeatures
 from scoup.io.splats.ply import table_from_gaussians
@@ -55,6 +56,18 @@ SIZE = (8, 6)  # of label maps and photographs
 MANY = 2000  # Gaussians of the larger files
 PICTURES = {"png": {}, "jpg": {"quality": 80}, "webp": {}, "bmp": {}, "tif": {"compression": "tiff_lzw"}}
 """Endings of photographs, and how Pillow is to write them."""
+
+
+_HAVE_SAMPLES = (".ply", ".compressed.ply", ".splat", ".spz", ".glb", ".gltf")
+OTHER_SPLATS = [
+    ending
+    for kind in FORMATS.values()
+    if kind.read and kind.write
+    if kind.extra != "splats" or importlib.util.find_spec("gaussforge") is not None
+    for ending in kind.endings
+    if ending not in _HAVE_SAMPLES
+]
+"""Endings of the table of splat formats for which nothing else writes a sample."""
 
 
 def write_samples(folder: Path) -> None:
@@ -87,9 +100,8 @@ def _write_splats(folder: Path) -> None:
     save_compressed_ply(folder / "packed_many.ply", count=MANY)
     _write_ascii_ply(folder / "ascii.ply", few)
     _write_ascii_ply(folder / "ascii_many.ply", some_gaussians(MANY, degree=0))
-    if importlib.util.find_spec("gaussforge") is not None:
-        for ending in ("ksplat", "sog"):
-            save_gaussians(few, folder / f"a.{ending}")
+    for ending in OTHER_SPLATS:
+        save_gaussians(few, folder / f"a{ending}")
     points = LabelledPoints(few.means, torch.arange(4))
     write_labelled_ply(points, folder / "labelled.ply")
 

@@ -17,15 +17,14 @@ from scoup.io import load_gaussians, save_gaussians, splat_source, written_forma
 from scoup.io.splats.formats import FORMATS, format_of
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
-NEEDED = {".ksplat": "gaussforge", ".sog": "gaussforge"}
 ENDINGS = [
     pytest.param(
         ending,
         marks=pytest.mark.skipif(
-            ending in NEEDED and importlib.util.find_spec(NEEDED[ending]) is None, reason="not installed"
+            kind.extra == "splats" and importlib.util.find_spec("gaussforge") is None, reason="not installed"
         ),
     )
-    for kind in FORMATS
+    for kind in FORMATS.values()
     if kind.read is not None and kind.write is not None
     for ending in kind.endings
 ]
@@ -103,7 +102,7 @@ def test_a_training_decides_the_preset_of_what_it_exported(tmp_path: Path) -> No
 
 def test_documents_list_all() -> None:
     splats = DOCUMENT.split("## Splats")[1].split("\n## ")[0]
-    for kind in FORMATS:
+    for kind in FORMATS.values():
         for text in (kind.name, *kind.endings):
             assert text in splats, text
     field = DOCUMENT.split("## The language field")[1].split("\n## ")[0]

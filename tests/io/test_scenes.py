@@ -20,7 +20,7 @@ from io_samples import (
 )
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io import as_stored, load_cameras, load_gaussians, load_image, save_gaussians, splat_source
-from scoup.io.camera_sources import find_cameras
+from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.inria import write_inria_cameras
 from scoup.io.cameras.nerfstudio import write_transforms
@@ -69,6 +69,18 @@ def test_precedence(tmp_path):
     assert find_cameras(tmp_path).format == "colmap"
     (tmp_path / "point_cloud").mkdir()
     assert find_cameras(tmp_path).format == "inria"
+
+
+@pytest.mark.filterwarnings("ignore:.*no image")
+def test_a_format_of_a_package(tmp_path, monkeypatch):
+    cameras = some_cameras(2)
+    own = CameraFormat("own", lambda path, _: cameras, lambda path: path.suffix == ".rig", ("own.rig",))
+    monkeypatch.setitem(CAMERA_FORMATS._all, "own", own)
+    with pytest.raises(MissingFileError, match=r"sparse/0, cameras.json, transforms.json, own.rig"):
+        find_cameras(tmp_path)
+    (tmp_path / "own.rig").touch()
+    for path in (tmp_path, tmp_path / "own.rig"):
+        assert load_cameras(path).names == cameras.names
 
 
 def test_inria_names_get_their_extension_and_images_of_the_training_data(tmp_path):

@@ -12,13 +12,13 @@ import torch
 
 from mask_samples import smooth_image
 from scoup.base.errors import ScoupError
-from scoup.models.image import open_image_model
-from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip
+from scoup.models.image import open_clip_image_model, open_image_model
+from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip, tiny_tips
 
 CLIP_MEAN, CLIP_STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 
 
-@pytest.mark.parametrize("build", [tiny_clip, tiny_siglip])
+@pytest.mark.parametrize("build", [tiny_clip, tiny_siglip, tiny_tips])
 def test_embeddings_are_those_of_the_model_fed_by_hand(build, tmp_path: Path) -> None:
     """CLIP's or SigLIP's normalisation, unit length; within 1e-3 cosine."""
     model = build()
@@ -27,7 +27,7 @@ def test_embeddings_are_those_of_the_model_fed_by_hand(build, tmp_path: Path) ->
     crops = np.stack([smooth_image(32, 32, seed) for seed in range(15)])
     crops[7:, :, 16:] = 0  # with a black margin, as crops of regions have one
     rows = embedder.embed(torch.from_numpy(crops))
-    mean, std = (CLIP_MEAN, CLIP_STD) if build is tiny_clip else ((0.5,) * 3, (0.5,) * 3)
+    mean, std = {tiny_clip: (CLIP_MEAN, CLIP_STD), tiny_tips: (0, 1)}.get(build, (0.5, 0.5))
     pixels = torch.from_numpy((crops / 255 - mean) / std).float().permute(0, 3, 1, 2)
     with torch.inference_mode():
         features = model.get_image_features(pixel_values=pixels)
@@ -72,7 +72,7 @@ def test_open_clip_models_are_used_through_their_own_interface(monkeypatch) -> N
         return Model()
 
     monkeypatch.setitem(sys.modules, "open_clip", SimpleNamespace(create_model=create_model))
-    embedder = open_image_model("open_clip:ViT-B-16/laion2b_s34b_b88k")
+    embedder = open_clip_image_model("open_clip:ViT-B-16/laion2b_s34b_b88k")
     assert created == [("ViT-B-16", "laion2b_s34b_b88k", "cpu")]
     assert (embedder.dim, embedder.side, embedder.name) == (6, 10, "open_clip:ViT-B-16/laion2b_s34b_b88k")
     crops = torch.from_numpy(smooth_image(10, 10))[None]

@@ -83,7 +83,7 @@ def test_it_embeds_the_regions_of_photographs(tmp_path: Path) -> None:
         torch.from_numpy(smooth_image(40, 56)), {"s": Masks.from_dense(whole)}
     )["s"]
     assert vector.norm().item() == pytest.approx(1)
-    with pytest.raises(ScoupError, match="pass a table with the vectors of the words"):
+    with pytest.raises(ScoupError, match="pass a table of the vectors of words"):
         TextEncoder.open("onnx:tiny")
 
 

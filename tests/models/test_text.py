@@ -14,7 +14,7 @@ from scoup.base.errors import (
     ScoupWarning,
 )
 from scoup.models.text import TextEncoder
-from tiny_models import TINY_TEXT, WORDS, save_text_clip, tiny_tokenizer
+from tiny_models import TINY_TEXT, WORDS, save_text_clip, saved, tiny_tips, tiny_tokenizer
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +62,18 @@ def test_siglip_through_transformers(tmp_path: Path) -> None:
         features = model.get_text_features(input_ids=torch.tensor([[1, 4, 6, 6, 6, 6, 6, 6]]))
     expected = torch.nn.functional.normalize(getattr(features, "pooler_output", features), dim=1)
     torch.testing.assert_close(encoder.encode(["apple"]), expected, atol=1e-6, rtol=1e-5)
+
+
+def test_tips_is_the_mean_of_its_tokens(tmp_path: Path) -> None:
+    model = tiny_tips(max_position_embeddings=8, vocab_size=7)
+    saved(model, tmp_path)
+    tiny_tokenizer(tmp_path, WORDS)
+    vectors = TextEncoder.open(str(tmp_path)).encode(["red apple", "chair"])  # of different lengths
+    for row, ids in zip(vectors, ([1, 3, 4, 6], [1, 5, 6]), strict=True):
+        with torch.inference_mode():
+            states = model.text_model(input_ids=torch.tensor([ids])).last_hidden_state[0]
+        expected = torch.nn.functional.normalize(states.mean(0), dim=0)
+        torch.testing.assert_close(row, expected, atol=1e-5, rtol=1e-4)
 
 
 def test_models_that_cannot_be_loaded(clip_folder: Path, tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The phrases that models have encoded, but for the one that every opening encodes."""
     phrases: list[str] = []
-    open_model = text._open_model
+    open_model = text.open_text_model
 
     def opened(*arguments: object) -> tuple[text.Encode, ModelIdentity]:
         encode, identity = open_model(*arguments)  # pyright: ignore[reportArgumentType]
@@ -59,7 +59,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return encode_counted, identity
 
-    monkeypatch.setattr(text, "_open_model", opened)
+    monkeypatch.setattr(text, "open_text_model", opened)
     return phrases
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import torch
 from torch import Tensor
@@ -127,21 +128,21 @@ def check_few_sums_at_a_time(device: str) -> None:
     labels = random_labels(2, camera.height, camera.width, 9, 3).to(device)
     labels[:, 16:24] = -1  # a row of tiles without a region
 
-    def found(most: int) -> tuple[list[int], raster.ViewSums]:
-        before, gpu_regions.MOST_SUMS = gpu_regions.MOST_SUMS, most
-        try:
-            lots = [sums.bases >= 0 for sums in gpu_regions.tile_sums(projection, columns)]
-            sums = raster.region_sums(projection, labels)
-        finally:
-            gpu_regions.MOST_SUMS = before
-        assert int(torch.stack(lots).sum(0).amax()) <= 1, "a tile came twice"
-        return [int(sizes[lot].sum()) for lot in lots], sums
-
     columns = gpu_regions.columns_of(projection, raster.combine(labels).map)
     sizes = projection.starts.diff() * columns.counts
     total, largest = int(sizes.sum()), int(sizes.max())
     assert bool((sizes == 0).any())
     assert largest < total
+
+    def found(most: int) -> tuple[list[int], raster.ViewSums]:
+        with patch.object(gpu_regions, "MOST_SUMS", most):
+            lots = list(gpu_regions.lots(torch.cumsum(sizes, 0), total))
+            sums = raster.region_sums(projection, labels)
+        tiles = [tile for lot in lots for tile in lot.tiles]
+        assert len(set(tiles)) == len(tiles), "a tile came twice"
+        assert [lot.room for lot in lots] == [int(sizes[list(lot.tiles)].sum()) for lot in lots]
+        return [lot.room for lot in lots], sums
+
     _, expected = found(total)
     for most in (total - 1, largest - 1):
         lots, again = found(most)

@@ -108,15 +108,19 @@ def check_rounds(prepared: type[Any], sizes: Sizes, keep: int, seed: int, device
     tested = prepared(**arguments, device=torch.device(device))
     buckets = buckets_of(arguments)
     earlier = earlier_of(arguments, min(keep, 8), sizes.levels)
-    found = tested.round(keep, None, True, buckets)
-    assert_same_codes(found, reference, keep, None, True, buckets)
-    found, again = (tested.round(keep, earlier, False, buckets) for _ in range(2))
+
+    def voted(earlier: EarlierRound | None, unit_norm: bool) -> tuple[Tensor, Tensor]:
+        indices, weights = tested.round(keep, earlier, unit_norm, buckets)
+        return indices.cpu(), weights.cpu()
+
+    assert_same_codes(voted(None, True), reference, keep, None, True, buckets)
+    found, again = (voted(earlier, False) for _ in range(2))
     assert all(torch.equal(one, other) for one, other in zip(found, again, strict=True))
     assert_same_codes(found, reference, keep, earlier, False, buckets)
     expected = reference.deviations(earlier, buckets)
     for one, other in zip(tested.deviations(earlier, buckets), expected, strict=True):
         assert len(one) == len(other)
-        assert not beyond(one.sort().values, other.sort().values, 10.0).any()
+        assert not beyond(one.cpu().sort().values, other.sort().values, 10.0).any()
 
 
 def assert_same_codes(

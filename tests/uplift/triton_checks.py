@@ -35,18 +35,19 @@ def check_few_at_a_time(device: str) -> None:
 
     arguments = random_vote(Sizes(258, 1, 1, 5, 2, 60), 4)
     buckets = buckets_of(arguments)
-    prepared = vote_triton.Vote(**arguments, device=torch.device(device))
     found = []
     for name, most, chunks in (
-        ("MOST_BUCKETS", 256, [range(2)]),
-        ("MOST_BUCKETS", 1, [range(1), range(1, 2)]),
+        ("MOST_ENTRIES", 100, [range(2)]),
         ("MOST_ENTRIES", 1, [range(1), range(1, 2)]),
         ("MOST_SUMS", 1, [range(1), range(1, 2)]),
+        ("MOST_KNOWN", 1, [range(2)]),
+        ("MOST_KEPT", 1, [range(2)]),
     ):
         before = getattr(vote_triton, name)
         setattr(vote_triton, name, most)
         try:
-            assert list(prepared.chunks(buckets)) == chunks
+            prepared = vote_triton.Vote(**arguments, device=torch.device(device))
+            assert list(prepared.chunks(buckets, 2)) == chunks
             found.append(prepared.round(2, None, False, buckets))
         finally:
             setattr(vote_triton, name, before)

@@ -15,7 +15,7 @@ class Entry:
     """A row of a ``Registry``. Each table has a kind of its own, with what opens, reads or computes."""
 
     name: str
-    """As the user writes it. "onnx:FOLDER" stands for all names that begin with "onnx:"."""
+    """As the user writes it. "onnx:FOLDER", capitals behind a colon, stands for all names that begin with "onnx:"."""
     help: str = field(default="", kw_only=True)
     """One line."""
     licence: str = field(default="", kw_only=True)
@@ -25,8 +25,8 @@ class Entry:
 
     def answers_to(self, name: str) -> bool:
         """Return whether a user may mean this entry by a name."""
-        start, colon, _ = self.name.rpartition(":")
-        return name == self.name or (bool(colon) and name.startswith(start + colon))
+        start, colon, rest = self.name.rpartition(":")
+        return name == self.name or (bool(colon) and rest.isupper() and name.startswith(start + colon))
 
 
 EntryOf = TypeVar("EntryOf", bound=Entry)
@@ -42,12 +42,6 @@ class Registry(Mapping[str, EntryOf], Generic[EntryOf]):
         group: of the entry points.
         kind: class of the entries.
         own: those of the project.
-
-    Example:
-        >>> from scoup.base.registry import Entry, Registry
-        >>> fruits = Registry("fruit", "orchard.fruits", Entry, [Entry("apple"), Entry("dried:FRUIT")])
-        >>> list(fruits), fruits.find("dried:plum").name
-        (['apple', 'dried:FRUIT'], 'dried:FRUIT')
     """
 
     def __init__(self, what: str, group: str, kind: type[EntryOf], own: Iterable[EntryOf]) -> None:
@@ -90,7 +84,7 @@ class Registry(Mapping[str, EntryOf], Generic[EntryOf]):
             except Exception as error:  # another package's code raises what it likes
                 package = point.dist.name if point.dist is not None else "unknown"
                 warn_once(
-                    f"the {self.what} {point.name!r} of the package {package!r} is left out "
+                    f"the package {package!r}: {point.name!r} of its {self.group} is left out "
                     f"({type(error).__name__}: {error}); update or uninstall that package"
                 )
         return entries

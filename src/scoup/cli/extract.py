@@ -56,25 +56,24 @@ class Extract(WritesCommon):
     """Folder for the regions, which scoup convert turns into LangSplat's files. Default: SCENE/language_features, where
     scoup build looks."""
     segmenter: OptionalText = None
-    """mobile-sam, or its checkpoint (.pt); sam-vit-b, -l, -h; sam2.1-tiny, -small, -base-plus, -large; sam3; a folder
-    or hub id of such a model; onnx:FOLDER with an encoder and a decoder; or felzenszwalb: regions of even colour from
-    scikit-image, no model and no objects. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
+    """A segmenter of --list, such as sam2.1-tiny; a folder or hub id of a SAM; onnx:FOLDER with an encoder and a
+    decoder; or felzenszwalb: regions of even colour, no model. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam
+    without one."""
     embedder: str = CLIP_MODEL
-    """A CLIP or SigLIP model by folder or hub id, with dense: before it for one pass over the photograph instead of
-    one for each region; dense:onnx:FILE, an exported dense encoder; open_clip:ARCHITECTURE/PRETRAINED; or colors: no
-    model; cannot be queried by text."""
+    """An embedder of --list; any CLIP, SigLIP or TIPSv2 by folder or hub id, with dense: before it for one pass over
+    the photograph instead of one for each region; or colors: no model; cannot be queried by text."""
     concepts: OptionalText = None
     """Also look for words in the photographs, by which scoup build names things: a file with one word per line, or
     everyday, for about a thousand everyday words."""
     concept_model: str = "owlv2"
-    """The model for --concepts: owlv2, owlv2-large, grounding-dino, grounding-dino-base, sam3, a folder or hub id of
-    such a model, or onnx:FOLDER."""
+    """The model for --concepts, of --list."""
     segmenter_revision: OptionalText = None
     """Branch, tag or commit of the segmenter. The commit is recorded, and used again on resuming."""
     embedder_revision: OptionalText = None
     """Branch, tag or commit of the embedder, likewise."""
     list_models: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
-    """Print a table of segmenters and embedders, and whether their weights are on this machine; do nothing else."""
+    """Print a table of segmenters, embedders and models with words, and whether their weights are on this machine; do
+    nothing else."""
     preset: Annotated[
         Literal["langsplat", "fast"] | None, tyro.conf.arg(metavar="{langsplat,fast}", help_behavior_hint="")
     ] = None
@@ -178,12 +177,14 @@ class Extract(WritesCommon):
 
 def _list_models(console: Console) -> None:
     from scoup.extract.registry import EMBEDDERS, SEGMENTERS
+    from scoup.models.concepts import CONCEPTS
 
     rows = {
         title: [
-            {**choice.cells(), "weights": choice.weights(), "what it is": choice.what} for choice in choices
+            {**entry.cells(), "weights": entry.weights(), "what it is": entry.help}
+            for entry in table.values()
         ]
-        for title, choices in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS))
+        for title, table in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS), ("concepts", CONCEPTS))
     }
     for records in rows.values():
         lines = [list(records[0]), *(list(record.values()) for record in records)]

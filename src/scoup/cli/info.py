@@ -28,7 +28,7 @@ class Info(Common):
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
         suffix = self.path.suffix.lower()
-        record = (_folder if self.path.is_dir() else _KINDS.get(suffix, _splat))(self.path)
+        record = (_folder if self.path.is_dir() else _KINDS.get(suffix, _other))(self.path)
         if "distorted" in record:
             record["distorted"] = f"{record['distorted']} (scoup build needs --undistort)"
         for line in _lines(record):
@@ -51,12 +51,15 @@ def _folder(path: Path) -> dict[str, Any]:
     return {**folder.record, "fit": fit.describe()}
 
 
-def _splat(path: Path) -> dict[str, Any]:
+def _other(path: Path) -> dict[str, Any]:
     from scoup.base.errors import FileFormatError
     from scoup.io import load_gaussians
+    from scoup.io.camera_sources import camera_format
     from scoup.io.describe import describe_gaussians
     from scoup.io.splats.formats import is_splat_name, other_format, read_endings
 
+    if camera_format(path):
+        return _cameras(path)
     if not is_splat_name(path):
         readable = (
             f"read are fields (.scoup), splats ({read_endings()}), cameras (transforms.json, "
@@ -122,7 +125,7 @@ _KINDS: dict[str, Callable[[Path], dict[str, Any]]] = {
     **dict.fromkeys((".bin", ".txt"), _cameras),
     ".json": _json,
 }
-"""Extension -> what describes such a file; all others are splats."""
+"""Extension -> what describes such a file; all others are splats, or cameras of other formats."""
 
 
 def _lines(record: dict[str, Any], indent: str = "") -> Iterator[str]:

@@ -36,7 +36,7 @@ class Common:
     option_groups: ClassVar[OptionGroups] = {"common": "device quiet as_json"}
 
     device: str = "cpu"
-    """Device of the tensors: cpu, or cuda if torch has a GPU."""
+    """Device of the tensors: cpu, or cuda if torch has a GPU (experimental, see docs/gpu.md)."""
     quiet: Flag = False
     """Print nothing but warnings and errors."""
     as_json: Annotated[bool, tyro.conf.arg(name="json", help_behavior_hint="")] = False

@@ -28,15 +28,27 @@ class Family:
     Attributes:
         description: for the help; its first paragraph for lists.
         verbs: where each is, "module:name" of a dataclass or of a further family; imported when it is used.
+        others: where a function from any other name to a verb, or None, is; "" if there are no others.
     """
 
     description: str
     verbs: Mapping[str, str]
+    others: str = ""
 
     def load(self, name: str) -> type | Family:
         """Import a verb, or a family of verbs."""
-        module, _, attribute = self.verbs[name].partition(":")
-        return getattr(importlib.import_module(module), attribute)
+        return _imported(self.verbs[name])
+
+    def find(self, name: str) -> type | Family | None:
+        """Return what a name means; None if nothing."""
+        if name in self.verbs:
+            return self.load(name)
+        return _imported(self.others)(name) if self.others and name[:1].isalnum() else None
+
+
+def _imported(place: str) -> Any:
+    module, _, attribute = place.partition(":")
+    return getattr(importlib.import_module(module), attribute)
 
 
 def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
@@ -46,8 +58,8 @@ def parse(arguments: Sequence[str], family: Family, program: str) -> Any:
         SystemExit: after printing help, or why the arguments cannot be parsed.
     """
     name, rest = (arguments[0], arguments[1:]) if arguments else ("", ())
-    if name in family.verbs:
-        verb = family.load(name)
+    verb = family.find(name)
+    if verb is not None:
         if isinstance(verb, Family):
             return parse(rest, verb, f"{program} {name}")
         return _parse(verb, f"{program} {name}", _text(verb), rest)

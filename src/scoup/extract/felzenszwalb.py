@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import ScoupError
+from scoup.base.errors import InputError, ScoupError
 from scoup.extract.masks import Masks
+from scoup.models.entry import ModelEntry
 from scoup.scene.regions import LEVELS
 
 NAME = "felzenszwalb"
@@ -45,3 +46,20 @@ class Felzenszwalb:
             labels = felzenszwalb(image, scale * share**0.5, _SIGMA, size, channel_axis=2)
             result[level] = Masks.from_labels(np.asarray(labels, np.int32))
         return result
+
+
+def _open(
+    name: str, revision: str | None, device: object, settings: object, with_default: bool
+) -> Felzenszwalb:
+    if with_default:
+        raise InputError(f"{name} has no level default: it does not predict masks from points")
+    return Felzenszwalb()
+
+
+ENTRY = ModelEntry(
+    NAME,
+    _open,
+    help="no model: regions of even colour at three scales",
+    licence="BSD-3-Clause",
+    extra="segment",
+)

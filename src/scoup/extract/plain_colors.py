@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from scoup.models.entry import ModelEntry
 from scoup.models.text import COLORS
 
 NAME = COLORS
@@ -56,3 +57,10 @@ class PlainColors:
         edges.scatter_add_(1, direction.flatten(1), strength.flatten(1))
         parts = (functional.normalize(colors, dim=1), 0.3 * functional.normalize(edges, dim=1))
         return functional.normalize(torch.cat(parts, dim=1), dim=1)
+
+
+ENTRY = ModelEntry(
+    NAME,
+    lambda name, revision, device: PlainColors(device),
+    help="no model: colours and edges of a crop; a field of it cannot be queried by text",
+)

@@ -1,100 +1,111 @@
-"""Segmenters and embedders by name, and the table of them."""
+"""Segmenters and embedders by name, and the tables of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.registry import Registry
 from scoup.extract import felzenszwalb, plain_colors
+from scoup.extract.automatic_masks import SamSegmenter
+from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
 from scoup.io.regions.manifest import read_manifest
 from scoup.models import dense, mobile_sam, onnx_dense, onnx_sam, sam
-from scoup.models.hub import ONNX, OPEN_CLIP, is_cached
+from scoup.models.entry import Device, HubEntry, ModelEntry
+from scoup.models.hub import ONNX, OPEN_CLIP
+from scoup.models.image import open_image_model
+from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A row of the table of segmenters and embedders."""
-
-    name: str
-    what: str
-    size: str = "-"  # of the weights in 32 bits
-    licence: str = "-"  # of the weights, or of the package where there are none
-    seconds: float | None = (
-        None  # of a CPU per photograph: docs/benchmarks/extract.json (preset fast), embed.json; None: not measured
-    )
-    extra: str = ""  # of scoup, which brings the packages that it needs
-    file: tuple[str, str] | None = (
-        None  # hub id, and the file of the weights; None where the user names the weights
-    )
-
-    def cells(self) -> dict[str, str]:
-        """Return column -> text, of all but ``what`` and ``weights``."""
-        return {
-            "name": self.name,
-            "size": self.size,
-            "licence": self.licence,
-            "CPU seconds": "-" if self.seconds is None else f"{self.seconds:.1f}",
-            "needs": f"scoup[{self.extra}]" if self.extra else "-",
-        }
-
-    def weights(self) -> str:
-        """Return "here" or "not here" for weights of a hub, "-" where there are none or the user names them."""
-        if self.file is None:
-            return "-"
-        return "here" if is_cached(*self.file) else "not here"
+def _open_sam(
+    name: str, revision: str | None, device: Device, settings: MaskSettings, with_default: bool
+) -> Segmenter:
+    if name.startswith(ONNX):
+        return SamSegmenter(onnx_sam.open_onnx_sam(name), settings, with_default)
+    model = sam.open_sam(name, revision, device, settings.half, _hub_id(SEGMENTERS, name))
+    return SamSegmenter(model, settings, with_default)
 
 
-def _sam(name: str, what: str, size: str, licence: str = "Apache-2.0") -> Choice:
-    file = (sam.SHORT_NAMES[name], "model.safetensors")
-    return Choice(name, what, size, licence, None, "models", file)
+def _hub_id(table: Registry[ModelEntry], name: str) -> str:
+    """Return the id of the model that a name is short for; "" if it is not short."""
+    file = table.find(name).file
+    return "" if file is None else file[0]
+
+
+def _open_dense(name: str, revision: str | None, device: Device) -> Embedder:
+    return DenseEmbedder(dense.open_dense_model(name, revision, device))
+
+
+def _open_onnx_dense(name: str, revision: str | None, device: Device) -> Embedder:
+    return DenseEmbedder(onnx_dense.open_onnx_dense(name.removeprefix(dense.PREFIX)))
+
+
+def _sam(name: str, hub_id: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
+    file = (f"facebook/{hub_id}", "model.safetensors")
+    return ModelEntry(name, _open_sam, size=size, file=file, help=help, licence=licence, extra="models")
 
 
 _CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
-SEGMENTERS = (
-    Choice(
-        sam.MOBILE_SAM, "MobileSAM: the default without a GPU", "41 MB", "Apache-2.0", 10.6, "models",
-        (mobile_sam.HUB_ID, mobile_sam.FILE),
+_NAFLEX = "google/siglip2-base-patch16-naflex"
+_TIPS = "google/tipsv2-b14"
+SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
+    ModelEntry(
+        sam.MOBILE_SAM, _open_sam, size="41 MB", seconds=10.6, file=(mobile_sam.HUB_ID, mobile_sam.FILE),
+        help="MobileSAM: the default without a GPU", licence="Apache-2.0", extra="models",
     ),
-    _sam("sam-vit-b", "SAM ViT-B", "375 MB"),
-    _sam("sam-vit-l", "SAM ViT-L", "1.2 GB"),
-    _sam("sam-vit-h", "SAM ViT-H, as LangSplat: the default on a GPU", "2.6 GB"),
-    _sam("sam2.1-tiny", "SAM 2.1 Hiera-T", "156 MB"),
-    _sam("sam2.1-small", "SAM 2.1 Hiera-S", "184 MB"),
-    _sam("sam2.1-base-plus", "SAM 2.1 Hiera-B+", "323 MB"),
-    _sam("sam2.1-large", "SAM 2.1 Hiera-L", "898 MB"),
-    _sam("sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
-    Choice("FOLDER or hub id", "any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
-    Choice(
-        f"{ONNX}FOLDER", "SAM or SAM 2 exported to ONNX, on the CPU (seconds: SAM 2 tiny)", seconds=45.7,
-        extra="onnx",
+    _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
+    _sam("sam-vit-l", "sam-vit-large", "SAM ViT-L", "1.2 GB"),
+    _sam("sam-vit-h", "sam-vit-huge", "SAM ViT-H, as LangSplat: the default on a GPU", "2.6 GB"),
+    _sam("sam2.1-tiny", "sam2.1-hiera-tiny", "SAM 2.1 Hiera-T", "156 MB"),
+    _sam("sam2.1-small", "sam2.1-hiera-small", "SAM 2.1 Hiera-S", "184 MB"),
+    _sam("sam2.1-base-plus", "sam2.1-hiera-base-plus", "SAM 2.1 Hiera-B+", "323 MB"),
+    _sam("sam2.1-large", "sam2.1-hiera-large", "SAM 2.1 Hiera-L", "898 MB"),
+    _sam("sam3", "sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
+    HubEntry("FOLDER or hub id", _open_sam, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
+    ModelEntry(
+        f"{ONNX}FOLDER", _open_sam, seconds=45.7, extra="onnx",
+        help="SAM or SAM 2 exported to ONNX, on the CPU (seconds: SAM 2 tiny)",
     ),
-    Choice(
-        felzenszwalb.NAME, "no model: regions of even colour at three scales", licence="BSD-3-Clause",
-        extra="segment",
+    felzenszwalb.ENTRY,
+))  # fmt: skip
+EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
+    ModelEntry(
+        _CLIP, open_image_model, size="598 MB", seconds=47.6, file=(_CLIP, "model.safetensors"),
+        help="CLIP ViT-B/16, as LangSplat: the default", licence="MIT", extra="models",
     ),
-)  # fmt: skip
-EMBEDDERS = (
-    Choice(
-        _CLIP, "CLIP ViT-B/16, as LangSplat: the default", "598 MB", "MIT", 47.6, "models",
-        (_CLIP, "model.safetensors"),
-    ),
-    Choice("FOLDER or hub id", "any CLIP or SigLIP of transformers", extra="models"),
-    Choice(
-        f"{dense.PREFIX}MODEL", "the same models in one pass per photograph instead of one per region", seconds=2.4,
+    ModelEntry(
+        f"{dense.PREFIX}{_TIPS}", _open_dense, size="784 MB", file=(_TIPS, "model.safetensors"),
+        help="TIPSv2 B/14: patches aligned with text; l14, so400m14, g14 are larger", licence="Apache-2.0, CC-BY-4.0",
         extra="models",
     ),
-    Choice(
-        f"{dense.PREFIX}{ONNX}FILE", "a dense encoder exported to ONNX (RADIO, dino.txt), on the CPU",
-        extra="onnx",
+    ModelEntry(
+        _NAFLEX, open_image_model, size="1.5 GB", file=(_NAFLEX, "model.safetensors"),
+        help="SigLIP 2 NaFlex, on squares of 256 patches", licence="Apache-2.0", extra="models",
     ),
-    Choice(f"{OPEN_CLIP}ARCHITECTURE/PRETRAINED", "open_clip", extra="open-clip"),
-    Choice(plain_colors.NAME, "no model: colours and edges of a crop; a field of it cannot be queried by text"),
-)  # fmt: skip
+    HUB,
+    ModelEntry(
+        f"{dense.PREFIX}MODEL", _open_dense, seconds=2.4, extra="models",
+        help="the same models in one pass per photograph instead of one per region",
+    ),
+    ModelEntry(
+        f"{dense.PREFIX}{ONNX}FILE", _open_onnx_dense, extra="onnx",
+        help="a dense encoder exported to ONNX (RADIO, dino.txt), on the CPU",
+    ),
+    replace(
+        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",
+        help="MobileCLIP2 S2: small and fast; S0, B, S3, S4, too",
+    ),
+    replace(
+        ANY_OPEN_CLIP, name=f"{OPEN_CLIP}PE-Core-B-16/meta", size="1.7 GB", licence="Apache-2.0",
+        help="Perception Encoder B/16; PE-Core-L-14-336, PE-Core-bigG-14-448 are larger",
+    ),
+    ANY_OPEN_CLIP,
+    plain_colors.ENTRY,
+))  # fmt: skip
 
 
 def open_segmenter(
@@ -112,19 +123,7 @@ def open_segmenter(
         revision: branch, tag or commit of a hub model.
         with_default: also make LangSplat's level "default" (models only).
     """
-    if name == felzenszwalb.NAME:
-        if with_default:
-            raise InputError(f"{name} has no level default: it does not predict masks from points")
-        return felzenszwalb.Felzenszwalb()
-    from scoup.extract.automatic_masks import SamSegmenter
-
-    settings = settings or MaskSettings()
-    if name.startswith(ONNX):
-        return SamSegmenter(onnx_sam.open_onnx_sam(name), settings, with_default)
-    if not (name in sam.NAMES or "/" in name or name.endswith(".pt") or Path(name).exists()):
-        known = (felzenszwalb.NAME, *sam.NAMES, f"{ONNX}FOLDER", "OWNER/MODEL of a hub")
-        raise UnknownNameError("segmenter", name, known)
-    return SamSegmenter(sam.open_sam(name, revision, device, settings.half), settings, with_default)
+    return SEGMENTERS.find(name).open(name, revision, device, settings or MaskSettings(), with_default)
 
 
 def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:
@@ -134,18 +133,7 @@ def open_embedder(name: str, revision: str | None = None, device: torch.device |
         name: of ``EMBEDDERS``.
         revision: branch, tag or commit of a hub model.
     """
-    if name == plain_colors.NAME:
-        return plain_colors.PlainColors(device)
-    if name.startswith(dense.PREFIX):
-        from scoup.extract.dense import DenseEmbedder
-
-        model = name.removeprefix(dense.PREFIX)
-        if model.startswith(ONNX):
-            return DenseEmbedder(onnx_dense.open_onnx_dense(model))
-        return DenseEmbedder(dense.open_dense_model(name, revision, device))
-    from scoup.models.image import open_image_model
-
-    return open_image_model(name, revision, device)
+    return EMBEDDERS.find(name).open(name, revision, device)
 
 
 def open_pair(
@@ -168,13 +156,13 @@ def open_pair(
     manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}
 
-    def revision_of(role: str, name: str, given: str | None) -> str | None:
+    def revision_of(table: Registry[ModelEntry], name: str, given: str | None) -> str | None:
         # The manifest names a model by its hub id.
-        same = begun.get(role) in (name, sam.SHORT_NAMES.get(name, name.removeprefix(dense.PREFIX)))
-        return given or (begun.get(f"{role}_revision") or None if same else None)
+        same = begun.get(table.what) in (name, name.removeprefix(dense.PREFIX), _hub_id(table, name))
+        return given or (begun.get(f"{table.what}_revision") or None if same else None)
 
-    first = revision_of("segmenter", segmenter, revisions[0])
-    second = revision_of("embedder", embedder, revisions[1])
+    first = revision_of(SEGMENTERS, segmenter, revisions[0])
+    second = revision_of(EMBEDDERS, embedder, revisions[1])
     return (
         open_segmenter(segmenter, settings, first, device, with_default),
         open_embedder(embedder, second, device),

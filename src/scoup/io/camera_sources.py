@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.io.cameras.colmap import is_model
-from scoup.io.cameras.inria import read_cfg_args
+from scoup.base.registry import Entry, Registry
+from scoup.io.cameras.colmap import is_model, read_colmap
+from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras
+from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import TRAINED_FRAME
 from scoup.io.cameras.training_run import (
     GSPLAT_CONFIG,
@@ -18,11 +20,45 @@ from scoup.io.cameras.training_run import (
     is_nerfstudio_run,
     nerfstudio_data,
 )
-
-CameraFormat = Literal["colmap", "nerfstudio", "inria"]
+from scoup.io.reading import Distorted
+from scoup.scene.cameras import Cameras
 
 _SPARSE = ("sparse", "sparse_pc")  # COLMAP's folder of models, and what nerfstudio makes of it
 _MOST_FOLDERS = 100  # looked into for scenes
+
+
+@dataclass(frozen=True)
+class CameraFormat(Entry):
+    """A format of cameras: how to recognise and read it."""
+
+    read: Callable[[Path, Distorted], Cameras]
+    """Takes a file (of COLMAP a folder), and what to do about lens distortion."""
+    takes: Callable[[Path], bool]
+    """Whether an existing file is of this format; the first format that takes a file reads it."""
+    files: tuple[str, ...] = ()
+    """Names of its files in the folder of a scene."""
+
+
+def _is_of_model(path: Path) -> bool:
+    return path.suffix.lower() in (".bin", ".txt") and is_model(path.parent)
+
+
+def _is_list(path: Path) -> bool:
+    if path.suffix.lower() != ".json":
+        return False
+    with open(path, "rb") as stream:
+        return stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
+
+
+_COLMAP = CameraFormat("colmap", read_colmap, _is_of_model)
+# A list is Inria's, any other JSON nerfstudio's, whatever the file is called.
+_INRIA = CameraFormat("inria", lambda path, _: read_inria_cameras(path), _is_list, ("cameras.json",))
+_NERFSTUDIO = CameraFormat(
+    "nerfstudio", read_transforms, lambda path: path.suffix.lower() == ".json", ("transforms.json",)
+)
+CAMERA_FORMATS = Registry(
+    "camera format", "scoup.camera_formats", CameraFormat, (_COLMAP, _INRIA, _NERFSTUDIO)
+)
 
 
 @dataclass(frozen=True)
@@ -32,7 +68,7 @@ class CameraSource:
     nerfstudio, or cfg.yml of gsplat, whose trainer moves the world.
     """
 
-    format: CameraFormat
+    format: str
     path: Path
     roots: tuple[Path, ...]
     others: tuple[Path, ...] = ()
@@ -42,8 +78,8 @@ class CameraSource:
 def find_cameras(path: str | Path) -> CameraSource:
     """Return which cameras ``load_cameras`` reads for ``path``.
 
-    In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a
-    COLMAP model in ``sparse``, then transforms.json, then a model in ``colmap/sparse``, then cameras.json.
+    In a folder with ``point_cloud`` (an output of Inria's code) its cameras.json comes first; otherwise a COLMAP model
+    in ``sparse``, then transforms.json, then a model in ``colmap/sparse``, then files of the other formats.
     """
     path = Path(path)
     if os.path.isfile(path):
@@ -63,14 +99,13 @@ def _source_of_data(path: Path) -> CameraSource:
 
 
 def _source_of_folder(path: Path) -> CameraSource:
-    inria = [path / "cameras.json"]
     candidates = [
-        *(inria if (path / "point_cloud").is_dir() else []),
+        *([path / "cameras.json"] if (path / "point_cloud").is_dir() else []),
         path / "sparse",
         path / "transforms.json",
         path / "colmap" / "sparse",
         path,
-        *inria,
+        *(path / name for name in _file_names()),
     ]
     for candidate in candidates:
         if candidate.is_file():
@@ -78,9 +113,13 @@ def _source_of_folder(path: Path) -> CameraSource:
         models = _models(candidate)
         if models:
             return CameraSource("colmap", models[0], (scene_folder(models[0]),), tuple(models[1:]))
-    raise MissingFileError(
-        path, "contains no cameras (sparse/0, transforms.json or cameras.json)", where_cameras_are(path)
-    )
+    looked_for = ", ".join(["sparse/0", *_file_names()])
+    raise MissingFileError(path, f"contains no cameras ({looked_for})", where_cameras_are(path))
+
+
+def _file_names() -> list[str]:
+    """Return the names of files of cameras in the folder of a scene."""
+    return [name for kind in CAMERA_FORMATS.values() for name in kind.files]
 
 
 def _source_of_run(run: Path) -> CameraSource:
@@ -147,24 +186,22 @@ def where_cameras_are(path: Path) -> str:
 
 
 def _has_cameras(folder: Path) -> bool:
-    files = ("transforms.json", "cameras.json")
-    return any((folder / name).is_file() for name in files) or bool(_models(folder / "sparse"))
+    return any((folder / name).is_file() for name in _file_names()) or bool(_models(folder / "sparse"))
+
+
+def camera_format(path: Path) -> CameraFormat | None:
+    """Return the format of a file of cameras; None if it is another file."""
+    return next((kind for kind in CAMERA_FORMATS.values() if kind.takes(path)), None)
 
 
 def _source_of_file(path: Path) -> CameraSource:
-    folder = path.parent
-    if path.suffix.lower() in (".bin", ".txt") and is_model(folder):
-        return CameraSource("colmap", folder, (scene_folder(folder),))
-    if path.suffix.lower() != ".json":
-        raise FileFormatError(
-            path, "is not a known kind of camera file", "use transforms.json or cameras.json"
-        )
-    with open(path, "rb") as stream:
-        start = stream.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")
-    # A list is Inria's, a mapping nerfstudio's, whatever the file is called.
-    if start.startswith(b"["):
-        return CameraSource("inria", path, _inria_roots(folder))
-    return CameraSource("nerfstudio", path, (folder,))
+    folder, kind = path.parent, camera_format(path)
+    if kind is None:
+        names = " or ".join(_file_names())
+        raise FileFormatError(path, "is not a known kind of camera file", f"use {names}")
+    if kind is _COLMAP:
+        return CameraSource(kind.name, folder, (scene_folder(folder),))
+    return CameraSource(kind.name, path, _inria_roots(folder) if kind is _INRIA else (folder,))
 
 
 def _inria_roots(folder: Path) -> tuple[Path, ...]:

@@ -14,11 +14,8 @@ from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.io.camera_images import MissingImages, attach_images, image_files
-from scoup.io.camera_sources import CameraSource, find_cameras
-from scoup.io.cameras.colmap import read_colmap
+from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame
-from scoup.io.cameras.inria import read_inria_cameras
-from scoup.io.cameras.nerfstudio import read_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.io.cameras.training_run import GSPLAT_CONFIG, trained_antialiased
 from scoup.io.reading import Distorted
@@ -199,8 +196,4 @@ def camera_photographs(
 
 
 def _read(source: CameraSource, distorted: Distorted) -> Cameras:
-    if source.format == "colmap":
-        return read_colmap(source.path, distorted)
-    if source.format == "nerfstudio":
-        return read_transforms(source.path, distorted)
-    return read_inria_cameras(source.path)
+    return CAMERA_FORMATS[source.format].read(source.path, distorted)

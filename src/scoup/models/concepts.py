@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.errors import ScoupError
-from scoup.base.registry import Entry, Registry
+from scoup.base.registry import Registry
+from scoup.models.entry import HubEntry, ModelEntry
 from scoup.models.hub import ONNX, ModelRequest, Pretrained, load_pretrained
 from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
 from scoup.scene.names import Detections
@@ -37,14 +37,6 @@ class ConceptModel(Protocol):
     def detect(self, image: NDArray[np.uint8], texts: Sequence[str]) -> Detections:
         """Return the places of an image [H, W, 3] that texts may mean, each with a score."""
         ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConceptEntry(Entry):
-    """A model with words that can be chosen by name."""
-
-    open: Callable[[str, str | None, torch.device | str], ConceptModel]
-    """Opens it, from its name, a revision and the device."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -250,41 +242,29 @@ HUB_IDS = {
     "grounding-dino-base": "IDEA-Research/grounding-dino-base",
     "sam3": "facebook/sam3",
 }
-_HELP = {
-    "owlv2": "OWLv2 B/16: boxes",
-    "owlv2-large": "OWLv2 L/14: boxes",
-    "grounding-dino": "Grounding DINO, Swin-T: boxes",
-    "grounding-dino-base": "Grounding DINO, Swin-B: boxes",
-    "sam3": "SAM 3: masks",
-}
-CONCEPTS = Registry(
-    "model with words",
-    "scoup.concepts",
-    ConceptEntry,
-    [
-        *(
-            ConceptEntry(
-                name=name,
-                open=open_transformer,
-                help=said,
-                licence="SAM License" if name == "sam3" else "Apache-2.0",
-                extra="models",
-            )
-            for name, said in _HELP.items()
-        ),
-        ConceptEntry(
-            name=f"{ONNX}FOLDER",
-            open=_open_onnx,
-            help="a detector exported as image.onnx and text.onnx, on the CPU",
-            extra="onnx",
-        ),
-    ],
-)
+
+
+def _entry(name: str, said: str, licence: str = "Apache-2.0") -> ModelEntry:
+    file = (HUB_IDS[name], "model.safetensors")
+    return ModelEntry(name, open_transformer, file=file, help=said, licence=licence, extra="models")
+
+
+CONCEPTS = Registry("model with words", "scoup.concepts", ModelEntry, (
+    _entry("owlv2", "OWLv2 B/16: boxes"),
+    _entry("owlv2-large", "OWLv2 L/14: boxes"),
+    _entry("grounding-dino", "Grounding DINO, Swin-T: boxes"),
+    _entry("grounding-dino-base", "Grounding DINO, Swin-B: boxes"),
+    _entry("sam3", "SAM 3: masks", "SAM License"),
+    HubEntry("FOLDER or hub id", open_transformer, help="any of these models", extra="models"),
+    ModelEntry(
+        f"{ONNX}FOLDER", _open_onnx, extra="onnx", help="a detector exported as image.onnx and text.onnx, on the CPU"
+    ),
+))  # fmt: skip
 """Models that find texts in photographs, by name."""
 
 
 def open_concepts(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> ConceptModel:
-    """Open a model with words: a name of ``CONCEPTS``, or a folder or hub id of a model of transformers.
+    """Open a model with words, by a name of ``CONCEPTS``.
 
     Raises:
         UnknownNameError, ScoupError: there is no such model, or it cannot be loaded.
@@ -294,6 +274,4 @@ def open_concepts(name: str, revision: str | None = None, device: torch.device |
         >>> CONCEPTS["owlv2"].licence
         'Apache-2.0'
     """
-    if not name.startswith(ONNX) and name not in CONCEPTS and ("/" in name or Path(name).exists()):
-        return open_transformer(name, revision, device)
     return CONCEPTS.find(name).open(name, revision, device)

@@ -1,9 +1,9 @@
-"""CLIP and SigLIP image models as dense encoders: a map of features of a photograph, pooled for any region.
+"""CLIP, SigLIP and TIPSv2 image models as dense encoders: a map of features of a photograph, pooled for any region.
 
 CLIP: of the last layer's attention only values and output projection are used, without residual and perceptron, so that
-each token keeps to its place (MaskCLIP: Zhou et al., "Extract Free Dense Labels from CLIP", ECCV 2022). A region is the
-mean of its tokens' unit vectors. SigLIP: the pooling head of the image attends to the tokens of the region alone (Xiao
-et al., "TextRegion", 2025).
+each token keeps to its place (MaskCLIP: Zhou et al., "Extract Free Dense Labels from CLIP", ECCV 2022). TIPSv2: the
+same with residual and perceptron, as its authors segment. A region is the mean of its tokens' unit vectors. SigLIP: the
+pooling head of the image attends to the tokens of the region alone (Xiao et al., "TextRegion", 2025).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from torch.nn import functional
 
 from scoup.base.errors import ScoupError
 from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
-from scoup.models.image import WITHOUT_MODEL
+from scoup.models.image import WITHOUT_MODEL, usual_dtype
 from scoup.models.normalization import Normalization
-from scoup.models.towers import Tower, load_tower, normalization_of
+from scoup.models.towers import Tower, as_patches, load_tower, normalization_of
 from scoup.models.windows import mean_of_windows
 
 PREFIX = "dense:"  # before the model in an embedder's name
@@ -39,7 +39,7 @@ class DenseModel:
     @property
     def side(self) -> int:
         """Side of a window, in pixels."""
-        return int(self.tower.config.image_size)
+        return self.tower.side
 
     @property
     def patch(self) -> int:
@@ -49,49 +49,77 @@ class DenseModel:
     @property
     def dim(self) -> int:
         config = self.tower.config
-        return int(config.projection_dim if self.tower.is_clip else config.hidden_size)
+        return int(config.projection_dim if self.tower.kind == "clip" else config.hidden_size)
+
+    @property
+    def _in_text_space(self) -> bool:
+        """Whether tokens are, and a region is their mean; otherwise a head pools them."""
+        return self.tower.kind in ("clip", "tips")
 
     def to_dict(self) -> dict[str, Any]:
         return {"embedder": self.name, "embedder_revision": self.revision, "embedder_pooling": "dense"}
 
     def tokens(self, image: Tensor) -> Tensor:
-        """Return [h / patch, w / patch, C] float32 features: CLIP's in the text space, unit vectors; SigLIP's before
+        """Return [h / patch, w / patch, C] float32 features: unit vectors in the text space; SigLIP's before
         its head.
 
         The image [3, h, w] in 0..1 is covered by windows (``mean_of_windows``).
         """
         pixels = self.normalization(image.to(self.device)).to(self.dtype)
         mean = mean_of_windows(pixels, self.side, self.patch, self._window_tokens)
-        return functional.normalize(mean, dim=2) if self.tower.is_clip else mean
+        return functional.normalize(mean, dim=2) if self._in_text_space else mean
 
     def pool(self, tokens: Tensor, shares: Tensor) -> Tensor:
         """Return [N, D] float32 unit vectors of regions that have ``shares`` [N, h, w] of each place's area."""
         with torch.inference_mode():
             flat, weights = tokens.flatten(0, 1), shares.flatten(1).to(tokens)
-            if self.tower.is_clip:
+            if self._in_text_space:
                 return functional.normalize(weights @ flat, dim=1)
             pooled = _pool_by_head(_vision(self.tower).head, flat, weights, self.dtype)
             return functional.normalize(pooled.float(), dim=1)
 
     def _window_tokens(self, pixels: Tensor) -> Tensor:
         """Return [B, window, window, C] float32 of windows [B, 3, side, side]."""
-        vision = _vision(self.tower)
         window = self.side // self.patch
-        states = vision.embeddings(pixels)
-        if self.tower.is_clip:
-            states = vision.pre_layrnorm(states)
-            *before, last = vision.encoder.layers
-            for layer in before:
-                states = _first(layer(states, None))
-            attention = last.self_attn
-            states = attention.out_proj(attention.v_proj(last.layer_norm1(states)))
-            features = self.tower.model.visual_projection(vision.post_layernorm(states[:, 1:])).float()
+        features = _TOKENS[self.tower.kind](self.tower, pixels).float()
+        if self._in_text_space:
             features = functional.normalize(features, dim=2)
-        else:
-            for layer in vision.encoder.layers:
-                states = _first(layer(states, None))
-            features = vision.post_layernorm(states).float()
         return features.unflatten(1, (window, window))
+
+
+def _clip_tokens(tower: Tower, pixels: Tensor) -> Tensor:
+    vision = _vision(tower)
+    states = vision.pre_layrnorm(vision.embeddings(pixels))
+    *before, last = vision.encoder.layers
+    for layer in before:
+        states = _first(layer(states, None))
+    attention = last.self_attn
+    states = attention.out_proj(attention.v_proj(last.layer_norm1(states)))
+    return tower.model.visual_projection(vision.post_layernorm(states[:, 1:]))
+
+
+def _siglip_tokens(tower: Tower, pixels: Tensor) -> Tensor:
+    vision = _vision(tower)
+    is_naflex = tower.kind == "naflex"
+    states = vision.embeddings(*(as_patches(pixels, tower.config.patch_size) if is_naflex else (pixels,)))
+    for layer in vision.encoder.layers:
+        states = _first(layer(states, None))
+    return vision.post_layernorm(states)
+
+
+def _tips_tokens(tower: Tower, pixels: Tensor) -> Tensor:
+    vision = _vision(tower)
+    states = vision.embeddings(pixels)
+    *before, last = vision.encoder.layer
+    for layer in before:
+        states = _first(layer(states))
+    states = states + last.layer_scale1(last.attention.o_proj(last.attention.v_proj(last.norm1(states))))
+    states = states + last.layer_scale2(last.mlp(last.norm2(states)))
+    return vision.layernorm(states)[:, 1 + tower.config.num_register_tokens :]
+
+
+_TOKENS = {"clip": _clip_tokens, "siglip": _siglip_tokens, "naflex": _siglip_tokens, "tips": _tips_tokens}
+"""Kind of a tower -> [B, T, C] features of the places of windows [B, 3, side, side]."""
 
 
 def open_dense_model(
@@ -100,11 +128,11 @@ def open_dense_model(
     """Load an image model ("dense:" and a folder or hub id) as a dense encoder; in 16 bits on a GPU."""
     model_id = name.removeprefix(PREFIX)
     request = ModelRequest("embedder", name, WITHOUT_MODEL, model_id, revision)
-    dtype = torch.float16 if torch.device(device).type == "cuda" else torch.float32
+    dtype = usual_dtype(device)
 
     def load(files: Pretrained) -> DenseModel:
         tower = load_tower(files, "image")
-        if not tower.is_clip and not hasattr(_vision(tower), "head"):
+        if tower.kind in ("siglip", "naflex") and not hasattr(_vision(tower), "head"):
             raise ScoupError("its image model has no pooling head; use another SigLIP, or a CLIP")
         tower.model.to(device=device, dtype=dtype)
         normalization = normalization_of(files, tower)

@@ -18,12 +18,13 @@ from urllib.parse import urlsplit
 import torch
 
 from scoup.base.errors import InputError, ScoupError
-from scoup.models.normalization import Normalization
+from scoup.models.normalization import PLAIN, Normalization
 
 Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"  # before the name of a model of open_clip
 ONNX = "onnx:"  # before the path of an exported model
+_SINCE = {"siglip2": "4.50", "tipsv2": "5.14"}  # of transformers
 _PATIENCE = (
     5.0  # seconds within which a hub that can be reached answers; its own client would try for a minute
 )
@@ -106,7 +107,19 @@ class Pretrained:
 
     @cached_property
     def config(self) -> Any:
-        return self.transformers.AutoConfig.from_pretrained(self.model_id, **self.options)
+        try:
+            # Code of a repository is never run, nor asked for on the terminal.
+            options = {**self.options, "trust_remote_code": False}
+            return self.transformers.AutoConfig.from_pretrained(self.model_id, **options)
+        except ValueError as error:
+            record, _ = self.transformers.PretrainedConfig.get_config_dict(self.model_id, **self.options)
+            kind = record.get("model_type")
+            if kind not in _SINCE:
+                raise
+            raise ScoupError(
+                f"{kind} models need transformers {_SINCE[kind]} or newer (this is {self.transformers.__version__}); "
+                "run 'pip install -U transformers'"
+            ) from error
 
     @property
     def commit(self) -> str:
@@ -149,6 +162,8 @@ class Pretrained:
         if path is None:
             return None
         record = json.loads(Path(path).read_text(encoding="utf-8"))
+        if record.get("do_normalize") is False:
+            return PLAIN
         mean, std = record.get("image_mean"), record.get("image_std")
         valid = all(isinstance(item, list) and len(item) == 3 for item in (mean, std))
         return Normalization(tuple(map(float, mean)), tuple(map(float, std))) if valid else None

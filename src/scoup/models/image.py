@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.models.hub import OPEN_CLIP, ModelRequest, Pretrained, load_open_clip, load_pretrained
+from scoup.models.hub import ModelRequest, Pretrained, load_open_clip, load_pretrained
 from scoup.models.normalization import CLIP, Normalization
 from scoup.models.towers import Tower, load_tower, normalization_of
 
@@ -47,26 +47,32 @@ class ImageModel:
 def open_image_model(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> ImageModel:
-    """Load an image model (folder, hub id or "open_clip:ARCHITECTURE/PRETRAINED"); in 16 bits on a GPU."""
+    """Load an image model of transformers (folder or hub id); in 16 bits on a GPU."""
     request = ModelRequest("embedder", name, WITHOUT_MODEL, revision=revision)
-    dtype = torch.float16 if torch.device(device).type == "cuda" else torch.float32
-    if name.startswith(OPEN_CLIP):
-        model, _ = load_open_clip(request, device)
-        visual = model.to(dtype).visual
-        side = visual.image_size if isinstance(visual.image_size, int) else visual.image_size[0]
-        mean, std = getattr(visual, "image_mean", None), getattr(visual, "image_std", None)
-        normalization = Normalization(tuple(mean or CLIP.mean), tuple(std or CLIP.std))
-        return ImageModel(name, "", model.encode_image, int(side), normalization, device, dtype)
 
     def load(files: Pretrained) -> tuple[Tower, Normalization, str]:
         tower = load_tower(files, "image")
         return tower, normalization_of(files, tower), files.commit
 
     tower, normalization, commit = load_pretrained(request, load)
+    dtype = usual_dtype(device)
     tower.model.to(device=device, dtype=dtype)
-    side = int(tower.config.image_size)
+    return ImageModel(name, commit, tower.image_features, tower.side, normalization, device, dtype)
 
-    def encode(pixels: Tensor) -> Tensor:
-        return tower.features(pixel_values=pixels)
 
-    return ImageModel(name, commit, encode, side, normalization, device, dtype)
+def open_clip_image_model(
+    name: str, revision: str | None = None, device: torch.device | str = "cpu"
+) -> ImageModel:
+    """Load an image model of open_clip ("open_clip:ARCHITECTURE/PRETRAINED"); in 16 bits on a GPU."""
+    dtype = usual_dtype(device)
+    model, _ = load_open_clip(ModelRequest("embedder", name, WITHOUT_MODEL, revision=revision), device)
+    visual = model.to(dtype).visual
+    side = visual.image_size if isinstance(visual.image_size, int) else visual.image_size[0]
+    mean, std = getattr(visual, "image_mean", None), getattr(visual, "image_std", None)
+    normalization = Normalization(tuple(mean or CLIP.mean), tuple(std or CLIP.std))
+    return ImageModel(name, "", model.encode_image, int(side), normalization, device, dtype)
+
+
+def usual_dtype(device: torch.device | str) -> torch.dtype:
+    """Return the type of numbers in which embedders run on a device."""
+    return torch.float16 if torch.device(device).type == "cuda" else torch.float32

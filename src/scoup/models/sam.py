@@ -23,17 +23,6 @@ from scoup.models.normalization import HALF, IMAGENET, Normalization
 from scoup.models.sam_decoder import SharedDecoder
 
 MOBILE_SAM = "mobile-sam"
-SHORT_NAMES = {
-    "sam-vit-b": "facebook/sam-vit-base",
-    "sam-vit-l": "facebook/sam-vit-large",
-    "sam-vit-h": "facebook/sam-vit-huge",
-    "sam2.1-tiny": "facebook/sam2.1-hiera-tiny",
-    "sam2.1-small": "facebook/sam2.1-hiera-small",
-    "sam2.1-base-plus": "facebook/sam2.1-hiera-base-plus",
-    "sam2.1-large": "facebook/sam2.1-hiera-large",
-    "sam3": "facebook/sam3",
-}
-NAMES = (MOBILE_SAM, *SHORT_NAMES)
 WITHOUT_MODEL = "pass `segmenter='felzenszwalb'`, which needs no model"
 _CLASSES = {"sam3": "Sam3TrackerModel", "sam2": "Sam2Model", "sam": "SamModel"}
 
@@ -177,12 +166,17 @@ def normalize_and_pad(scaled: NDArray[np.uint8], side: int, normalization: Norma
 
 
 def open_sam(
-    name: str, revision: str | None = None, device: torch.device | str = "cpu", half: bool = False
+    name: str,
+    revision: str | None = None,
+    device: torch.device | str = "cpu",
+    half: bool = False,
+    model_id: str = "",
 ) -> Sam:
-    """Load a SAM model: of ``NAMES``, the path of MobileSAM's checkpoint (.pt), or a folder or hub id."""
+    """Load a SAM model: MobileSAM by name or path of its checkpoint (.pt), or a folder or hub id, for which ``name``
+    may be short."""
     if name == MOBILE_SAM or name.endswith(".pt"):
         return _open_mobile_sam(name, revision, device, half)
-    model_id = SHORT_NAMES.get(name, name)
+    model_id = model_id or name
 
     def load(files: Pretrained) -> Sam:
         kind = files.config.model_type

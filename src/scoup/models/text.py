@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -16,19 +15,12 @@ from torch import Tensor
 
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import counted, listed
-from scoup.base.errors import InputError, ScoupError, ScoupWarning, UnknownNameError, quoted
+from scoup.base.errors import InputError, ScoupError, UnknownNameError, quoted
 from scoup.base.html import card
 from scoup.models import words
-from scoup.models.hub import (
-    ONNX,
-    OPEN_CLIP,
-    ModelIdentity,
-    ModelRequest,
-    load_open_clip,
-    load_pretrained,
-    open_clip_identity,
-)
-from scoup.models.towers import load_tower
+from scoup.models.entry import Encode
+from scoup.models.hub import ModelIdentity
+from scoup.models.text_models import open_text_model
 from scoup.models.word_cache import PROBE, everyday_vectors
 from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
@@ -41,8 +33,6 @@ NO_WORDS_FOR_COLORS = (
 _BATCH = 64
 LONGEST = 1000  # characters of a phrase; models read a few hundred at most
 _SHOWN = 50  # names in the picture of a notebook
-
-Encode = Callable[[list[str]], Tensor]
 
 
 class TextEncoder:
@@ -139,7 +129,7 @@ class TextEncoder:
         if text == COLORS:
             raise ScoupError(NO_WORDS_FOR_COLORS)
         refuse_other_file(text)
-        encode, identity = _open_model(text, revision, device)
+        encode, identity = open_text_model(text, revision, device)
         probe = _encoded(encode, [PROBE])
         opened = cls(text, int(probe.shape[1]), encode)
         opened._model = identity, probe
@@ -239,48 +229,3 @@ def _encoded(encode: Encode, phrases: Sequence[str]) -> Tensor:
     starts = range(0, len(phrases), _BATCH)
     vectors = torch.cat([encode(list(phrases[start : start + _BATCH])) for start in starts])
     return torch.nn.functional.normalize(vectors.float().cpu(), dim=1)
-
-
-def _open_model(name: str, revision: str | None, device: torch.device | str) -> tuple[Encode, ModelIdentity]:
-    if name.startswith(ONNX):
-        raise ScoupError(
-            f"{name}: an image encoder exported to ONNX has no text model; pass a table with the vectors of the words"
-        )
-    request = ModelRequest("text model", name, "use a table file of text embeddings", revision=revision)
-    if name.startswith(OPEN_CLIP):
-        identity = open_clip_identity(request)
-        model, tokenizer = load_open_clip(request, device, with_tokenizer=True)
-
-        def encode_with_open_clip(phrases: list[str]) -> Tensor:
-            with torch.inference_mode():
-                return model.encode_text(tokenizer(phrases).to(device)).clone()
-
-        return encode_with_open_clip, identity
-    identity, tower, tokenizer = load_pretrained(
-        request, lambda files: (files.identity(), load_tower(files, "text"), files.tokenizer())
-    )
-    tower.model.to(device)
-    limit = int(tower.config.max_position_embeddings)
-    # CLIP attends only backwards and takes the vector of the end token: padding needs no computing. SigLIP attends to
-    # its padding: it was trained at full length and without a mask.
-    padding, wanted = (
-        ("longest", ("input_ids", "attention_mask")) if tower.is_clip else ("max_length", ("input_ids",))
-    )
-
-    def encode(phrases: list[str]) -> Tensor:
-        _warn_of_long(phrases, [len(ids) for ids in tokenizer(phrases)["input_ids"]], limit)
-        tokens = tokenizer(phrases, padding=padding, truncation=True, max_length=limit, return_tensors="pt")
-        return tower.features(**{key: tokens[key].to(device) for key in wanted if key in tokens})
-
-    return encode, identity
-
-
-def _warn_of_long(phrases: list[str], lengths: list[int], limit: int) -> None:
-    for phrase, length in zip(phrases, lengths, strict=True):
-        if length > limit:
-            warnings.warn(
-                f"the phrase {phrase[:40]!r} has {counted(length, 'token')}, the text model reads only {limit}: "
-                "the rest is ignored",
-                ScoupWarning,
-                stacklevel=4,
-            )

@@ -1,4 +1,4 @@
-"""The text and image towers of CLIP and SigLIP models, loaded through transformers."""
+"""The text and image towers of CLIP, SigLIP and TIPS models, loaded through transformers."""
 
 from __future__ import annotations
 
@@ -10,27 +10,58 @@ from torch import Tensor
 
 from scoup.base.errors import ScoupError
 from scoup.models.hub import Pretrained
-from scoup.models.normalization import CLIP, HALF, Normalization
+from scoup.models.normalization import CLIP, HALF, PLAIN, Normalization
 
 Modality = Literal["text", "image"]
+Kind = Literal["clip", "siglip", "naflex", "tips"]
+_KINDS: dict[str, Kind] = {
+    "siglip2": "naflex",
+    "tipsv2": "tips",
+}  # others are CLIP's, or have SigLIP's interface
+_USUAL = {"clip": CLIP, "tips": PLAIN}
 
 
 @dataclass(frozen=True, eq=False)
 class Tower:
-    """One half of a CLIP or SigLIP model."""
+    """One half of a CLIP, SigLIP or TIPS model."""
 
     modality: Modality
-    is_clip: bool  # otherwise SigLIP or a model with the same interface
+    kind: Kind
     model: Any  # of transformers
     config: Any  # of this tower
+
+    @property
+    def side(self) -> int:
+        """Side of an image, in pixels. NaFlex takes any shape; its positions were learned on a square."""
+        if self.kind == "naflex":
+            return int(self.config.num_patches**0.5) * int(self.config.patch_size)
+        return int(self.config.image_size)
+
+    def image_features(self, pixels: Tensor) -> Tensor:
+        """Return [B, D] features of normalised pixels [B, 3, side, side], not normalised."""
+        if self.kind != "naflex":
+            return self.features(pixel_values=pixels)
+        patches, shapes = as_patches(pixels, self.config.patch_size)
+        mask = torch.ones(patches.shape[:2], dtype=torch.int32, device=pixels.device)
+        return self.features(pixel_values=patches, pixel_attention_mask=mask, spatial_shapes=shapes)
 
     def features(self, **inputs: Tensor) -> Tensor:
         """Return [B, D] features of token ids or pixels, not normalised."""
         with torch.inference_mode():
-            if self.is_clip:
+            if self.kind == "clip":
                 return getattr(self.model(**inputs), f"{self.modality}_embeds").clone()
             features = getattr(self.model, f"get_{self.modality}_features")(**inputs)
             return getattr(features, "pooler_output", features).clone()  # transformers 5 returns an object
+
+
+def as_patches(pixels: Tensor, patch: int) -> tuple[Tensor, Tensor]:
+    """Return images [B, 3, h, w] as NaFlex takes them: patches [B, T, patch * patch * 3], row by row, and shapes [B, 2]
+    in patches."""
+    rows = pixels.unfold(2, patch, patch).unfold(
+        3, patch, patch
+    )  # [B, 3, h / patch, w / patch, patch, patch]
+    shapes = torch.tensor([rows.shape[2:4]] * len(pixels), device=pixels.device)
+    return rows.permute(0, 2, 3, 4, 5, 1).flatten(3).flatten(1, 2), shapes
 
 
 def load_tower(files: Pretrained, modality: Modality) -> Tower:
@@ -42,18 +73,15 @@ def load_tower(files: Pretrained, modality: Modality) -> Tower:
         kind = getattr(files.transformers, f"CLIP{half.capitalize()}ModelWithProjection")
         # The size of the projection is written twice, and only the outer one is always right.
         of_half.projection_dim = config.projection_dim
-        return Tower(modality, True, files.model(kind, config=of_half), of_half)
+        return Tower(modality, "clip", files.model(kind, config=of_half), of_half)
     model = files.model(files.transformers.AutoModel, config=config)
     if not hasattr(model, f"get_{modality}_features"):
-        raise ScoupError(f"{config.model_type!r} models have no {modality} features; use CLIP or SigLIP")
-    if modality == "image" and not hasattr(of_half, "image_size"):  # SigLIP 2 NaFlex
         raise ScoupError(
-            f"{config.model_type!r} models take images of any shape, which is not supported; use one of a fixed "
-            "size, such as google/siglip2-base-patch16-224"
+            f"{config.model_type!r} models have no {modality} features; use CLIP, SigLIP or TIPSv2"
         )
-    return Tower(modality, False, model, of_half)
+    return Tower(modality, _KINDS.get(config.model_type, "siglip"), model, of_half)
 
 
 def normalization_of(files: Pretrained, tower: Tower) -> Normalization:
     """Return the normalisation of a tower's images: of the model's files, else the usual one of its kind."""
-    return files.normalization() or (CLIP if tower.is_clip else HALF)
+    return files.normalization() or _USUAL.get(tower.kind, HALF)

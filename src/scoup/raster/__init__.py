@@ -158,7 +158,7 @@ def region_sums(projection: Projection, labels: Tensor | CombinedLabels) -> View
             f"labels of {' x '.join(map(str, combined.map.shape))} pixels do not fit an image of {projection.height} x "
             f"{projection.width} (H x W)"
         )
-    gaussian, combination, weight = _backend_of(projection).region_sums(projection, combined.map)
+    gaussian, combination, weight = _backend_of(projection).region_sums(projection, combined)
     return ViewSums(gaussian, combination, weight, combined.table.to(weight.device))
 
 

@@ -49,21 +49,29 @@ def combine(labels: Tensor) -> CombinedLabels:
 def combine_reference(labels: Tensor) -> CombinedLabels:
     """Do as ``combine`` in plain torch, on any device."""
     levels, height, width = labels.shape
-    flat = labels.clamp(min=-1).int().flatten(1).T  # [P, S]
+    flat = labels.clamp(min=-1).long().flatten(1)  # [S, P]
     if not flat.numel():
         return CombinedLabels(
             torch.full((height, width), -1, dtype=torch.int32, device=labels.device),
             torch.zeros(0, levels, dtype=torch.int32, device=labels.device),
         )
-    rows, number = torch.unique(flat, dim=0, return_inverse=True)
-    pixel = torch.arange(len(flat), device=labels.device)
-    first = torch.full((len(rows),), len(flat), device=labels.device)
-    first.scatter_reduce_(0, number, pixel, "amin")
-    used = (rows >= 0).any(1)
-    order = torch.argsort(torch.where(used, first, len(flat)))[: int(used.sum())]
-    new = torch.full((len(rows),), -1, dtype=torch.int32, device=labels.device)
-    new[order] = torch.arange(len(order), dtype=torch.int32, device=labels.device)
-    return CombinedLabels(new[number].view(height, width), rows[order].contiguous())
+    # One number per combination, 0 for no region at all; a pixel without any comes first, so that one is always there.
+    keys, total = flat.new_zeros(flat.shape[1] + 1), 1
+    for of_level, size in zip(flat, (flat.amax(1) + 2).tolist(), strict=True):
+        if total * size >= 2**62:
+            keys, total = torch.unique(keys, return_inverse=True)[1], len(keys)
+        keys = keys * size
+        keys[1:] += of_level + 1
+        total *= size
+    rising, order = torch.sort(keys.int() if total < 2**31 else keys, stable=True)
+    begins = rising != torch.nn.functional.pad(rising[:-1], (1, 0), value=-1)
+    firsts = order[begins][1:] - 1  # pixel of each combination
+    number = torch.empty_like(order).scatter_(0, order, torch.cumsum(begins, 0) - 2)[1:]
+    by_pixel = torch.argsort(firsts)
+    new = flat.new_full((len(firsts) + 1,), -1)  # the last for pixels without any region
+    new[by_pixel] = torch.arange(len(firsts), device=labels.device)
+    table = flat[:, firsts[by_pixel]].T.int().contiguous()
+    return CombinedLabels(new[number].int().view(height, width), table)
 
 
 def check_labels(labels: Tensor) -> None:

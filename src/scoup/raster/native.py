@@ -17,6 +17,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.base.native import require_core
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY
+from scoup.raster.combinations import CombinedLabels
 from scoup.raster.presets import RasterPreset
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, stable_products
@@ -81,11 +82,11 @@ def project(
     return NativeProjection(len(gaussians), camera.width, camera.height, preset, handle)
 
 
-def region_sums(projection: NativeProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
+def region_sums(projection: NativeProjection, combined: CombinedLabels) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``."""
     with _refusals():
         found = require_core().region_sums(
-            projection.handle, _array(combinations, torch.int32), torch.get_num_threads()
+            projection.handle, _array(combined.map, torch.int32), torch.get_num_threads()
         )
     gaussian, combination, weight = (torch.from_numpy(part) for part in found)
     return gaussian, combination, weight

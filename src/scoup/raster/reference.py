@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup.raster.binning import Bins, bin_to_tiles
+from scoup.raster.combinations import CombinedLabels
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import ProjectedGaussians, project_gaussians
 from scoup.raster.view_sums import merge
@@ -66,11 +67,11 @@ def project(
     return ReferenceProjection(len(gaussians), camera.width, camera.height, preset, visible, bins, ellipses)
 
 
-def region_sums(projection: ReferenceProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
-    n_combinations = int(combinations.max()) + 1 if combinations.numel() else 0
+def region_sums(projection: ReferenceProjection, combined: CombinedLabels) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``."""
+    n_combinations = len(combined.table)
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    tiled = to_tiles(combinations[None].long(), projection.bins, fill=-1)[:, 0]  # [tiles, P]
+    tiled = to_tiles(combined.map[None].long(), projection.bins, fill=-1)[:, 0]  # [tiles, P]
     for batch in _batches(projection):
         one_hot, number_of_column = _one_hot_columns(tiled[batch.tiles], n_combinations)
         for slots, ranks, weights in _blend(projection, batch):
@@ -80,8 +81,8 @@ def region_sums(projection: ReferenceProjection, combinations: Tensor) -> tuple[
                 (projection.visible.ids[ranks[at[0], at[1]]], number_of_column[slots[at[0]], at[2]], sums[at])
             )
     if not found:
-        empty = torch.zeros(0, dtype=torch.int32, device=combinations.device)
-        return empty, empty, torch.zeros(0, device=combinations.device)
+        empty = torch.zeros(0, dtype=torch.int32, device=combined.map.device)
+        return empty, empty, torch.zeros(0, device=combined.map.device)
     gaussian, number, weight = (torch.cat(parts) for parts in zip(*found, strict=True))
     return merge(gaussian, number, weight, max(1, n_combinations))
 

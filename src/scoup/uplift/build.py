@@ -133,7 +133,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         field = LanguageField(
             gaussian_codes.indices,
             gaussian_codes.weights,
-            codes.codebook,
+            codes.codebook.to(device),
             FieldInfo(
                 sums.levels,
                 embedding_model,

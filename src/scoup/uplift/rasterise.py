@@ -141,13 +141,13 @@ def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) ->
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
 ) -> Generator[tuple[Camera, CombinedLabels], None, None]:
-    """Yield cameras and the label tuples of their pixels, on a device; threads read the next views ahead."""
+    """Yield cameras and the label tuples of their pixels, on the CPU; threads read the next views ahead. What goes to a
+    GPU is in pinned memory, which is copied fastest.
+    """
 
     def load(camera: Camera) -> CombinedLabels:
-        labels = regions.load_labels(camera.name, camera.width, camera.height)
-        if device.type == "cpu":
-            return raster.combine(labels)
-        return raster.combine(labels.pin_memory().to(device, non_blocking=True))
+        combined = raster.combine(regions.load_labels(camera.name, camera.width, camera.height))
+        return combined if device.type == "cpu" else replace(combined, map=combined.map.pin_memory())
 
     n_readers = 1 if device.type == "cpu" else READERS
     waiting: deque[tuple[Camera, Future[CombinedLabels]]] = deque()

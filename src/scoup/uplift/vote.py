@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -20,12 +20,12 @@ from scoup.base.counts import spread
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import restored
-from scoup.scene.codes import SparseCodes, index_dtype, stable_products
+from scoup.scene.codes import SparseCodes, index_dtype, signed, stable_products
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import SAMPLED_VIEWS, EarlierRound, scene_sharpness
 from scoup.uplift.storage.entries import BUCKET, Entries
 
-BATCHES = 16  # after each, progress is reported and memory of files is released
+BATCHES = 16  # on a CPU
 BACKENDS = {
     "native": "scoup.uplift.vote_backends.native",
     "reference": "scoup.uplift.vote_backends.reference",
@@ -44,6 +44,10 @@ class CodedEntries:
 class VoteBackend(Protocol):
     """The class ``Vote`` of each module in ``BACKENDS``, made with (n_gaussians, views, codes, grams, device)."""
 
+    batches: ClassVar[int]
+    """Shares of the Gaussians that it is given one after another; after each, progress is reported and memory of files
+    is released."""
+
     def round(
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
     ) -> tuple[Tensor, Tensor]:
@@ -56,7 +60,7 @@ class VoteBackend(Protocol):
             buckets: consecutive ones.
 
         Returns:
-            indices [n, S, keep] uint8 (uint16 beyond 256 atoms), weights [n, S, keep] float32; on the CPU.
+            indices [n, S, keep] uint8 (uint16 beyond 256 atoms), weights [n, S, keep] float32.
         """
         ...
 
@@ -100,7 +104,7 @@ def vote(
         progress: called for the stage "vote".
 
     Returns:
-        Codes on the CPU.
+        Codes on that device.
 
     Raises:
         InputError: a view has no sums or a region no code, a number is out of range, or the backend cannot be used.
@@ -128,17 +132,20 @@ def vote(
         parts = [part for name in names for part in views[name]]
         return module.Vote(sums.n_gaussians, parts, codes, grams, codebook.device)
 
-    all_views, batches = prepare(list(views)), _batches(sums.n_buckets)
+    all_views = prepare(list(views))
+    batches = _batches(sums.n_buckets, all_views.batches)
     done, total = 0, rounds * len(batches)
 
     def one_round(kept: int, earlier: EarlierRound | None, last: bool) -> tuple[Tensor, Tensor]:
         nonlocal done
-        shape = (sums.n_gaussians, len(codes), kept)
-        indices, weights = torch.empty(shape, dtype=index_dtype(codes[0].n_atoms)), torch.empty(shape)
+        shape, device = (sums.n_gaussians, len(codes), kept), codebook.device
+        indices = torch.empty(shape, dtype=index_dtype(codes[0].n_atoms), device=device)
+        weights = torch.empty(shape, device=device)
         for batch in batches:
             progress("vote", done, total)
             rows = slice(batch.start * BUCKET, batch.stop * BUCKET)
-            indices[rows], weights[rows] = all_views.round(kept, earlier, not last, batch)
+            some, weights[rows] = all_views.round(kept, earlier, not last, batch)
+            signed(indices)[rows] = signed(some)
             done += 1
         return indices, weights
 
@@ -154,8 +161,8 @@ def vote(
     indices, weights = one_round(codes[0].n_atoms if keep is None else keep, earlier, last=True)
     progress("vote", done, total)
     return GaussianCodes(
-        restored(indices, sums.order),
-        restored(weights, sums.order),
+        restored(indices, sums.order.to(indices.device)),
+        restored(weights, sums.order.to(weights.device)),
         None if earlier is None else earlier.sharpness,
     )
 
@@ -173,9 +180,9 @@ def _coded_entries(sums: RegionSums) -> dict[str, list[CodedEntries]]:
     return views
 
 
-def _batches(n_buckets: int) -> list[range]:
+def _batches(n_buckets: int, count: int) -> list[range]:
     buckets = range(n_buckets)
-    size = -(-n_buckets // BATCHES) or 1
+    size = -(-n_buckets // count) or 1
     return [buckets[first : first + size] for first in range(0, n_buckets, size)] or [buckets]
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from scoup.base.progress import Progress, no_progress
+from scoup.base.registry import Entry
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedMethod
@@ -37,10 +38,9 @@ Uplift = Callable[[UpliftInputs, MethodSettings], FittedMethod]
 
 
 @dataclass(frozen=True, eq=False)
-class Method:
+class Method(Entry):
     """A way to carry the embeddings of regions onto Gaussians."""
 
-    name: str  # short
     uplift: Uplift  # what becomes of the region sums and embeddings
     system: str = "SCOUP"  # whose idea
     # follows, departs: what of it is followed, and where this departs

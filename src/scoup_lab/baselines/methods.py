@@ -6,7 +6,7 @@ of their scores here is a figure of a system's own code.
 
 from __future__ import annotations
 
-from scoup.base.errors import looked_up
+from scoup.base.registry import Registry
 from scoup_lab.baselines.dense import dense_mean_uplift, dense_uplift
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.pixel_rules import CentrePixel, TopContributors, VisibleInView
@@ -117,12 +117,9 @@ BASELINES = (
         "Views 120 pixels wide with their blending weights kept as sparse matrices, on the CPU; spherical k-means.",
     ),
 )
-METHODS: dict[str, Method] = {method.name: method for method in (*PRESETS, *BASELINES)}
+METHODS = Registry("method", "scoup_lab.baselines", Method, (*PRESETS, *BASELINES))
 """By name."""
-COMPARED = tuple(name for name in METHODS if name not in ("sparse-all", "joint-codes"))
+COMPARED = tuple(
+    method.name for method in (*PRESETS, *BASELINES) if method.name not in ("sparse-all", "joint-codes")
+)
 """Those compared by default: without one that the ablations cover, and without the slowest."""
-
-
-def find_method(name: str) -> Method:
-    """Return a method by name."""
-    return looked_up("method", name, METHODS)

@@ -150,7 +150,7 @@ def region_sums_of_a_view(work: Workload, projection: raster.Projection) -> Regi
     return sums
 
 
-def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str) -> GaussianCodes:
+def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str | None) -> GaussianCodes:
     """Vote for one round over one view; most of it is what does not depend on the number of views."""
     assert sums is not None
     return vote(sums, work.codes, work.codebook, 1, work.indices.shape[2], backend=backend)

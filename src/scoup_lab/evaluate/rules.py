@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
-
-from scoup.base.errors import UnknownNameError
 
 Border = Literal["inside", "reflect"]
 VoteBorder = Literal["inside", "but last"]
@@ -43,18 +41,3 @@ MASK_RULES: dict[str, MaskRule] = {
     ),
 }
 """By name of the system, as for LERF-OVS."""
-
-DATASET_THRESHOLDS: dict[str, dict[str, float]] = {
-    "lerf-ovs": {"scoup": 0.6, "langsplatv2": 0.4, "langsplat": 0.4},
-    "3d-ovs": {"scoup": 0.3, "langsplatv2": 0.25},
-    "mipnerf360": {"scoup": 0.45, "langsplatv2": 0.4},
-}
-"""Thresholds that the papers tuned per data set: data set -> system -> threshold."""
-
-
-def mask_rule(system: str, dataset: str = "lerf-ovs") -> MaskRule:
-    """Return the rule of a system with its threshold for a data set."""
-    thresholds = DATASET_THRESHOLDS[dataset]
-    if system not in thresholds:
-        raise UnknownNameError(f"system with a rule for {dataset}", system, thresholds)
-    return replace(MASK_RULES[system], threshold=thresholds[system])

@@ -1,5 +1,4 @@
-"""The table of splat formats, and which of them a path has. A new format is a module with a ``FORMAT`` and an entry
-here."""
+"""The table of splat formats, and which of them a path has."""
 
 from __future__ import annotations
 
@@ -9,6 +8,7 @@ from pathlib import Path
 
 from scoup.base.counts import listed
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.registry import Registry
 from scoup.io.splats import (
     gaussforge_formats,
     gltf,
@@ -22,7 +22,7 @@ from scoup.io.splats import (
 )
 from scoup.io.splats.splat_format import Preset, SplatFormat
 
-FORMATS: tuple[SplatFormat, ...] = (
+FORMATS = Registry("splat format", "scoup.splat_formats", SplatFormat, (
     ply.FORMAT,
     ply_compressed_write.FORMAT,
     splat.FORMAT,
@@ -33,7 +33,7 @@ FORMATS: tuple[SplatFormat, ...] = (
     usd.FORMAT,
     nerfstudio_checkpoint.FORMAT,
     gsplat_checkpoint.FORMAT,
-)
+))  # fmt: skip
 """All formats; in a folder the first that finds a splat is taken."""
 
 _CONVERTED = (".lcc",)  # by splat-transform
@@ -68,7 +68,7 @@ def splat_source(path: str | Path) -> SplatSource:
         return SplatSource(path, kind, kind.preset)
     if not os.path.isdir(path):
         raise MissingFileError.of(path, "a trained splat", kind="file or folder")
-    for kind in FORMATS:
+    for kind in FORMATS.values():
         trained = kind.find(path)
         if trained is not None:
             # A training may have exported its splat in another format.
@@ -82,7 +82,7 @@ def format_of(path: str | Path) -> SplatFormat | None:
     path = Path(path)
     endings = [
         (len(ending), kind)
-        for kind in FORMATS
+        for kind in FORMATS.values()
         for ending in kind.endings
         if path.name.lower().endswith(ending) and kind.has_name(path)
     ]
@@ -107,7 +107,7 @@ def written_format(path: str | Path, also: str = "") -> SplatFormat:
     """
     kind = format_of(path)
     if kind is None or kind.write is None:
-        written = [ending for each in FORMATS if each.write is not None for ending in each.endings]
+        written = [ending for each in FORMATS.values() if each.write is not None for ending in each.endings]
         known = ", ".join(written) + (f", or {also}" if also else "")
         suffix = Path(path).suffix.lower() or "a file without extension"
         raise InputError(f"{path}: cannot write Gaussians as {suffix}; use one of {known}")
@@ -116,7 +116,8 @@ def written_format(path: str | Path, also: str = "") -> SplatFormat:
 
 def read_endings() -> str:
     """Return the endings of splats that are read, for messages."""
-    return ", ".join(dict.fromkeys(end for kind in FORMATS if kind.read is not None for end in kind.endings))
+    readable = [kind for kind in FORMATS.values() if kind.read is not None]
+    return ", ".join(dict.fromkeys(ending for kind in readable for ending in kind.endings))
 
 
 def other_format(path: Path) -> tuple[str, str] | None:

@@ -134,5 +134,5 @@ def _is_installed() -> bool:
         return False
 
 
-KSPLAT = SplatFormat(_KSPLAT, (_KSPLAT,), read_through_gaussforge, write_through_gaussforge)
-SOG = SplatFormat(".sog", (".sog",), read_through_gaussforge, write_through_gaussforge)
+KSPLAT = SplatFormat(_KSPLAT, (_KSPLAT,), read_through_gaussforge, write_through_gaussforge, extra="splats")
+SOG = SplatFormat(".sog", (".sog",), read_through_gaussforge, write_through_gaussforge, extra="splats")

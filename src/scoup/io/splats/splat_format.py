@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from scoup.base.registry import Entry
 from scoup.io.splats.axes import Axis
 from scoup.scene.gaussians import Gaussians
 
@@ -58,11 +59,9 @@ def _in_no_folder(folder: Path) -> Path | None:
 
 
 @dataclass(frozen=True)
-class SplatFormat:
+class SplatFormat(Entry):
     """A format of splats: how to recognise, read and write it."""
 
-    name: str
-    """For people."""
     endings: tuple[str, ...] = ()
     """Of the names of its files, in small letters; the longest ending of all formats decides."""
     read: Callable[[Path], Gaussians] | None = None

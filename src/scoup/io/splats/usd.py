@@ -117,4 +117,4 @@ def _stage(usd: Any, gaussians: Gaussians) -> Any:
     return stage
 
 
-FORMAT = SplatFormat("OpenUSD", (".usd", ".usda", ".usdc", ".usdz"), write=write_usd, axis=_AXIS)
+FORMAT = SplatFormat("OpenUSD", (".usd", ".usda", ".usdc", ".usdz"), write=write_usd, axis=_AXIS, extra="usd")

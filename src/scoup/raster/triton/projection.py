@@ -20,6 +20,7 @@ from scoup.raster.projection import ray_limits, tile_counts
 from scoup.raster.triton.kernels.blending import PADDING, RECORD, ROW
 from scoup.raster.triton.kernels.projection import (
     GEOMETRY,
+    SHAPE,
     TABLE,
     expand_kernel,
     list_kernel,
@@ -101,7 +102,7 @@ def project(gaussians: Gaussians, camera: Camera, preset: RasterPreset) -> Trito
         ]
         means, _, scales, opacities = scene
         count = len(gaussians)
-        keep = torch.zeros(count, dtype=torch.int8, device=device)
+        keep = torch.empty(count, dtype=torch.int8, device=device)
         if count:
             grid = (triton.cdiv(count, _BLOCK),)
             sieve_kernel[grid](means, scales, opacities, table, keep, count, BLOCK=_BLOCK, **FUSED)
@@ -122,12 +123,14 @@ def _bin(
     n_tiles = across * down
     depths = torch.empty(n_visible, dtype=torch.float64, device=device)
     geometry = torch.empty(n_visible, GEOMETRY.value, dtype=torch.float64, device=device)
+    shapes = torch.empty(n_visible, SHAPE.value, device=device)
+    centres = shapes.view(torch.float64)
     rects = torch.empty(n_visible, 3, dtype=torch.int32, device=device)
-    counts = torch.zeros(n_visible, dtype=torch.int32, device=device)
+    counts = torch.empty(n_visible, dtype=torch.int32, device=device)
     if n_visible:
         grid = (triton.cdiv(n_visible, _BLOCK),)
         project_kernel[grid](
-            ids, *scene, table, depths, geometry, rects, counts, n_visible, across, down,
+            ids, *scene, table, depths, geometry, shapes, centres, rects, counts, n_visible, across, down,
             TILE=TILE, BLOCK=_BLOCK, **FUSED,
         )  # fmt: skip
     # Equal depths stay in the order of the rows.
@@ -144,10 +147,11 @@ def _bin(
     # Radix sorts take as many passes as the keys have bytes.
     tile_type = torch.int16 if n_tiles < 2**15 else torch.int32
     tiles = torch.empty(n_candidates, dtype=tile_type, device=device)
+    slots = torch.empty(n_candidates, dtype=torch.int32, device=device)
     if n_candidates:
         grid = (triton.cdiv(n_candidates, _BLOCK),)
         expand_kernel[grid](
-            ranks, order, firsts, rects, geometry, table, tiles, n_candidates, across, down,
+            ranks, order, firsts, rects, geometry, centres, table, tiles, slots, n_candidates, across, down,
             TILE=TILE, BLOCK=_BLOCK, **FUSED,
         )  # fmt: skip
     # The candidates are in depth order, so a stable sort by tile alone keeps each tile's.
@@ -156,8 +160,8 @@ def _bin(
     n_records = n_candidates + PADDING
     records = torch.empty(n_records, RECORD.value, device=device)
     list_kernel[(triton.cdiv(n_records, _BLOCK),)](
-        by_tile, in_order, ranks, order, ids, geometry, table, records, records.view(torch.int32),
-        n_candidates, n_records, across, down, TILE=TILE, BLOCK=_BLOCK, **FUSED,
+        by_tile, in_order, slots, ids, shapes, centres, records, n_candidates, n_records, across, down,
+        TILE=TILE, BLOCK=_BLOCK, **FUSED,
     )  # fmt: skip
     return TritonProjection(len(gaussians), camera.width, camera.height, preset, records, starts)
 
@@ -182,4 +186,6 @@ def camera_table(camera: Camera, preset: RasterPreset, device: torch.device) -> 
         math.log2(math.e),
     ]
     assert len(numbers) == TABLE
-    return torch.tensor(numbers, dtype=torch.float64).to(device)
+    # Pinned memory is copied without waiting for what the GPU still works on.
+    table = torch.tensor(numbers, dtype=torch.float64, pin_memory=device.type == "cuda")
+    return table.to(device, non_blocking=True)

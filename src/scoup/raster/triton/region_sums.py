@@ -9,16 +9,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
+import triton
 from torch import Tensor
 
-from scoup.raster.triton.kernels.regions import region_sums_kernel
+from scoup.raster.triton.kernels.regions import (
+    columns_kernel,
+    gather_kernel,
+    region_sums_kernel,
+    unpack_kernel,
+)
 from scoup.raster.triton.projection import FUSED, TILE, TritonProjection
-from scoup.raster.view_sums import merge
 
-MOST_SUMS = 1 << 27  # float32 numbers at a time: half a gigabyte
+MOST_SUMS = 1 << 27  # entries that there is room for at a time: two gigabytes at the most
 CHUNK = 32
 COLUMNS = 16
 WARPS = 2  # of a program that sums up: a thread per pixel
+_BLOCK = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,91 +32,122 @@ class Columns:
     """The pixels of each tile by their combination of regions: a column is a combination that some pixel has."""
 
     of_pixel: Tensor  # [tiles, P] int16, the column of each pixel of a tile, -1 without any region
+    combinations: Tensor  # [tiles, P] int32, of each column
     counts: Tensor  # [tiles] int32
-    firsts: Tensor  # [tiles] int64, where the columns of a tile begin in ``combinations``
-    combinations: Tensor  # [C] int32, those of each tile rising
+    room: Tensor  # [tiles] int64, columns times Gaussians of each tile
 
 
-@dataclass(frozen=True, eq=False)
-class TileSums:
-    """The contribution of each Gaussian to each column, for some of the tiles."""
-
-    values: Tensor  # [.] float32: for each tile [its Gaussians, its columns]
-    bases: Tensor  # [tiles] int64: where a tile's values begin, -1 for the other tiles
-
-
-def region_sums(projection: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def region_sums(
+    projection: TritonProjection, combinations: Tensor, n_combinations: int
+) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
-    columns = columns_of(projection, combinations)
-    gaussians = [torch.zeros(0, dtype=torch.int32, device=projection.device)]
-    numbers, weights = gaussians[:], [torch.zeros(0, device=projection.device)]
-    for sums in tile_sums(projection, columns):
-        at = torch.nonzero(sums.values).squeeze(1)
-        here = torch.nonzero(sums.bases >= 0).squeeze(1)
-        tile = here[torch.searchsorted(sums.bases[here], at, right=True) - 1]
-        within = at - sums.bases[tile]
-        row = torch.div(within, columns.counts[tile], rounding_mode="floor")
-        gaussians.append(projection.pair_ids[projection.starts[tile] + row])
-        numbers.append(columns.combinations[columns.firsts[tile] + within - row * columns.counts[tile]])
-        weights.append(sums.values[at])
-    n_combinations = int(combinations.max()) + 1 if combinations.numel() else 0
-    return merge(torch.cat(gaussians), torch.cat(numbers), torch.cat(weights), max(1, n_combinations))
+    device, n_combinations = projection.device, max(1, n_combinations)
+    small = projection.n_gaussians * n_combinations < 2**31  # sorted in half the passes
+    keys = torch.zeros(0, dtype=torch.int32 if small else torch.int64, device=device)
+    weights = torch.zeros(0, dtype=torch.int64, device=device)
+    if combinations.numel():
+        columns = columns_of(projection, combinations)
+        # A pixel has weights of 1 at the most, and they are known to 2^-40 (``halves_of_weights``).
+        scale = 2.0 ** min(40, 62 - combinations.numel().bit_length())
+        ends = torch.cumsum(columns.room, 0)
+        for lot in lots(ends, int(ends[-1])):
+            some = _entries_of(projection, columns, ends, n_combinations, scale, lot, keys.dtype)
+            # Most views are one lot.
+            keys, weights = (
+                torch.cat(pair) if len(keys) else pair[1] for pair in zip((keys, weights), some, strict=True)
+            )
+        if len(keys):
+            return _merge(keys, weights, n_combinations, scale)
+    return keys.int(), keys.int(), weights.float()
 
 
 def columns_of(projection: TritonProjection, combinations: Tensor) -> Columns:
     """See ``Columns``; combinations [H, W] int32."""
-    down = projection.n_tiles // projection.across
-    right, below = projection.across * TILE - projection.width, down * TILE - projection.height
-    padded = torch.nn.functional.pad(combinations, (0, right, 0, below), value=-1)
-    tiled = (
-        padded.view(down, TILE, projection.across, TILE)
-        .transpose(1, 2)
-        .reshape(projection.n_tiles, TILE * TILE)
+    shape, device = (projection.n_tiles, TILE * TILE), projection.device
+    columns = Columns(
+        torch.empty(shape, dtype=torch.int16, device=device),
+        torch.empty(shape, dtype=torch.int32, device=device),
+        torch.empty(projection.n_tiles, dtype=torch.int32, device=device),
+        torch.empty(projection.n_tiles, dtype=torch.int64, device=device),
     )
-    rising, pixel = torch.sort(tiled, dim=1)
-    is_first = rising >= 0
-    is_first[:, 1:] &= rising[:, 1:] != rising[:, :-1]
-    number = torch.cumsum(is_first, 1) - 1
-    # Pixels without a region come before the first column: -1 already.
-    of_pixel = torch.empty_like(number).scatter_(1, pixel, number)
-    counts = is_first.sum(1)
-    return Columns(of_pixel.short(), counts.int(), torch.cumsum(counts, 0) - counts, rising[is_first])
+    columns_kernel[(projection.n_tiles,)](
+        combinations.contiguous(), projection.starts, columns.of_pixel, columns.combinations, columns.counts,
+        columns.room, projection.width, projection.height, projection.across, TILE=TILE, **FUSED,
+    )  # fmt: skip
+    return columns
 
 
-def tile_sums(projection: TritonProjection, columns: Columns) -> Iterator[TileSums]:
-    """Yield sums, of as many tiles at a time as ``MOST_SUMS`` allows; Gaussians that contribute nothing have zeros."""
-    ends = torch.cumsum(projection.starts.diff() * columns.counts, 0)
-    total = int(ends[-1]) if len(ends) else 0
+@dataclass(frozen=True)
+class Lot:
+    """Some tiles that follow each other, for whose entries there is room at a time."""
+
+    tiles: range
+    before: int  # room for the tiles before
+    room: int
+
+
+def lots(ends: Tensor, total: int) -> Iterator[Lot]:
+    """Yield all tiles with Gaussians and regions, as many at a time as ``MOST_SUMS`` allows; ``ends`` [tiles] is where
+    the room for each ends, ``total`` the last of them.
+    """
     if total <= MOST_SUMS:
         if total:
-            yield _sums_of(projection, columns, ends, 0, len(ends), total)
+            yield Lot(range(len(ends)), 0, total)
         return
-    ends_here = ends.cpu()
+    ends = ends.cpu()
     first, before = 0, 0
     while before < total:
-        last = int(torch.searchsorted(ends_here, before + MOST_SUMS, right=True))
+        last = int(torch.searchsorted(ends, before + MOST_SUMS, right=True))
         last = max(last, first + 1)
-        behind = int(ends_here[last - 1])
+        behind = int(ends[last - 1])
         if behind > before:
-            yield _sums_of(projection, columns, ends, first, last, behind - before)
+            yield Lot(range(first, last), before, behind - before)
         first, before = last, behind
 
 
-def _sums_of(
-    projection: TritonProjection, columns: Columns, ends: Tensor, first: int, last: int, count: int
-) -> TileSums:
-    """Return ``count`` sums, of the tiles from ``first`` to before ``last``; ``ends`` [tiles] is where tiles end."""
-    device = projection.device
-    begins = torch.nn.functional.pad(ends[:-1], (1, 0))
-    values = torch.zeros(count, device=device)
-    tiles = torch.arange(projection.n_tiles, device=device)
-    here = (tiles >= first) & (tiles < last)
-    bases = torch.where(here, begins - begins[first], -1)
-    preset = projection.preset
-    region_sums_kernel[(last - first,)](
-        projection.records, projection.starts, columns.of_pixel, columns.counts, bases, values, projection.width,
-        projection.height, projection.across, first, preset.alpha_max, preset.stop,
-        STOP_INCLUSIVE=preset.stop_inclusive,
-        TILE=TILE, CHUNK=CHUNK, COLUMNS=COLUMNS, num_warps=WARPS, **FUSED,
+def _entries_of(
+    projection: TritonProjection,
+    columns: Columns,
+    ends: Tensor,
+    n_combinations: int,
+    scale: float,
+    lot: Lot,
+    dtype: torch.dtype,
+) -> tuple[Tensor, Tensor]:
+    """Return keys and weights of the entries of a lot, tile after tile."""
+    device, grid, preset = projection.device, (len(lot.tiles),), projection.preset
+    types = dtype, torch.int64
+    roomy = [torch.empty(lot.room, dtype=each, device=device) for each in types]
+    counts = torch.empty(len(lot.tiles), dtype=torch.int32, device=device)
+    region_sums_kernel[grid](
+        projection.records, projection.numbers, projection.starts, columns.of_pixel, columns.combinations,
+        columns.counts, ends, *roomy, counts, projection.width, projection.height, projection.across,
+        lot.tiles.start, lot.before, n_combinations, scale, preset.alpha_max, preset.stop,
+        STOP_INCLUSIVE=preset.stop_inclusive, TILE=TILE, CHUNK=CHUNK, COLUMNS=COLUMNS, num_warps=WARPS, **FUSED,
     )  # fmt: skip
-    return TileSums(values, bases)
+    entries_end = torch.cumsum(counts, 0)
+    count = int(entries_end[-1])
+    close = [torch.empty(count, dtype=each, device=device) for each in types]
+    gather_kernel[grid](
+        *roomy, projection.starts, columns.counts, ends, entries_end, counts, *close, lot.tiles.start, lot.before,
+        BLOCK=_BLOCK, **FUSED,
+    )  # fmt: skip
+    return close[0], close[1]
+
+
+def _merge(keys: Tensor, weights: Tensor, n_combinations: int, scale: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Add up the weights of equal keys; return Gaussian, combination, weight (int32, int32, float32), sorted.
+
+    Sums of whole numbers are the same in any order.
+    """
+    keys, order = torch.sort(keys)
+    keys, place = torch.unique_consecutive(keys, return_inverse=True)
+    totals = torch.zeros(len(keys), dtype=torch.int64, device=keys.device).index_add_(
+        0, place, weights[order]
+    )
+    numbers = torch.empty(2, len(keys), dtype=torch.int32, device=keys.device)
+    out = torch.empty(len(keys), device=keys.device)
+    unpack_kernel[(triton.cdiv(len(keys), _BLOCK),)](
+        keys, totals, numbers[0], numbers[1], out, len(keys), n_combinations, scale, BLOCK=_BLOCK, **FUSED
+    )
+    return numbers[0], numbers[1], out

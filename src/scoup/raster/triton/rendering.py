@@ -17,6 +17,7 @@ import torch
 import triton
 from torch import Tensor
 
+from scoup.raster.combinations import CombinedLabels
 from scoup.raster.triton.kernels.blending import LOW_SCALE
 from scoup.raster.triton.kernels.channels import channels_kernel
 from scoup.raster.triton.kernels.codes import SLOTS, codes_kernel, pack_kernel
@@ -39,10 +40,10 @@ _COEFFICIENTS = 128 * 32 * WARPS  # of a program: 128 registers of each thread
 _BLOCK = 128
 
 
-def region_sums(projection: TritonProjection, combinations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
+def region_sums(projection: TritonProjection, combined: CombinedLabels) -> tuple[Tensor, Tensor, Tensor]:
+    """See ``raster.region_sums``."""
     with torch.cuda.device_of(projection.records):
-        return sum_regions(projection, combinations.to(projection.device))
+        return sum_regions(projection, combined.map.to(projection.device), len(combined.table))
 
 
 def render_channels(projection: TritonProjection, values: Tensor) -> tuple[Tensor, Tensor]:

@@ -29,15 +29,17 @@ def vote_kernel(
     earlier_atoms,  # [n, S, EARLIER_K] int32
     earlier_weights,  # [n, S, EARLIER_K] float32
     sharpness,  # [S] float32
-    out,  # [n, S, L] float32
+    out,  # [n, S, L] float32: the sums; with KEEP the largest of them, [n, S, KEEP]
+    kept,  # with KEEP their atoms, [n, S, KEEP] int32
     n_levels,
     n_atoms,
     K: tl.constexpr,
     EARLIER_K: tl.constexpr,
+    KEEP: tl.constexpr,
     ATOMS: tl.constexpr,
     ENTRIES: tl.constexpr,
 ):
-    """Add up ENTRIES at a time; the earlier round is not read where EARLIER_K is 0."""
+    """Add up ENTRIES at a time. The earlier round is not read where EARLIER_K is 0; KEEP of 0 stores all sums."""
     gaussian, level = tl.program_id(0), tl.program_id(1)
     own = gaussian.to(tl.int64) * n_levels + level
     atom = tl.arange(0, ATOMS)
@@ -63,7 +65,14 @@ def vote_kernel(
             share *= tl.maximum(tl.exp(strictness * (cosine - 1.0)), LEAST_FACTOR)
         sums += tl.sum(codes * share[:, None], axis=0)
         first += ENTRIES
-    tl.store(out + own * n_atoms + atom, sums, mask=atom < n_atoms)
+    if KEEP == 0:
+        tl.store(out + own * n_atoms + atom, sums, mask=atom < n_atoms)
+    for slot in range(KEEP):
+        largest = tl.max(sums, axis=0)
+        best = tl.min(tl.where(sums == largest, atom, ATOMS), axis=0)  # of equal ones the first
+        tl.store(out + own * KEEP + slot, tl.maximum(largest, 0.0))
+        tl.store(kept + own * KEEP + slot, tl.where(largest > 0, best, 0))
+        sums = tl.where(atom == best, -1.0, sums)
 
 
 @triton.jit

@@ -13,11 +13,13 @@ from scoup.base.native import require_core
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
-from scoup.uplift.vote import CodedEntries
+from scoup.uplift.vote import BATCHES, CodedEntries
 
 
 class Vote:
     """See ``scoup.uplift.vote.VoteBackend``."""
+
+    batches = BATCHES
 
     def __init__(
         self,

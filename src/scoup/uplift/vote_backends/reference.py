@@ -9,16 +9,18 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.scene.codes import SparseCodes, check_atoms
+from scoup.scene.codes import SparseCodes, check_atoms, index_dtype, signed
 from scoup.uplift.reweighting import LEAST_FACTOR, EarlierRound
 from scoup.uplift.storage.entries import BUCKET
-from scoup.uplift.vote import CodedEntries
+from scoup.uplift.vote import BATCHES, CodedEntries
 
 BUCKETS_AT_A_TIME = 64
 
 
 class Vote:
     """See ``scoup.uplift.vote.VoteBackend``."""
+
+    batches = BATCHES
 
     def __init__(
         self,
@@ -31,7 +33,7 @@ class Vote:
         for level in codes:
             check_atoms(level.indices, level.n_atoms)
         for view in views:
-            view.entries.check_numbers(n_gaussians)
+            self._check(view, n_gaussians)
             check_regions(view.regions, codes)
         self._n_gaussians = n_gaussians
         self._views = views
@@ -43,15 +45,18 @@ class Vote:
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
     ) -> tuple[Tensor, Tensor]:
         found = []
-        for some in self.chunks(buckets):
-            sums = self.sums(earlier, some)
-            levels = [SparseCodes.from_dense(sums[:, level], keep) for level in range(len(self._codes))]
-            weights = torch.stack([level.weights for level in levels], 1)
-            indices = torch.stack([level.indices for level in levels], 1)
-            if unit_norm:
-                weights = self._unit(indices, weights)
-            found.append((indices.cpu(), weights.cpu()))
-        return torch.cat([indices for indices, _ in found]), torch.cat([weights for _, weights in found])
+        for some in self.chunks(buckets, keep):
+            indices, weights = self.largest(earlier, some, keep)
+            found.append((signed(indices), self._unit(indices, weights) if unit_norm else weights))
+        indices, weights = (torch.cat(parts) for parts in zip(*found, strict=True))
+        return indices.view(index_dtype(self._codes[0].n_atoms)), weights
+
+    def largest(self, earlier: EarlierRound | None, buckets: range, keep: int) -> tuple[Tensor, Tensor]:
+        """Return the ``keep`` largest of ``sums``, scaled to sum 1, for the Gaussians of some buckets."""
+        sums = self.sums(earlier, buckets)
+        levels = [SparseCodes.from_dense(sums[:, level], keep) for level in range(len(self._codes))]
+        indices = torch.stack([signed(level.indices) for level in levels], 1)
+        return indices.view(levels[0].indices.dtype), torch.stack([level.weights for level in levels], 1)
 
     def sums(self, earlier: EarlierRound | None, buckets: range) -> Tensor:
         """Return [n, S, L], w_i = sum of A[i, r] W_r for the Gaussians of some buckets."""
@@ -78,23 +83,28 @@ class Vote:
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         found = []
-        for level in range(len(self._codes)):
-            pairs = [torch.zeros(0, 2, dtype=torch.int64, device=self._device)]
+        for level, codes in enumerate(self._codes):
+            pairs = [torch.zeros(0, dtype=torch.int64, device=self._device)]
             for view in self._views:
                 gaussian, regions, _ = self._entries(view, buckets)
                 there = regions[:, level] >= 0
-                pairs.append(torch.stack([gaussian[there], regions[there, level]], 1))
-            gaussian, row = torch.cat(pairs).unique(dim=0).unbind(1)
+                pairs.append(gaussian[there] * len(codes) + regions[there, level])
+            pair = torch.cat(pairs).unique()
+            gaussian = torch.div(pair, max(1, len(codes)), rounding_mode="floor")
+            row = pair - gaussian * len(codes)
             cosines = self._cosines(earlier, level, buckets.start * BUCKET + gaussian, row)
             found.append((1 - cosines).cpu())
         return found
 
-    def chunks(self, buckets: range) -> Iterator[range]:
-        """Yield the buckets whose sums are in memory at a time; one empty range for none."""
+    def chunks(self, buckets: range, keep: int) -> Iterator[range]:
+        """Yield the buckets whose sums are in memory at a time, for the ``keep`` largest; one empty range for none."""
         if not buckets:
             yield buckets
         for first in range(buckets.start, buckets.stop, BUCKETS_AT_A_TIME):
             yield range(first, min(first + BUCKETS_AT_A_TIME, buckets.stop))
+
+    def _check(self, view: CodedEntries, n_gaussians: int) -> None:
+        view.entries.check_numbers(n_gaussians)
 
     def _entries(self, view: CodedEntries, buckets: range) -> tuple[Tensor, Tensor, Tensor]:
         """Return places [E] from the first bucket's start, rows of the regions [E, S] and weights [E]."""

@@ -16,15 +16,16 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.scene.codes import SparseCodes
+from scoup.scene.codes import SparseCodes, index_dtype, rows_of
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, Entries
 from scoup.uplift.vote import CodedEntries
 from scoup.uplift.vote_backends import reference
 from scoup.uplift.vote_backends.kernels import vote_kernel
 
-MOST_BUCKETS = 256  # at a time: 65,536 Gaussians
 MOST_ENTRIES = 1 << 24  # at a time: half a gigabyte, most of it to sort them
+MOST_KNOWN = 1 << 28  # that stay there from round to round: two gigabytes
+MOST_KEPT = 16  # atoms that the kernel finds itself
 MOST_SUMS = 1 << 26  # float32 numbers at a time; finding the largest takes several times as much
 _LANES = 1024  # entries times atoms that a program adds up together
 
@@ -41,6 +42,8 @@ class SortedEntries:
 class Vote(reference.Vote):
     """See ``scoup.uplift.vote.VoteBackend``."""
 
+    batches = 1
+
     def __init__(
         self,
         n_gaussians: int,
@@ -50,6 +53,7 @@ class Vote(reference.Vote):
         device: torch.device,
     ) -> None:
         super().__init__(n_gaussians, views, codes, grams, device)
+        self._known: dict[range, SortedEntries] = {}
         self._entries_of_bucket = np.zeros(-(-n_gaussians // BUCKET), np.int64)
         for view in views:
             add_counts(view.entries, self._entries_of_bucket)
@@ -66,7 +70,26 @@ class Vote(reference.Vote):
 
     def sums(self, earlier: EarlierRound | None, buckets: range) -> Tensor:
         """See ``reference.Vote.sums``."""
-        entries = self._sorted(buckets)
+        return self._add_up(earlier, buckets, 0)[0]
+
+    def largest(self, earlier: EarlierRound | None, buckets: range, keep: int) -> tuple[Tensor, Tensor]:
+        """See ``reference.Vote.largest``."""
+        n_atoms = self._codes[0].n_atoms
+        if not self._finds(keep):
+            return super().largest(earlier, buckets, keep)
+        sums, indices = self._add_up(earlier, buckets, keep)
+        sums = sums.double()
+        total = sums.sum(2, keepdim=True)
+        weights = torch.where(total > 0, sums / total, 0.0).float()
+        dtype = index_dtype(n_atoms)
+        # torch converts to few types without a sign.
+        return indices.to(torch.uint8 if dtype == torch.uint8 else torch.int16).view(dtype), weights
+
+    def _add_up(self, earlier: EarlierRound | None, buckets: range, keep: int) -> tuple[Tensor, Tensor]:
+        """Return sums [n, S, L] for the Gaussians of some buckets, or with ``keep`` the largest and their atoms, both
+        [n, S, keep].
+        """
+        entries = self._entries_of(buckets)
         first, count = buckets.start * BUCKET, len(entries.starts) - 1
         levels, n_atoms = len(self._codes), self._codes[0].n_atoms
         if earlier is None:
@@ -75,31 +98,33 @@ class Vote(reference.Vote):
         else:
             mine = slice(first, first + count)
             earlier_k = earlier.indices.shape[2]
-            atoms, weights = earlier.indices[mine].to(self._device), earlier.weights[mine].to(self._device)
-            known = (atoms.int().contiguous(), weights.contiguous(), earlier.sharpness.to(self._device))
-        out = torch.empty(count, levels, n_atoms, device=self._device)
-        if not out.numel():
-            return out
-        with torch.cuda.device_of(out):
-            vote_kernel[(count, levels)](
-                entries.starts, entries.combinations, entries.weights, self._rows, self._atoms, self._weights,
-                self._inverse_norms, self._grams, *known, out, levels, n_atoms, K=self._atoms.shape[1],
-                EARLIER_K=earlier_k, **blocks(n_atoms),
-            )  # fmt: skip
-        return out
+            atoms = rows_of(earlier.indices, mine).to(self._device).int()
+            weights = earlier.weights[mine].to(self._device)
+            known = (atoms.contiguous(), weights.contiguous(), earlier.sharpness.to(self._device))
+        out = torch.empty(count, levels, keep or n_atoms, device=self._device)
+        kept = torch.empty(count, levels, keep, dtype=torch.int32, device=self._device)
+        if out.numel():
+            with torch.cuda.device_of(out):
+                vote_kernel[(count, levels)](
+                    entries.starts, entries.combinations, entries.weights, self._rows, self._atoms, self._weights,
+                    self._inverse_norms, self._grams, *known, out, kept, levels, n_atoms, K=self._atoms.shape[1],
+                    EARLIER_K=earlier_k, KEEP=keep, **blocks(n_atoms),
+                )  # fmt: skip
+        return out, kept
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         there = EarlierRound(
             earlier.indices.to(self._device), earlier.weights.to(self._device), earlier.sharpness
         )
-        found = [super(Vote, self).deviations(there, some) for some in self.chunks(buckets)]
+        found = [super(Vote, self).deviations(there, some) for some in self.chunks(buckets, 1)]
         return [torch.cat(of_level) for of_level in zip(*found, strict=True)]
 
-    def chunks(self, buckets: range) -> Iterator[range]:
+    def chunks(self, buckets: range, keep: int) -> Iterator[range]:
         """Yield as many buckets at a time as the bounds above allow, one at least."""
         if not buckets:
             yield buckets
-        most = max(1, min(MOST_BUCKETS, MOST_SUMS // (BUCKET * len(self._codes) * self._codes[0].n_atoms)))
+        numbers = keep if self._finds(keep) else self._codes[0].n_atoms
+        most = max(1, MOST_SUMS // (BUCKET * len(self._codes) * numbers))
         ends = np.cumsum(self._entries_of_bucket)
         first = buckets.start
         while first < buckets.stop:
@@ -108,6 +133,10 @@ class Vote(reference.Vote):
             last = min(max(last, first + 1), first + most, buckets.stop)
             yield range(first, last)
             first = last
+
+    def _finds(self, keep: int) -> bool:
+        """Return whether the kernel finds the largest sums itself."""
+        return keep <= min(MOST_KEPT, self._codes[0].n_atoms)
 
     def _rows_of_combinations(self) -> Tensor:
         """Return [C, S] int32, the rows of all views' regions among the codes of all levels."""
@@ -119,6 +148,18 @@ class Vote(reference.Vote):
             parts.append(np.where(regions >= 0, regions + first, -1))
             first += len(codes)
         return torch.from_numpy(np.stack(parts, 1).astype(np.int32)).to(self._device)
+
+    def _check(self, view: CodedEntries, n_gaussians: int) -> None:
+        """Entries are checked on the device, when they are sorted."""
+
+    def _entries_of(self, buckets: range) -> SortedEntries:
+        """Return the entries of some buckets; they stay on the device for the next round if all have room there."""
+        known = self._known.get(buckets)
+        if known is None:
+            known = self._sorted(buckets)
+            if int(self._entries_of_bucket.sum()) <= MOST_KNOWN:
+                self._known[buckets] = known
+        return known
 
     def _sorted(self, buckets: range) -> SortedEntries:
         """Return the entries of some buckets, on the device."""
@@ -142,7 +183,7 @@ class Vote(reference.Vote):
         )
         # Per entry: the number of its view times n_buckets, plus its bucket.
         found, repeats = (torch.from_numpy(np.concatenate(of)).to(device) for of in (groups, lengths))
-        group = torch.repeat_interleave(found, repeats)
+        group = torch.repeat_interleave(found, repeats, output_size=len(places))
         number = torch.div(group, n_buckets, rounding_mode="floor")
         firsts = torch.from_numpy(self._first_combinations).to(device)
         combination = (combinations.int() & 0xFFFF) + firsts[number]

@@ -19,4 +19,5 @@ EVAL = Family(
         "consistency": "scoup_lab.cli.evaluate.studies:Consistency",
         "synthetic": "scoup_lab.cli.evaluate.synthetic:Synthetic",
     },
+    "scoup_lab.cli.evaluate.data_sets:verb_of_protocol",
 )

@@ -146,6 +146,15 @@ class MipNerf360(OfPixels):
     protocol: ClassVar[str] = "mipnerf360"
 
 
+def verb_of_protocol(name: str) -> type[OfPixels] | None:
+    """Return the verb of a protocol that a package brings; None if there is no such protocol."""
+    from scoup_lab.evaluate.protocols import PIXELS
+
+    if name not in PIXELS:
+        return None
+    return type(OfPixels.__name__, (OfPixels,), {"protocol": name, "__doc__": PIXELS[name].help})
+
+
 @dataclass(frozen=True, kw_only=True)
 class ScanNet(Evaluated):
     """Score the Gaussians of ScanNet's scenes against the labels of their points, by OpenGaussian's 19, 15 and 10
@@ -168,13 +177,13 @@ class ScanNet(Evaluated):
     """Methods to score beside the field, as in scoup eval baselines; repeat it for several."""
 
     def evaluation(self) -> Evaluation[Any, Any]:
-        from scoup_lab.baselines.methods import find_method
+        from scoup_lab.baselines.methods import METHODS
         from scoup_lab.evaluate.point_evaluation import PointEvaluation
         from scoup_lab.evaluate.protocols import scannet
 
         return PointEvaluation(
             class_lists=tuple(scannet.find_class_list(name) for name in self.classes or scannet.CLASS_LISTS),
-            methods=tuple(find_method(name) for name in self.methods),
+            methods=tuple(METHODS[name] for name in self.methods),
             level=None if self.level == "best" else self.level,
             **self.shared(),
         )

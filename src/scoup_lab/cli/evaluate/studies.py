@@ -24,8 +24,8 @@ class StudyOptions(DataSetOptions):
 
     option_groups: ClassVar[OptionGroups] = {"data set": "data_set"}
 
-    data_set: Literal["lerf-ovs", "3d-ovs", "mipnerf360"] = "lerf-ovs"
-    """Layout of ROOT, and whose protocol scores."""
+    data_set: str = "lerf-ovs"
+    """Layout of ROOT, and whose protocol scores: lerf-ovs, 3d-ovs, mipnerf360 or one of a package."""
     rules: Rules = "scoup"
     """Rules that turn relevancy into masks and points."""
 
@@ -96,10 +96,10 @@ class Baselines(StudyOptions):
 
     def study(self) -> Study[Any]:
         from scoup_lab.baselines.joint_codes import LANGSPLATV2
-        from scoup_lab.baselines.methods import COMPARED, find_method
+        from scoup_lab.baselines.methods import COMPARED, METHODS
         from scoup_lab.evaluate.studies.comparison import Comparison
 
-        methods = [find_method(name) for name in self.methods or COMPARED]
+        methods = [METHODS[name] for name in self.methods or COMPARED]
         joint = replace(LANGSPLATV2, iterations=self.iterations)
         settings = replace(_settings(self.seed, self.epochs), joint=joint)
         return Comparison(methods, self.mask_rule(), settings, self.selection)

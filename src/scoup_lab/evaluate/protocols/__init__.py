@@ -3,10 +3,14 @@ points."""
 
 from __future__ import annotations
 
+from scoup.base.registry import Registry
 from scoup_lab.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 
-PIXELS: dict[str, PixelProtocol] = {
-    module.PROTOCOL.name: module.PROTOCOL for module in (lerf_ovs, threed_ovs, mipnerf360)
-}
+PIXELS = Registry(
+    "protocol",
+    "scoup_lab.protocols",
+    PixelProtocol,
+    (lerf_ovs.PROTOCOL, threed_ovs.PROTOCOL, mipnerf360.PROTOCOL),
+)
 """By name."""

@@ -15,7 +15,7 @@ PROTOCOL = PixelProtocol(
     scenes=("room", "counter", "garden", "bonsai"),
     labels=label_folder,
     read=read_labelled_frames,
-    thresholds="mipnerf360",
+    thresholds={"scoup": 0.45, "langsplatv2": 0.4},
     level_choice="mask",
     at_label_size=True,
 )

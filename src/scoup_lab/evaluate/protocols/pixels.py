@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from torch import Tensor
 
 from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base.errors import InputError, UnknownNameError
+from scoup.base.registry import Entry
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS
 from scoup_lab.data.labels import LabelledFrame, match_frames
 from scoup_lab.evaluate.metrics import any_inside, iou
 from scoup_lab.evaluate.relevancy_maps import localize_and_segment, segment
-from scoup_lab.evaluate.rules import LevelChoice, MaskRule, mask_rule
+from scoup_lab.evaluate.rules import MASK_RULES, LevelChoice, MaskRule
 from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
@@ -25,15 +26,17 @@ its labels, [S, Q, H, W]."""
 
 
 @dataclass(frozen=True)
-class PixelProtocol:
+class PixelProtocol(Entry):
     """A data set of labelled frames, and its rules."""
 
-    name: str  # as on the command line
     title: str  # in tables
     scenes: tuple[str, ...]  # of the published data set
     labels: Callable[[Path, str], Path]  # where the labels of a scene lie below ROOT
     read: Callable[[Path, str], list[LabelledFrame]]  # the labelled frames of a scene below ROOT
-    thresholds: str = "lerf-ovs"  # its name in ``DATASET_THRESHOLDS``
+    # system -> threshold that its paper tuned for the data set; by default those for LERF-OVS
+    thresholds: Mapping[str, float] = field(
+        default_factory=lambda: {system: rule.threshold for system, rule in MASK_RULES.items()}
+    )
     level_choice: LevelChoice | None = None  # in place of the rule's
     levels: tuple[str, ...] | None = None  # those that may answer; None for all
     localizes: bool = False  # whether points are scored too
@@ -41,8 +44,11 @@ class PixelProtocol:
 
     def rule(self, system: str = "scoup") -> MaskRule:
         """Return the constants of a system for this data set."""
-        found = mask_rule(system, self.thresholds)
-        return found if self.level_choice is None else replace(found, level_choice=self.level_choice)
+        if system not in self.thresholds:
+            raise UnknownNameError(f"system with a rule for {self.name}", system, self.thresholds)
+        found = MASK_RULES[system]
+        level_choice = self.level_choice or found.level_choice
+        return replace(found, threshold=self.thresholds[system], level_choice=level_choice)
 
     def find(self, root: Path, wanted: Sequence[str] = ()) -> list[str]:
         """Return the scenes below ``root`` that have labels: those wanted, or all, the published ones first."""

@@ -93,7 +93,7 @@ PROTOCOL = PixelProtocol(
     scenes=("bed", "bench", "room", "sofa", "lawn"),
     labels=lambda root, scene: root / scene / "segmentations",
     read=read_scene,
-    thresholds="3d-ovs",
+    thresholds={"scoup": 0.3, "langsplatv2": 0.25},
     level_choice="mask",
     levels=("m", "l"),
 )

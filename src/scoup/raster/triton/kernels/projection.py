@@ -29,14 +29,15 @@ ROOT_LOG2_E, LOG2_E = tl.constexpr(27), tl.constexpr(28)
 TABLE = 29
 
 # What is known of a Gaussian's ellipse, so that a pair takes no division: few GPUs are fast in float64. For the exact
-# test against a tile: its centre and reach, and what the covariance ((xx, xy), (xy, yy)) makes of offsets.
-CENTRE_X, CENTRE_Y, REACH = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2)
-SLOPE_Y, SLOPE_X = tl.constexpr(3), tl.constexpr(4)  # xy / xx, xy / yy
-INVERSE_XX, INVERSE_YY = tl.constexpr(5), tl.constexpr(6)
-WEIGHT_Y, WEIGHT_X = tl.constexpr(7), tl.constexpr(8)  # xx / determinant, yy / determinant
-# For the record, see ``blending.RECORD``.
-KU, KV, SKEW, PEAK = tl.constexpr(9), tl.constexpr(10), tl.constexpr(11), tl.constexpr(12)
-GEOMETRY = tl.constexpr(13)
+# test against a tile: its reach, and what the covariance ((xx, xy), (xy, yy)) makes of offsets.
+REACH = tl.constexpr(0)
+SLOPE_Y, SLOPE_X = tl.constexpr(1), tl.constexpr(2)  # xy / xx, xy / yy
+INVERSE_XX, INVERSE_YY = tl.constexpr(3), tl.constexpr(4)
+WEIGHT_Y, WEIGHT_X = tl.constexpr(5), tl.constexpr(6)  # xx / determinant, yy / determinant
+GEOMETRY = tl.constexpr(8)
+# For the record, see ``blending.RECORD``: 32 bytes, which a GPU reads at once; the centre takes two places of each.
+SHAPE = tl.constexpr(8)
+KU, KV, SKEW, PEAK = tl.constexpr(4), tl.constexpr(5), tl.constexpr(6), tl.constexpr(7)
 
 
 @triton.jit(do_not_specialize=["count"])
@@ -85,6 +86,8 @@ def project_kernel(
     camera,  # [TABLE] float64
     depths,  # [M] float64
     geometry,  # [M, GEOMETRY] float64
+    shapes,  # [M, SHAPE] float32: the centre as two float64, then ku, kv, skew, peak
+    centres,  # the same memory as float64
     rects,  # [M, 3] int32: first column and row of tiles, columns
     counts,  # [M] int32: tiles in the rectangle around the ellipse
     n_visible,
@@ -156,8 +159,6 @@ def project_kernel(
     tl.store(rects + 3 * slot + 1, first_y, mask=there)
     tl.store(rects + 3 * slot + 2, tl.maximum(span_x, 1), mask=there)
     own = geometry + GEOMETRY * slot.to(tl.int64)
-    tl.store(own + CENTRE_X, centre_x, mask=there)
-    tl.store(own + CENTRE_Y, centre_y, mask=there)
     tl.store(own + REACH, reach, mask=there)
     inverse_xx, inverse_yy, inverse = 1.0 / xx, 1.0 / yy, 1.0 / determinant
     tl.store(own + SLOPE_Y, xy * inverse_xx, mask=there)
@@ -168,10 +169,14 @@ def project_kernel(
     tl.store(own + WEIGHT_X, yy * inverse, mask=there)
     root = tl.load(camera + ROOT_LOG2_E)
     ku = root * tl.sqrt(0.5 * yy * inverse)
-    tl.store(own + KU, ku, mask=there)
-    tl.store(own + KV, root * tl.sqrt(0.5 * inverse_yy), mask=there)
-    tl.store(own + SKEW, ku * (xy * inverse_yy), mask=there)
-    tl.store(own + PEAK, log_opacity * tl.load(camera + LOG2_E), mask=there)
+    shape = shapes + SHAPE * slot.to(tl.int64)
+    tl.store(shape + KU, ku.to(tl.float32), mask=there)
+    tl.store(shape + KV, (root * tl.sqrt(0.5 * inverse_yy)).to(tl.float32), mask=there)
+    tl.store(shape + SKEW, (ku * (xy * inverse_yy)).to(tl.float32), mask=there)
+    tl.store(shape + PEAK, (log_opacity * tl.load(camera + LOG2_E)).to(tl.float32), mask=there)
+    centre = centres + SHAPE // 2 * slot.to(tl.int64)
+    tl.store(centre, centre_x, mask=there)
+    tl.store(centre + 1, centre_y, mask=there)
 
 
 @triton.jit(do_not_specialize=["n_candidates", "across", "down"])
@@ -181,8 +186,10 @@ def expand_kernel(
     firsts,  # [M + 1] int64: first candidate of each place
     rects,  # [M, 3] int32
     geometry,  # [M, GEOMETRY] float64
+    centres,  # [M, SHAPE / 2] float64
     camera,  # [TABLE] float64
     tiles,  # [C] int16 or int32: out; across * down where the ellipse misses the tile
+    slots,  # [C] int32: out
     n_candidates,
     across,
     down,
@@ -198,8 +205,10 @@ def expand_kernel(
     row = within // span
     column = within - row * span + tl.load(rects + 3 * slot, mask=there, other=0)
     row += tl.load(rects + 3 * slot + 1, mask=there, other=0)
-    own = geometry + GEOMETRY * slot
-    touched = ellipse_touches(own, column, row, there, camera, TILE)
+    touched = ellipse_touches(
+        geometry + GEOMETRY * slot, centres + SHAPE // 2 * slot, column, row, there, camera, TILE
+    )
+    tl.store(slots + candidate, slot.to(tl.int32), mask=there)
     tile = tl.where(touched, row * across + column, across * down)
     tl.store(tiles + candidate, tile.to(tiles.dtype.element_ty), mask=there)
 
@@ -208,13 +217,11 @@ def expand_kernel(
 def list_kernel(
     by_tile,  # [C] int64: candidates, tile after tile
     tiles,  # [C] int16 or int32: their tiles, in this order
-    ranks,  # [C] int64
-    order,  # [M] int64
+    slots,  # [C] int32
     ids,  # [M] int64
-    geometry,  # [M, GEOMETRY] float64
-    camera,  # [TABLE] float64
-    records,  # [R, RECORD] float32: out, see ``blending.RECORD``; zeros behind the last tile
-    numbers,  # the same memory as int32
+    shapes,  # [M, SHAPE] float32
+    centres,  # the same memory as float64
+    records,  # [., RECORD] float32: out
     n_candidates,
     n_records,
     across,
@@ -227,38 +234,37 @@ def list_kernel(
     candidate = tl.load(by_tile + pair, mask=there, other=0)
     tile = tl.load(tiles + pair, mask=there, other=0).to(tl.int32)
     listed = there & (tile < across * down)
-    slot = tl.load(order + tl.load(ranks + candidate, mask=listed, other=0), mask=listed, other=0)
-    ellipse = geometry + GEOMETRY * slot
-    corner_x, corner_y = corner_at(ellipse, tile % across, tile // across, listed, TILE)
-    ku = tl.load(ellipse + KU, mask=listed, other=0.0)
-    kv = tl.load(ellipse + KV, mask=listed, other=0.0)
-    skew = tl.load(ellipse + SKEW, mask=listed, other=0.0)
-    peak = tl.load(ellipse + PEAK, mask=listed, other=0.0)
-    written = pair < n_records
-    own = records + pair * RECORD
-    tl.store(own, tl.where(listed, ku * corner_x - skew * corner_y, 0.0).to(tl.float32), mask=written)
-    tl.store(own + 1, tl.where(listed, kv * corner_y, 0.0).to(tl.float32), mask=written)
-    tl.store(own + 2, ku.to(tl.float32), mask=written)
-    tl.store(own + 3, kv.to(tl.float32), mask=written)
-    tl.store(own + 4, skew.to(tl.float32), mask=written)
-    tl.store(own + 5, peak.to(tl.float32), mask=written)
-    gaussian = tl.load(ids + slot, mask=listed, other=0).to(tl.int32)
-    tl.store(numbers + pair * RECORD + ROW, gaussian, mask=written)
-    tl.store(numbers + pair * RECORD + (ROW + 1), tl.zeros_like(gaussian), mask=written)
+    slot = tl.load(slots + candidate, mask=listed, other=0).to(tl.int64)
+    corner_x, corner_y = corner_at(centres + SHAPE // 2 * slot, tile % across, tile // across, listed, TILE)
+    shape = shapes + SHAPE * slot
+    ku = tl.load(shape + KU, mask=listed, other=0.0)
+    kv = tl.load(shape + KV, mask=listed, other=0.0)
+    skew = tl.load(shape + SKEW, mask=listed, other=0.0)
+    peak = tl.load(shape + PEAK, mask=listed, other=0.0)
+    u = tl.where(listed, ku.to(tl.float64) * corner_x - skew.to(tl.float64) * corner_y, 0.0).to(tl.float32)
+    v = tl.where(listed, kv.to(tl.float64) * corner_y, 0.0).to(tl.float32)
+    gaussian = tl.load(ids + slot, mask=listed, other=0).to(tl.int32).to(tl.float32, bitcast=True)
+    # Whole records at a time: threads that each write one write an eighth of what memory takes at once.
+    place = tl.arange(0, RECORD)[None, :]
+    record = tl.where(place == 0, u[:, None], tl.where(place == 1, v[:, None], 0.0))
+    record = tl.where(place == 2, ku[:, None], tl.where(place == 3, kv[:, None], record))
+    record = tl.where(place == 4, skew[:, None], tl.where(place == 5, peak[:, None], record))
+    record = tl.where(place == ROW, gaussian[:, None], record)
+    tl.store(records + pair[:, None] * RECORD + place, record, mask=(pair < n_records)[:, None])
 
 
 @triton.jit
-def corner_at(ellipse, column, row, there, TILE: tl.constexpr):
+def corner_at(centre, column, row, there, TILE: tl.constexpr):
     """The first pixel of a tile, from the ellipse's centre."""
-    corner_x = (column * TILE).to(tl.float64) + 0.5 - tl.load(ellipse + CENTRE_X, mask=there, other=0.0)
-    corner_y = (row * TILE).to(tl.float64) + 0.5 - tl.load(ellipse + CENTRE_Y, mask=there, other=0.0)
+    corner_x = (column * TILE).to(tl.float64) + 0.5 - tl.load(centre, mask=there, other=0.0)
+    corner_y = (row * TILE).to(tl.float64) + 0.5 - tl.load(centre + 1, mask=there, other=0.0)
     return corner_x, corner_y
 
 
 @triton.jit
-def ellipse_touches(ellipse, column, row, there, camera, TILE: tl.constexpr):
+def ellipse_touches(ellipse, centre, column, row, there, camera, TILE: tl.constexpr):
     """Does the ellipse alpha >= 1/255 reach the rectangle of the tile's pixel centres? See ``raster.binning``."""
-    corner_x, corner_y = corner_at(ellipse, column, row, there, TILE)
+    corner_x, corner_y = corner_at(centre, column, row, there, TILE)
     slack = tl.load(camera + SLACK)
     x0, y0 = corner_x - slack, corner_y - slack
     x1, y1 = x0 + (TILE - 1) + 2 * slack, y0 + (TILE - 1) + 2 * slack

@@ -1,0 +1,61 @@
+"""Rows of the tables of models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup.base.registry import Entry
+from scoup.models.hub import ModelIdentity, is_cached
+
+Encode = Callable[[list[str]], Tensor]
+"""Phrases to vectors [Q, D]."""
+Texts = tuple[Encode, ModelIdentity]
+"""The text half of an embedder, and what its vectors depend on."""
+Device = torch.device | str
+
+
+@dataclass(frozen=True)
+class ModelEntry(Entry):
+    """A segmenter or an embedder."""
+
+    open: Callable[..., Any]
+    """Takes name, revision and device; a segmenter also takes ``MaskSettings`` and whether to make the level default.
+    Returns an object with the methods of ``scoup.extract.interfaces``."""
+    texts: Callable[[str, str | None, Device], Texts] | None = None
+    """Takes name, revision and device, and returns the text half of an embedder; None if it has none."""
+    size: str = ""
+    """Of the weights in 32 bits."""
+    seconds: float | None = None
+    """Of a CPU per photograph: docs/benchmarks/extract.json (preset fast), embed.json; None if not measured."""
+    file: tuple[str, str] | None = None
+    """Hub id, and the file of the weights; None where the user names the weights."""
+
+    def cells(self) -> dict[str, str]:
+        """Return column -> text, of all but ``help`` and ``weights``."""
+        return {
+            "name": self.name,
+            "size": self.size or "-",
+            "licence": self.licence or "-",
+            "CPU seconds": "-" if self.seconds is None else f"{self.seconds:.1f}",
+            "needs": f"scoup[{self.extra}]" if self.extra else "-",
+        }
+
+    def weights(self) -> str:
+        """Return "here" or "not here" for weights of a hub, "-" where there are none or the user names them."""
+        if self.file is None:
+            return "-"
+        return "here" if is_cached(*self.file) else "not here"
+
+
+@dataclass(frozen=True)
+class HubEntry(ModelEntry):
+    """Any model by its folder, file or hub id."""
+
+    def answers_to(self, name: str) -> bool:
+        return "/" in name or name.endswith(".pt") or Path(name).exists()

@@ -1,0 +1,47 @@
+"""The example of a package that extends the tables: installed, and used by name."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli_support import write_scene
+
+PLUGIN = Path(__file__).resolve().parents[1] / "examples" / "plugin"
+PROGRAM = """
+import torch
+import scoup
+from cli_support import run, run_json
+
+rows = {row["name"]: row for table in run_json("extract", "--list").values() for row in table}
+assert rows["grid"]["what it is"] == "square cells" and rows["grid"]["licence"] == "Apache-2.0"
+record = run_json("extract", "scene", "--segmenter", "grid", "--embedder", "mean-colour", "--out", "regions")
+assert (record["made"], record["embedding_model"]) == (4, "mean-colour")
+red, other = scoup.TextEncoder.open("mean-colour").encode(["red", "sadness"])
+torch.testing.assert_close(red, torch.tensor([1.0, 0, 0]))
+torch.testing.assert_close(other, torch.full((3,), 3**-0.5))
+run_json("convert", "scene/point_cloud.ply", "a.csv")
+before, after = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_gaussians("a.csv")
+torch.testing.assert_close(after.means, before.means)
+torch.testing.assert_close(after.opacities, before.opacities)
+assert run_json("info", "a.csv")["kind"] == "splat"
+assert ".csv" in run("info", "words.npz.bak")[2]
+"""
+
+
+def test_a_package_is_used_by_name(tmp_path: Path) -> None:
+    pytest.importorskip("hatchling", reason="hatchling is not installed")
+    source = shutil.copytree(PLUGIN, tmp_path / "source", ignore=shutil.ignore_patterns("__pycache__"))
+    quietly = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
+    install = [sys.executable, "-m", "pip", "install", *quietly, "--target", tmp_path / "site", source]
+    subprocess.run(install, check=True)
+    write_scene(tmp_path / "scene")
+    (tmp_path / "words.npz.bak").touch()
+    places = os.pathsep.join([str(tmp_path / "site"), str(Path(__file__).parent)])
+    environment = {**os.environ, "PYTHONPATH": places, "OMP_NUM_THREADS": "1"}
+    subprocess.run([sys.executable, "-c", PROGRAM], check=True, cwd=tmp_path, env=environment)
