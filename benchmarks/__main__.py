@@ -18,6 +18,7 @@ STUDIES = Family(
         "answers": "benchmarks.answers:Answers",
         "real": "benchmarks.answers:Real",
         "things": "benchmarks.things:Things",
+        "concepts": "benchmarks.concepts:Concepts",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",
         "extract": "benchmarks.extract:Extraction",

@@ -23,6 +23,7 @@ import tyro
 
 from benchmarks.answers import Answers, Real
 from benchmarks.city import Cities
+from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines
 from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
@@ -171,6 +172,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "extract": (Extraction, "extract"),
     "embed": (Embedding, "embed"),
     "real": (Real, "real"),
+    "concepts": (Concepts, "concepts"),
     "constants": (Answers, "answers_fit"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),

@@ -197,3 +197,76 @@ def save_text_clip(folder: Path, seed: int = 0) -> Path:
     transformers.CLIPModel(config).save_pretrained(folder)
     tiny_tokenizer(folder, WORDS)
     return folder
+
+
+TINY_WORDS = ["red", "apple", "chair", "lamp"]
+
+
+def save_owl(folder: Path, seed: int = 0) -> Any:
+    """An OWLv2 with a tokenizer of ``TINY_WORDS``."""
+    torch.manual_seed(seed)
+    config = of_transformers("Owlv2Config")(
+        text_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
+                     "vocab_size": 7, "max_position_embeddings": 16, "bos_token_id": 1, "eos_token_id": 6,
+                     "pad_token_id": 0},
+        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
+                       "num_attention_heads": 2, "image_size": 48, "patch_size": 16},
+        projection_dim=16,
+    )  # fmt: skip
+    model = lively(transformers.Owlv2ForObjectDetection(config).eval())
+    model.save_pretrained(folder)
+    tiny_tokenizer(folder, TINY_WORDS)
+    return model
+
+
+def save_grounding_dino(folder: Path, seed: int = 0) -> Any:
+    """A Grounding DINO whose tokenizer has the numbers of BERT's special tokens, by which the model finds texts."""
+    from tokenizers import Tokenizer
+    from tokenizers.models import WordLevel
+    from tokenizers.pre_tokenizers import Whitespace
+
+    torch.manual_seed(seed)
+    config = of_transformers("GroundingDinoConfig")(
+        backbone_config={"model_type": "swin", "embed_dim": 8, "depths": [1, 1, 1, 1], "num_heads": [1, 1, 2, 2],
+                         "window_size": 2, "image_size": 32, "out_features": ["stage2", "stage3", "stage4"]},
+        text_config={"model_type": "bert", "vocab_size": 1013, "hidden_size": 16, "intermediate_size": 16,
+                     "num_hidden_layers": 1, "num_attention_heads": 2},
+        d_model=32, encoder_layers=1, decoder_layers=2, encoder_attention_heads=2, decoder_attention_heads=2,
+        encoder_ffn_dim=16, decoder_ffn_dim=16, num_queries=9, max_text_len=12, disable_custom_kernels=True,
+    )  # fmt: skip
+    model = lively(transformers.GroundingDinoForObjectDetection(config).eval())
+    model.save_pretrained(folder)
+    names = ["[PAD]", *TINY_WORDS, *(f"##{number}" for number in range(5, 1013))]
+    names[101], names[102], names[1012] = "[CLS]", "[SEP]", "."
+    tokenizer = Tokenizer(WordLevel({name: place for place, name in enumerate(names)}, unk_token="[PAD]"))
+    tokenizer.pre_tokenizer = Whitespace()  # pyright: ignore
+    transformers.PreTrainedTokenizerFast(
+        tokenizer_object=tokenizer, cls_token="[CLS]", sep_token="[SEP]", pad_token="[PAD]", unk_token="[PAD]"
+    ).save_pretrained(folder)
+    return model
+
+
+def save_sam3_concepts(folder: Path, seed: int = 0) -> Any:
+    """A SAM 3 that takes texts, with a tokenizer of ``TINY_WORDS``."""
+    torch.manual_seed(seed)
+    backbone = {
+        "model_type": "sam3_vit_model", "hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 2,
+        "num_attention_heads": 2, "image_size": 56, "patch_size": 14, "window_size": 2,
+        "global_attn_indexes": [1], "pretrain_image_size": 28,
+    }  # fmt: skip
+    detr = {"hidden_size": 32, "num_layers": 1, "num_attention_heads": 2, "intermediate_size": 16}
+    config = of_transformers("Sam3Config")(
+        vision_config={"backbone_config": backbone, "fpn_hidden_size": 32,
+                       "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]]},
+        text_config={"model_type": "clip_text_model", "vocab_size": 7, "hidden_size": 16, "intermediate_size": 16,
+                     "projection_dim": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
+                     "max_position_embeddings": 32, "bos_token_id": 1, "eos_token_id": 6, "pad_token_id": 6},
+        geometry_encoder_config={"hidden_size": 32, "num_layers": 1, "num_attention_heads": 2,
+                                 "intermediate_size": 16},
+        detr_encoder_config=detr, detr_decoder_config={**detr, "num_queries": 6},
+        mask_decoder_config={"hidden_size": 32, "num_attention_heads": 2},
+    )  # fmt: skip
+    model = lively(transformers.Sam3Model(config).eval())
+    model.save_pretrained(folder)
+    tiny_tokenizer(folder, TINY_WORDS)
+    return model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,10 @@ from cli_support import QUICK, refused, run, run_json, snapshot, together
 from scoup.cli.options import CLIP_MODEL
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions
+from scoup.io.detections import find_detections
 from scoup.io.regions.manifest import MANIFEST
+from scoup.scene.names import Detections
+from scoup.uplift.naming import things_in_view
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -167,6 +171,7 @@ def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path,
     pytest.importorskip("huggingface_hub")
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
     listed = run_json("extract", "--list")
+    assert {"owlv2", "grounding-dino", "sam3"} <= {row["name"] for row in listed.pop("concepts")}
     rows = {row["name"]: row for rows in listed.values() for row in rows}
     assert {"mobile-sam", "sam-vit-h", "sam3", "felzenszwalb", CLIP_MODEL, "colors"} <= set(rows)
     assert [name for name, row in rows.items() if row["weights"] == "here"] == ["sam-vit-b"]
@@ -184,3 +189,42 @@ def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path,
     assert len(out.split()) > 5 * len(rows)
     assert all(name in out for name in rows)
     assert "or --list" in refused("extract")
+
+
+def test_words_looked_for_name_the_things_of_a_build(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boxes are those of the things as the field without names shows them."""
+    run_json("build", "scene", *QUICK, "--out", "plain.scoup", "--no-check-fit")
+    field = LanguageField.load("plain.scoup")
+    table, cameras = field.thing_table, list(field.cameras or ())
+    assert table is not None
+    views = [things_in_view(field.gaussians, table, camera, field.raster_preset) for camera in cameras]
+    thing = int(torch.stack([view.masks.sum((1, 2)) for view in views]).sum(0).argmax())
+    boxes = iter([view.boxes[thing] for view in views])
+
+    class Finder:
+        def to_dict(self) -> dict[str, str]:
+            return {}
+
+        def detect(self, image: np.ndarray, texts: Sequence[str]) -> Detections:
+            height, width = image.shape[:2]
+            rows = torch.full((1,), texts.index("robot"))
+            return Detections(rows, torch.tensor([0.7]), next(boxes)[None], (width, height))
+
+    monkeypatch.setattr("scoup.models.concepts.open_concepts", lambda name, device: Finder())
+    Path("words.txt").write_text("kettle\nrobot\n")
+    said = run_json(
+        "extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "regions",
+        "--concepts", "words.txt", "--part", "1/1",
+    )  # fmt: skip
+    assert said["concepts"]["words"] == 2
+    assert said["concepts"]["made"] == len(cameras)
+    Path("regions/concepts").rename("scene/language_features/concepts")
+    assert find_detections(Path("scene/language_features")) is not None
+    run_json("build", "scene", *QUICK, "--out", "named.scoup", "--no-check-fit")
+    named = LanguageField.load("named.scoup").thing_table
+    assert named is not None
+    assert named.names is not None
+    assert named.names.texts == ("kettle", "robot")
+    assert int(named.names.votes_of(1, len(named)).argmax()) == thing
+    assert float(named.names.presence[0]) == 0 < float(named.names.presence[1])
+    assert "nothing.txt" in refused("extract", "scene", "--concepts", "nothing.txt")

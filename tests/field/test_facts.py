@@ -18,6 +18,7 @@ from scoup.base.errors import ScoupError
 from scoup.field.content import TENSORS
 from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
+from scoup.scene.names import NameTable
 from scoup.scene.things import NO_THING, ThingTable
 from support import examples, unit
 
@@ -25,7 +26,7 @@ ODD = (float("nan"), float("inf"), -1.0, 0.0, 7.0, 255.0, 65534.0)
 
 
 def field_with_things() -> LanguageField:
-    """The small field with three things, and without Gaussians in its file."""
+    """The small field with three things, two of them named, and without Gaussians in its file."""
     field = small_field()
     things = ThingTable(
         owners=torch.arange(len(field) * 3).view(-1, 3).int() % 4 + NO_THING,
@@ -36,6 +37,13 @@ def field_with_things() -> LanguageField:
         n_regions=torch.tensor([3, 4, 5], dtype=torch.int32),
         mass=torch.ones(3),
         stability=torch.ones(3),
+        names=NameTable(
+            ("mug", "kettle"),
+            torch.tensor([0.9, 0.1]),
+            torch.tensor([0, 0], dtype=torch.int32),
+            torch.tensor([1, 2], dtype=torch.int32),
+            torch.tensor([0.5, 0.25]),
+        ),
     )
     codes = field.code_indices, field.code_weights, field.codebook
     made = LanguageField(*codes, field.info, cameras=field.cameras, thing_table=things)
@@ -152,6 +160,10 @@ def test_tensors_of_another_form_are_refused(
         ("things.agreement", torch.nan, "things.agreement contains values that are not finite"),
         ("things.mass", torch.inf, "things.mass contains values that are not finite"),
         ("things.stability", torch.nan, "things.stability contains values that are not finite"),
+        ("names.rows", 2, "names.rows is beyond the 2"),
+        ("names.things", 3, "names.things is beyond the 3"),
+        ("names.votes", torch.nan, "names.votes contains values that are not finite"),
+        ("names.presence", torch.inf, "names.presence contains values that are not finite"),
         ("cameras.viewmats", torch.nan, "cameras.viewmats contains values that are not finite"),
         ("cameras.viewmats", 7, "cameras.viewmats contains one that is not a rotation"),
         ("cameras.Ks", -1, "a focal length that is not positive"),
@@ -180,7 +192,7 @@ def changes(draw: st.DrawFn) -> tuple[str, str, int, Any]:
     value = draw(
         st.sampled_from([torch.uint8, torch.float16, torch.float32, torch.int32] if how == "kind" else ODD)
     )
-    header = ["levels", "cameras", "geometry", "provenance", "embedding_model", "words"]
+    header = ["levels", "cameras", "names", "geometry", "provenance", "embedding_model", "words"]
     what = draw(st.sampled_from(header)) if how == "header" else ""
     return how, what, draw(st.integers(0, 10_000)), value
 

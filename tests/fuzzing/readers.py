@@ -27,6 +27,7 @@ from scoup.io import (
     read_points,
     read_tracks,
 )
+from scoup.io.detections import DetectionStore
 from scoup.io.images import image_fault, read_mask
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
@@ -126,6 +127,13 @@ def _regions(folder: Path) -> None:
         view.read()
 
 
+def _detections(file: str) -> Reader:
+    def read(folder: Path) -> None:
+        DetectionStore.open(folder / "concepts").read("view_00.png")
+
+    return Reader(f"concepts/{file}", read)
+
+
 def _field(file: str, *more: str) -> Reader:
     def read(folder: Path) -> None:
         read_facts(folder / file)
@@ -221,6 +229,8 @@ READERS: Mapping[str, Reader] = {
     "regions": Reader("packed/view_00.regions", lambda folder: _regions(folder / "packed"), (),
                       (of.SEALED, of.LABELS), LABELS),
     "regions.json": Reader("packed/regions.json", lambda folder: _regions(folder / "packed")),
+    "detections": _detections("view_00.json"),
+    "concepts.json": _detections("concepts.json"),
     "field": _field("a.scoup", "bytes.scoup"),
     "field with a splat beside it": _field("linked.scoup"),
     "region sums": Reader(f"a.sums/{view_file('view_00.png')}", _sums, (), (of.SUMS,)),

@@ -40,6 +40,7 @@ from scoup.io import (
     write_spz,
     write_transforms,
 )
+from scoup.io.detections import new_store
 from scoup.io.regions import compact
 from scoup.io.regions.manifest import RegionManifest, write_manifest
 from scoup.io.regions.views import ViewRegions
@@ -49,6 +50,7 @@ from scoup.io.splats.gltf_features import GaussianFeatures
 from scoup.io.splats.ply import table_from_gaussians
 from scoup.models.word_table import save_table
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.names import Detections
 from scoup.uplift.rasterise import region_sums
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 
@@ -76,6 +78,7 @@ def write_samples(folder: Path) -> None:
     _write_checkpoints(folder)
     _write_cameras(folder)
     _write_regions(folder)
+    _write_detections(folder / "concepts")
     _write_fields(folder)
     _write_words_and_labels(folder)
     _write_pictures(folder / "pictures")
@@ -150,6 +153,13 @@ def _write_cameras(folder: Path) -> None:
     save_run(folder / "run", "scene", "colmap_dataparser.ColmapDataParserConfig")
     save_results(folder / "results", Path("scene"))
     (folder / "results" / "ckpts").mkdir()
+
+
+def _write_detections(folder: Path) -> None:
+    box = torch.tensor([[1.0, 2.0, 5.0, 4.0]])
+    store = new_store(folder, ("mug", "kettle"), {"model": "a"})
+    store.begin()
+    store.write("view_00.png", "0", Detections(torch.tensor([1]), torch.tensor([0.5]), box, SIZE))
 
 
 def _write_regions(folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from query.planted_room import ABSENT, ROOM, Box, planted_room
 from scoup.field.language_field import LanguageField
 from scoup.query.boxes import FARTHEST, PointSets
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import NO_THING, ThingTable
+from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from scoup.uplift.build import build
 from support import examples
 
@@ -114,7 +114,7 @@ def test_a_table_of_no_things_leaves_the_votes(room) -> None:
     table = room.thing_table
     nothing = ThingTable(
         torch.full_like(table.owners, NO_THING),
-        *(getattr(table, each.name)[:0] for each in fields(table)[1:]),
+        *(getattr(table, name)[:0] for name in TENSORS[1:]),
     )
     field = planted_room()
     field.thing_table = nothing

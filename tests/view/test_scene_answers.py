@@ -17,7 +17,7 @@ from scoup.base.errors import InputError, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
-from scoup.scene.things import NO_THING, ThingTable
+from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from scoup.view.scene_answers import VERDICT, PageAnswer, spans
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
@@ -146,7 +146,7 @@ def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> 
     assert not {"things", "runner_up"} & set(unpacked(words_data(viewed.field, [answer]))[0])
     field = field_with_things()
     assert field.thing_table is not None
-    none = {name: part[:0] for name, part in vars(field.thing_table).items() if name != "owners"}
+    none = {name: getattr(field.thing_table, name)[:0] for name in TENSORS[1:]}
     field.thing_table = ThingTable(torch.full_like(field.thing_table.owners, NO_THING), **none)
     answer = ViewedField(field, table()).answers(["thing 1"])[0]
     assert (answer.chosen_things, answer.things) == (None, [None, None])

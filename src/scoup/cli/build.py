@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.scene.cameras import Cameras
     from scoup.scene.gaussians import Gaussians
+    from scoup.scene.names import Detections
     from scoup.scene.regions import Regions
     from scoup.uplift.region_sums import RegionSums
 
@@ -36,6 +38,7 @@ class _Loaded:
     raster_preset: str
     model: str
     words: Path | None
+    concepts: tuple[Sequence[str], Mapping[str, Detections]] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +117,7 @@ class Build(BuildOptions, ViewOptions):
                 return build(
                     loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
                     embedding_model=loaded.model, words=loaded.words, geometry_path=loaded.source, sums=sums,
-                    codebook=codebook, check_fit=not self.no_check_fit, progress=progress,
+                    codebook=codebook, concepts=loaded.concepts, check_fit=not self.no_check_fit, progress=progress,
                 )  # fmt: skip
         finally:
             if self.keep_sums is not None:
@@ -188,6 +191,7 @@ class Build(BuildOptions, ViewOptions):
     def _load(self, console: Console) -> _Loaded:
         """Read the scene."""
         from scoup.io import load_gaussians
+        from scoup.io.detections import detections_of, find_detections
         from scoup.io.scene_parts import find_splat
         from scoup.uplift.provenance import embedding_source
 
@@ -204,7 +208,9 @@ class Build(BuildOptions, ViewOptions):
             f"{counted(len(gaussians), 'Gaussian')}, {counted(len(regions), 'view')} with regions of "
             f"{counted(len(cameras), 'camera')}"
         )
-        return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words)
+        store = find_detections(features)
+        concepts = None if store is None else (store.texts, detections_of(store, regions.view_names))
+        return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words, concepts)
 
     def _output(self) -> Path:
         """The field to write; a mistake in the options shows before long work."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from scoup.base.parts import Part
     from scoup.base.progress import Progress
     from scoup.extract import ExtractReport, MaskSettings
+    from scoup.extract.photographs import Photograph
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,7 @@ class Extract(WritesCommon):
     option_groups: ClassVar[OptionGroups] = {
         "photograph": "images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
+        "words": "concepts concept_model",
         "mask": "preset points_per_side with_default",
         "output": "out part",
     }
@@ -60,12 +62,18 @@ class Extract(WritesCommon):
     embedder: str = CLIP_MODEL
     """An embedder of --list; any CLIP, SigLIP or TIPSv2 by folder or hub id, with dense: before it for one pass over
     the photograph instead of one for each region; or colors: no model; cannot be queried by text."""
+    concepts: OptionalText = None
+    """Also look for words in the photographs, by which scoup build names things: a file with one word per line, or
+    everyday, for about a thousand everyday words."""
+    concept_model: str = "owlv2"
+    """The model for --concepts, of --list."""
     segmenter_revision: OptionalText = None
     """Branch, tag or commit of the segmenter. The commit is recorded, and used again on resuming."""
     embedder_revision: OptionalText = None
     """Branch, tag or commit of the embedder, likewise."""
     list_models: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
-    """Print a table of segmenters and embedders, and whether their weights are on this machine; do nothing else."""
+    """Print a table of segmenters, embedders and models with words, and whether their weights are on this machine; do
+    nothing else."""
     preset: Annotated[
         Literal["langsplat", "fast"] | None, tyro.conf.arg(metavar="{langsplat,fast}", help_behavior_hint="")
     ] = None
@@ -100,6 +108,7 @@ class Extract(WritesCommon):
             raise InputError("pass the folder of the scene, or --list")
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
+        words = self._words()  # a mistake shows before the long work
         segmenter_name, settings = self._masks(console, self.device)
         photographs = find_photographs(self.scene, self.images)
         part = Part() if self.part is None else Part.parse(self.part)
@@ -121,7 +130,39 @@ class Extract(WritesCommon):
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
         record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **parts}
+        if words:
+            record["concepts"] = self._look_for_words(console, photographs, words, out, part)
         return {"out": out, "photographs": len(photographs), **record}
+
+    def _words(self) -> tuple[str, ...]:
+        """The words of --concepts."""
+        from scoup.models.words import EVERYDAY_WORDS
+        from scoup.view.vocabulary import read_words
+
+        if self.concepts is None:
+            return ()
+        return EVERYDAY_WORDS if self.concepts == "everyday" else read_words(Path(self.concepts))
+
+    def _look_for_words(
+        self, console: Console, photographs: Sequence[Photograph], words: Sequence[str], out: Path, part: Part
+    ) -> dict[str, Any]:
+        """Store where a model finds words in the photographs; returns what the result says of it."""
+        from scoup.extract.concepts import extract_concepts
+        from scoup.io.detections import FOLDER_NAME
+        from scoup.models.concepts import open_concepts
+
+        model, folder = open_concepts(self.concept_model, device=self.device), out / FOLDER_NAME
+        with console.progress() as progress:
+            height = self.max_height or None
+            report = extract_concepts(
+                photographs, folder, model, words, height, self.overwrite, part, progress
+            )
+        seconds = sum(report.seconds.values())
+        console.say(
+            f"{folder}: {counted(len(words), 'word')} looked for in {counted(len(report.made), 'photograph')}, "
+            f"{report.kept:,} already there, in {seconds:.0f} s"
+        )
+        return {"words": len(words), **_record(report)}
 
     def _masks(self, console: Console, device: str) -> tuple[str, MaskSettings]:
         """Segmenter and settings, which are printed: LangSplat's on a GPU, the fastest that are good without one."""
@@ -136,13 +177,14 @@ class Extract(WritesCommon):
 
 def _list_models(console: Console) -> None:
     from scoup.extract.registry import EMBEDDERS, SEGMENTERS
+    from scoup.models.concepts import CONCEPTS
 
     rows = {
         title: [
             {**entry.cells(), "weights": entry.weights(), "what it is": entry.help}
             for entry in table.values()
         ]
-        for title, table in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS))
+        for title, table in (("segmenters", SEGMENTERS), ("embedders", EMBEDDERS), ("concepts", CONCEPTS))
     }
     for records in rows.values():
         lines = [list(records[0]), *(list(record.values()) for record in records)]

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from scoup.query.field_view import FieldView
     from scoup.query.place import Place
     from scoup.query.question import Question, Several
+    from scoup.query.refine import Refined
     from scoup.query.view_answer import ViewAnswer
     from scoup.scene.cameras import Camera
 
@@ -53,6 +54,7 @@ class Query(AnswerOptions, CameraOptions):
 
     option_groups: ClassVar[OptionGroups] = {
         "answer": "level",
+        "model with words": "refine keep",
         "output": "out pictures npz coco metres_per_unit",
         "video": "video frames frames_per_second",
     }
@@ -63,6 +65,12 @@ class Query(AnswerOptions, CameraOptions):
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
+    refine: OptionalText = None
+    """First look for the texts in photographs with a model: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
+    sam3, a folder or hub id of such a model, or onnx:FOLDER. The photographs are those of --scene, else those beside
+    the splat; cameras without one are rendered."""
+    keep: Flag = False
+    """Write what --refine found into FIELD as names of its things: later questions with these texts need no model."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
@@ -92,6 +100,7 @@ class Query(AnswerOptions, CameraOptions):
         check_outputs(out, [RECORD], self.overwrite)
         field = self.open_field()
         cameras = self.open_cameras(field)
+        refined = self._refine(console, field)
         question = self.question(field, self.texts, level=self.level)
         files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
         names = [RECORD, *files.names, *self._video_names()]
@@ -108,6 +117,8 @@ class Query(AnswerOptions, CameraOptions):
                     {"text": place.answer.text, **place.to_dict(self.metres_per_unit)} for place in places
                 ],
             }
+            if refined is not None:
+                result["refined"] = refined.to_dict()
             if self.video != "none":
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
@@ -123,6 +134,27 @@ class Query(AnswerOptions, CameraOptions):
         check_frame_rate(self.frames_per_second)
         if self.video != "none":
             check_video_writer()
+
+    def _refine(self, console: Console, field: LanguageField) -> Refined | None:
+        """Name things with a model, where one is given."""
+        from scoup.base.errors import InputError
+        from scoup.field.artefact import save_names
+        from scoup.io import load_cameras
+        from scoup.query.refine import refine
+
+        if self.refine is None:
+            if self.keep:
+                raise InputError("--keep writes what --refine MODEL finds; pass a model, too")
+            return None
+        cameras = None
+        if self.scene is not None:
+            cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
+        self.text_encoder(field)
+        refined = refine(field, self.texts, self.refine, cameras)
+        console.say(refined.describe())
+        if self.keep and field.thing_table is not None and field.thing_table.names is not None:
+            save_names(self.field, field.thing_table.names)
+        return refined
 
     def _out(self) -> Path:
         return self.output_folder(self.out, "queries")

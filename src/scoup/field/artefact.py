@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -17,9 +17,11 @@ from scoup.field.container import METADATA_KEY, SCHEMA, VERSION, place_of, read_
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
+from scoup.scene.names import NameTable
+from scoup.scene.things import MOST_THINGS, NO_THING, TENSORS, ThingTable
 
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
+_NAMES = ("presence", "rows", "things", "votes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +58,9 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         tensors |= _camera_tensors(parts.cameras)
     if parts.things is not None:
         tensors |= _thing_tensors(parts.things)
+    names = None if parts.things is None else parts.things.names
+    if names is not None:
+        tensors |= {f"names.{name}": getattr(names, name) for name in _NAMES}
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     header = {
         "schema": SCHEMA,
@@ -72,6 +77,7 @@ def write_field(parts: FieldParts, path: Path, overwrite: bool, weight_bits: int
         },
         "cameras": None if parts.cameras is None else list(parts.cameras.names),
         "provenance": parts.info.provenance,
+        **({} if names is None else {"names": list(names.texts)}),
     }
     # One metadata entry: safetensors writes several in no fixed order, and equal fields must be equal bytes.
     metadata = {METADATA_KEY: sealed(header)}
@@ -111,8 +117,17 @@ def read_field(path: Path) -> FieldParts:
         gaussians,
         place_of(path, geometry["path"]),
         _cameras(tensors, header["cameras"]),
-        _things(tensors),
+        _things(tensors, header.get("names")),
     )
+
+
+def save_names(path: Path, names: NameTable) -> None:
+    """Put names of things into a file in place of those that it contains; everything else stays."""
+    parts = read_field(path)
+    if parts.things is None:
+        raise InputError(f"{path}: contains no things to name")
+    bits = 8 if read_content(path).arrays["code_weights"].dtype == "uint8" else 16
+    write_field(replace(parts, things=replace(parts.things, names=names)), path, True, bits)
 
 
 def tensor_checksum(tensor: Tensor) -> str:
@@ -150,19 +165,22 @@ def _camera_tensors(cameras: Cameras) -> dict[str, Tensor]:
     }
 
 
-def _things(tensors: dict[str, Tensor]) -> ThingTable | None:
+def _things(tensors: dict[str, Tensor], names: list[str] | None) -> ThingTable | None:
     if "things.owners" not in tensors:
         return None
-    parts = {each.name: tensors[f"things.{each.name}"] for each in fields(ThingTable)}
+    parts = {name: tensors[f"things.{name}"] for name in TENSORS}
     for name in ("owners", "parents"):
         numbers = parts[name].int()
         parts[name] = torch.where(numbers == MOST_THINGS, NO_THING, numbers)
-    return ThingTable(**parts)
+    table = ThingTable(**parts, names=None)
+    if names is None:
+        return table
+    return replace(table, names=NameTable(tuple(names), *(tensors[f"names.{name}"] for name in _NAMES)))
 
 
 def _thing_tensors(things: ThingTable) -> dict[str, Tensor]:
     """Return the tensors of things, with numbers of two bytes; the largest means none."""
-    tensors = {f"things.{each.name}": getattr(things, each.name) for each in fields(things)}
+    tensors = {f"things.{name}": getattr(things, name) for name in TENSORS}
     for name in ("things.owners", "things.parents"):
         tensors[name] = torch.where(tensors[name] == NO_THING, MOST_THINGS, tensors[name]).to(torch.uint16)
     return tensors

@@ -32,6 +32,10 @@ TENSORS: Mapping[str, tuple[str, str]] = {
     "things.n_regions": ("int32", "T"),
     "things.mass": ("float32", "T"),
     "things.stability": ("float32", "T"),
+    "names.presence": ("float32", "M"),
+    "names.rows": ("int32", "E"),
+    "names.things": ("int32", "E"),
+    "names.votes": ("float32", "E"),
     "cameras.viewmats": ("float64", "V 4 4"),
     "cameras.Ks": ("float64", "V 3 3"),
     "cameras.sizes": ("int32", "V 2"),
@@ -67,13 +71,23 @@ def check_content(header: Mapping[str, Any], arrays: Arrays) -> None:
     _check_types(header, _HEADER)
     _check_types(header["geometry"], _GEOMETRY)
     cameras = header["cameras"] or []
-    if not all(isinstance(name, str) for name in (*header["levels"], *cameras)):
-        raise ValueError("a name of a level or camera is not a text")
-    if len(set(cameras)) < len(cameras):
-        raise ValueError("two cameras have one name")
+    names = header.get("names", [])
+    if not isinstance(names, list) or not all(
+        isinstance(name, str) for name in (*header["levels"], *cameras, *names)
+    ):
+        raise ValueError("a name of a level, camera or thing is not a text")
+    for what, texts in {"cameras": cameras, "names of things": names}.items():
+        if len(set(texts)) < len(texts):
+            raise ValueError(f"two {what} are one text")
     sides = _sides(header, arrays)
-    counts = {"N": header["geometry"]["n_gaussians"], "S": len(header["levels"]), "V": len(cameras)}
-    for letter, what in {"N": "Gaussians", "S": "levels", "V": "cameras"}.items():
+    counts = {
+        "N": header["geometry"]["n_gaussians"],
+        "S": len(header["levels"]),
+        "V": len(cameras),
+        "M": len(names),
+    }
+    letters = {"N": "Gaussians", "S": "levels", "V": "cameras", "M": "names of things"}
+    for letter, what in letters.items():
         if sides.get(letter, 0) != counts[letter]:
             raise ValueError(
                 f"has {counts[letter]} {what} by its header, {sides.get(letter, 0)} by its tensors"
@@ -81,6 +95,8 @@ def check_content(header: Mapping[str, Any], arrays: Arrays) -> None:
     _check_codes(arrays, sides)
     if "T" in sides:
         _check_things(arrays, sides)
+    if "E" in sides:
+        _check_names(arrays, sides)
     if "V" in sides:
         _check_cameras(arrays)
     if "B" in sides:
@@ -110,8 +126,7 @@ def _sides(header: Mapping[str, Any], arrays: Arrays) -> dict[str, int]:
     if unknown:
         raise ValueError(f"unknown tensors {', '.join(sorted(unknown))}")
     groups = {name.split(".")[0] for name in arrays if "." in name}
-    if header["cameras"] is not None:
-        groups.add("cameras")
+    groups |= {group for group in ("cameras", "names") if header.get(group) is not None}
     sides: dict[str, int] = {}
     for name, (types, shape) in TENSORS.items():
         if "." in name and name.split(".")[0] not in groups:
@@ -157,6 +172,14 @@ def _check_things(arrays: Arrays, sides: Mapping[str, int]) -> None:
     if int(arrays["things.levels"].max(initial=0)) >= sides["S"]:
         raise ValueError(f"a thing is of a level beyond the {sides['S']}")
     for name in ("things.embeddings", "things.agreement", "things.mass", "things.stability"):
+        check_finite(name, arrays[name])
+
+
+def _check_names(arrays: Arrays, sides: Mapping[str, int]) -> None:
+    for name, count in {"names.rows": sides["M"], "names.things": sides.get("T", 0)}.items():
+        if not ((arrays[name] >= 0) & (arrays[name] < count)).all():
+            raise ValueError(f"{name} is beyond the {count}")
+    for name in ("names.presence", "names.votes"):
         check_finite(name, arrays[name])
 
 

@@ -29,6 +29,7 @@ from scoup.scene.gaussians import Gaussians, chosen_rows
 from scoup.scene.things import ThingTable
 
 if TYPE_CHECKING:
+    from scoup.models.concepts import ConceptModel
     from scoup.models.text import TextEncoder
     from scoup.query.answer import Answer
     from scoup.query.catalog import Catalog
@@ -326,6 +327,7 @@ class LanguageField:
         present_from: float | None = None,
         threshold: float | None = None,
         level: str | int | None = None,
+        refine: ConceptModel | str | None = None,
     ) -> Question[Asked]:
         """Make a question, which every method of a field takes; texts alone are a question without options.
 
@@ -337,6 +339,8 @@ class LanguageField:
             always: find something for any text; presence is not judged.
             present_from: by default 0.37, where there are enough everyday words; see ``Question``.
             threshold, level: see ``Question``.
+            refine: a model with words, or its name, that first looks for the texts in photographs
+                (``scoup.query.refine``).
 
         Raises:
             InputError, UnknownNameError: texts or options do not fit the field, a number is out of range, or the field
@@ -349,6 +353,11 @@ class LanguageField:
         """
         from scoup.query.question import make_question
 
+        if refine is not None:
+            from scoup.query.refine import refine_texts
+
+            self.text_encoder(encoder)
+            refine_texts(self, texts, refine)
         return make_question(self, texts, encoder, always, present_from, threshold, level)
 
     @overload

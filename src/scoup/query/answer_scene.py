@@ -13,7 +13,8 @@ from torch import Tensor
 from scoup.base.arguments import check_arguments
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer, AskedText, RunnerUp
-from scoup.query.matching import choose_things, compare_things, find_instances
+from scoup.query.matching import compare_things, find_instances
+from scoup.query.named import choose, instances_by_votes, named_texts
 from scoup.query.presence import NullScores, is_present, other_words
 from scoup.query.question import Question, Several, as_question
 from scoup.query.votes import SampledVotes, select_each
@@ -58,23 +59,29 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
         yield from _by_votes(field, question)
         return
     fits = known.fits(question.queries.float().cpu())
-    scores = null_scores(question, known.best_fits)
-    for number, choice in enumerate(choose_things(known, fits, question.level)):
-        text, score = question.texts[number], scores[number]
+    scores, names = null_scores(question, known.best_fits), named_texts(field, question)
+    for number, choice in enumerate(choose(field, known, fits, question, question.level)):
+        text, score, named = question.texts[number], scores[number], names[number]
         if choice is None:
             nothing, level = torch.zeros(len(field), dtype=torch.bool), field.levels[question.level or 0]
             yield Answer(text, nothing, level, 0.0 if question.can_judge_presence else None)
             continue
         level = int(known.things.levels[choice.things[0]])
         rival = choice.runner_up
+        if named is not None and named.is_sure:
+            instances = instances_by_votes(known, choice, named.votes)
+        else:
+            instances = find_instances(known, fits[:, number], choice.things)
         yield Answer(
             text=text,
             mask=known.things.members(choice.things).cpu(),
             level=field.levels[level],
-            score=score(choice.fit),
+            score=score(choice.fit) if named is None else named.score(),
             things=tuple(choice.things.tolist()),
-            instances=tuple(find_instances(known, fits[:, number], choice.things).tolist()),
-            runner_up=None if rival is None else RunnerUp(rival, score(float(fits[rival, number]))),
+            instances=tuple(instances.tolist()),
+            runner_up=None
+            if rival is None
+            else RunnerUp(rival, score(float(fits[rival, number])) if named is None else named.score(rival)),
         )
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.html import card
@@ -15,15 +14,11 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer_scene import null_scores
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.matching import compare_things
+from scoup.query.named import NAMES, best_words, voted_names
 from scoup.query.question import Question, Several, as_question
 from scoup.query.relations import relations, things
 from scoup.query.things import Thing
 
-NAMES = 3
-"""Names kept per thing: the best and the next best ones."""
-HUB_THINGS, HUB_SHARE = 10, 0.5
-"""Some words are near to many things: this share of the mean of a word's so many largest cosines is subtracted from all
-of them (cross-domain similarity local scaling, Conneau et al. 2018)."""
 SCHEMA = "scoup scene graph"
 
 
@@ -88,20 +83,13 @@ def make_catalog(
     used = {word: question.one(word) for word in best[:, 0].tolist()}
     scores = {word: null_scores(one, known.best_fits)[0] for word, one in used.items()}
     sure = [scores[word](float(fits[row, word])) for row, word in enumerate(best[:, 0].tolist())]
-    names = tuple(tuple(question.texts[word] for word in row) for row in best.tolist())
-    named = tuple(
-        replace(thing, text=best[0], score=score)
-        for thing, best, score in zip(every, names, sure, strict=True)
-    )
-    return Catalog(named, names, tuple(relations(field, frame)), frame)
-
-
-def best_words(cosines: Tensor) -> Tensor:
-    """Return the up to ``NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
-    hubs = cosines.topk(min(HUB_THINGS, len(cosines)), dim=0).values.sum(0) / max(
-        1, min(HUB_THINGS, len(cosines))
-    )
-    return (cosines - HUB_SHARE * hubs).topk(min(NAMES, cosines.shape[1]), dim=1).indices
+    named, names, voted = [], [], voted_names(field, question.texts)
+    for thing, row, score in zip(every, best.tolist(), sure, strict=True):
+        first, sure_of_first = voted.get(thing.number or 0, ((), score))
+        words = tuple(dict.fromkeys([*first, *(question.texts[word] for word in row)]))[:NAMES]
+        named.append(replace(thing, text=words[0], score=sure_of_first))
+        names.append(words)
+    return Catalog(tuple(named), tuple(names), tuple(relations(field, frame)), frame)
 
 
 def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list[list[Any]]:

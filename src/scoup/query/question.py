@@ -30,6 +30,8 @@ Asked = TypeVar("Asked", covariant=True)
 Found = TypeVar("Found")
 MOST_TEXTS = 16
 """Questions with more texts are not cached."""
+NEAR = 0.95
+"""Least cosine with a name of a thing of a text that counts as the same."""
 # Words that do not tell models apart.
 _PUBLISHERS = {"open", "clip", "laion", "openai", "google", "hf", "hub"}
 
@@ -85,6 +87,8 @@ class Question(TextVectors, Generic[Asked]):
     something is found for any text."""
     is_single: bool = False
     """It was one text, not a list, and so is the answer."""
+    near: tuple[str | None, ...] = ()
+    """Of each text, the name of things that is nearly the same (``NEAR``), if there is one."""
     expression: Expression | None = None
     """Of the texts, for ``field.select``; None: they are combined with `or`."""
 
@@ -112,7 +116,8 @@ class Question(TextVectors, Generic[Asked]):
 
     def some(self, chosen: slice, **options: Any) -> Question[Asked]:
         """Return the question of some of its texts, with some attributes replaced."""
-        return replace(self, texts=self.texts[chosen], queries=self.queries[chosen], **options)
+        some = {"texts": self.texts[chosen], "queries": self.queries[chosen], "near": self.near[chosen]}
+        return replace(self, **{**some, **options})
 
 
 def make_question(
@@ -139,6 +144,7 @@ def make_question(
             is_single=isinstance(texts, str),
             expression=texts if isinstance(texts, Expression) else None,
             level=None if level is None else field.level_index(level),
+            near=_near_names(field, vectors),
         )
 
     words = tuple(texts) if isinstance(texts, (list, tuple)) else texts
@@ -165,6 +171,24 @@ def as_expression(field: LanguageField, question: Question[Any] | str | Several)
             f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
         )
     return make_question(field, parse_expression(words))
+
+
+def _near_names(field: LanguageField, vectors: TextVectors) -> tuple[str | None, ...]:
+    """Return for each text the name that a model gave to things and that is nearly the same; () without names."""
+    names = None if field.thing_table is None else field.thing_table.names
+    if names is None or all(names.number(text) is not None for text in vectors.texts):
+        return ()
+    encoder = field.text_encoder()
+    texts = [names.texts[row] for row in names.rows.unique().tolist()]
+    known = tuple(text for text in texts if encoder.names is None or text in encoder.names)
+    if not known:
+        return ()
+    of_names = field.kept((_near_names, known), lambda: encoder.encode(known))
+    cosines, places = (vectors.queries @ of_names.to(vectors.queries).T).max(1)
+    return tuple(
+        known[place] if cosine >= NEAR else None
+        for cosine, place in zip(cosines.tolist(), places.tolist(), strict=True)
+    )
 
 
 def _vectors(field: LanguageField, texts: str | Several) -> TextVectors:

@@ -19,6 +19,7 @@ from scoup.query.answer import Answer
 from scoup.query.answer_scene import null_scores
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.matching import compare_things
+from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
@@ -49,7 +50,7 @@ class Thing:
     parent: int | None
     """Number of the thing of the next coarser level that contains most of it."""
     text: str
-    """The text it answers, or its name in a catalogue; "" if nothing was asked."""
+    """The text it answers, or its name; "" if nothing was asked and no model named it."""
     score: float | None
     """As of ``Answer``, for this thing alone: the share of everyday words whose best fit in this scene is lower, 0 to
     1. None if nothing was asked, with too few everyday words, and for a part of a selection."""
@@ -121,7 +122,13 @@ def all_things(field: LanguageField) -> list[Thing]:
         return []
     counts = table.sums(torch.ones(len(table.owners)))
     numbers = (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist()
-    return _things_of_table(field, numbers)
+    voted = voted_names(field)
+    named = {number: (names[0], score) for number, (names, score) in voted.items()}
+    return [
+        replace(thing, text=text, score=score)
+        for thing in _things_of_table(field, numbers)
+        for text, score in [named.get(thing.number or 0, ("", None))]
+    ]
 
 
 def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False) -> list[Thing]:
@@ -140,7 +147,11 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
     numbers = list(answer.instances if counted else answer.things)
     fits = known.fits(asked.question.queries.float().cpu())[numbers, 0].tolist()
     (score,) = null_scores(asked.question, known.best_fits)
-    scores = {number: score(fit) for number, fit in zip(numbers, fits, strict=True)}
+    (named,) = named_texts(field, asked.question)
+    scores = {
+        number: score(fit) if named is None else named.score(number)
+        for number, fit in zip(numbers, fits, strict=True)
+    }
     return [
         replace(thing, text=answer.text, score=scores[thing.number or 0])
         for thing in _things_of_table(field, numbers)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
+from scoup.scene.names import NameTable
 
 NO_THING = -1
 """The owner of a Gaussian that belongs to no thing of a level; also the parent of a thing without one."""
@@ -40,6 +41,7 @@ class ThingTable:
     # [T] float32, how consistently the views that see it segment it: the mean IoU of its regions with what it has in
     # each other view, 0 in views where it has no region
     stability: Tensor
+    names: NameTable | None = None  # that models with words gave to things
 
     __repr__ = brief
 
@@ -72,6 +74,8 @@ class ThingTable:
         for name in ("embeddings", "agreement", "mass", "stability"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise InputError(f"{name} of things contains values that are not finite")
+        if self.names is not None and len(self.names.things) and int(self.names.things.max()) >= count:
+            raise InputError(f"a name is of a thing beyond the {count}")
 
     def __len__(self) -> int:
         return len(self.levels)
@@ -125,4 +129,9 @@ class ThingTable:
         return replace(self, owners=self.owners[chosen])
 
     def to(self, device: torch.device | str) -> ThingTable:
-        return ThingTable(*(getattr(self, each.name).to(device) for each in fields(self)))
+        moved = {each: getattr(self, each).to(device) for each in TENSORS}
+        return replace(self, **moved)  # names stay: they are small, and used on the CPU
+
+
+TENSORS = tuple(each.name for each in fields(ThingTable) if each.name != "names")
+"""The attributes of a table that are tensors."""

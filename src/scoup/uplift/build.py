@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,10 +17,12 @@ from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.names import Detections
 from scoup.scene.regions import Regions
 from scoup.scene.sanity_checks import sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
+from scoup.uplift.naming import name_things
 from scoup.uplift.provenance import build_record
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions, inputs_digest, learn_region_codes
@@ -41,6 +43,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     backend: str | None = None,
     sums: RegionSums | None = None,
     codebook: LanguageField | None = None,
+    concepts: tuple[Sequence[str], Mapping[str, Detections]] | None = None,
     check_fit: bool = True,
     progress: Progress = no_progress,
 ) -> LanguageField:
@@ -62,6 +65,8 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
             By default they are in a temporary folder. Views that ``cameras`` lack do not vote.
         codebook: an earlier field of the scene, whose codebook codes the regions; by default a new one is learned. Only
             ``k`` of the settings of coding counts then.
+        concepts: texts, and view -> what a model found of them in its photograph (``scoup.extract.extract_concepts``):
+            things are named by it.
         check_fit: compare small renders of some views with their photographs first (``uplift/fit.py``), unless the
             sums contain views already.
         progress: called as ``progress(stage, done, total)``.
@@ -117,6 +122,13 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         record = build_record(settings, digest, sums, codes.reports, gaussian_codes.sharpness)
         if things is not None:
             record["strays"] = dict(zip(sums.levels, things.strays, strict=False))
+        thing_table = None if things is None else things.table
+        if thing_table is not None and concepts is not None:
+            texts, found = concepts
+            seen = [(view, found[view.name]) for view in views if view.name in found]
+            if seen:
+                names = name_things(gaussians, thing_table, seen, texts, settings.raster_preset, backend)
+                thing_table = replace(thing_table, names=names)
         table, geometry = (None if path is None else Path(path) for path in (words, geometry_path))
         field = LanguageField(
             gaussian_codes.indices,
@@ -133,7 +145,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
             ),
             geometry_path=geometry,
             cameras=Cameras(views),
-            thing_table=None if things is None else things.table,
+            thing_table=thing_table,
         ).to(device)
         field.attach(gaussians, known=True)
         return field

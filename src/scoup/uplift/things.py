@@ -256,10 +256,19 @@ def _number_things(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> 
         inside = counts > INSIDE * own[thing]  # true of one parent at most
         parents[first[number] + thing[inside]] = first[number + 1] + parent[inside]
     numbered = np.where(owners >= 0, owners + first[:-1], NO_THING)
-    embeddings, *numbers = (
+    embeddings, agreement, n_regions, mass, stability = (
         torch.from_numpy(np.concatenate([getattr(level, name) for level in found]))
         for name in ("embeddings", "agreement", "n_regions", "mass", "stability")
     )
     levels = np.repeat(np.arange(len(found)), sizes).astype(np.uint8)
     owned = torch.from_numpy(numbered.astype(np.int32))
-    return ThingTable(owned, torch.from_numpy(levels), torch.from_numpy(parents), embeddings.half(), *numbers)
+    return ThingTable(
+        owned,
+        torch.from_numpy(levels),
+        torch.from_numpy(parents),
+        embeddings.half(),
+        agreement,
+        n_regions,
+        mass,
+        stability,
+    )

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from scoup.field.language_field import LanguageField
-from scoup.query.catalog import best_words
 from scoup.query.matching import compare_things
+from scoup.query.named import best_words, voted_names
 from scoup.query.question import Question
 
 
 def page_things(field: LanguageField, vocabulary: Question | None) -> list[dict[str, Any]]:
-    """Return every thing as plain JSON values, with the word of a vocabulary that fits it best as its name.
+    """Return every thing as plain JSON values, with its name: one that a model gave it, or the word of a vocabulary
+    that fits it best.
 
     Args:
         field: to be shown.
@@ -21,10 +22,12 @@ def page_things(field: LanguageField, vocabulary: Question | None) -> list[dict[
     words: list[int] = []
     if vocabulary is not None and known is not None:
         words = best_words(known.embeddings @ vocabulary.queries.float().cpu().T)[:, 0].tolist()
-    rows = []
+    rows, voted = [], voted_names(field)
     for thing in field.things():
         record, number = thing.to_dict(), thing.number or 0
         named = None if vocabulary is None else vocabulary.texts[words[number]]
+        if number in voted:
+            named = voted[number][0][0]
         rows.append(
             {
                 "number": number,

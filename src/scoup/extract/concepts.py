@@ -1,0 +1,83 @@
+"""What a model with words finds in photographs, stored for ``build``, which names things by it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from scoup.base.digests import file_sha256
+from scoup.base.errors import ScoupError
+from scoup.base.parts import Part
+from scoup.base.progress import Progress, no_progress
+from scoup.extract.photographs import Photograph, Pixels, read_ahead
+from scoup.extract.pipeline import MAX_HEIGHT, ExtractReport
+from scoup.io.detections import new_store
+from scoup.models.concepts import ConceptModel
+
+
+def extract_concepts(
+    photographs: Sequence[Photograph],
+    folder: str | Path,
+    model: ConceptModel,
+    texts: Sequence[str],
+    max_height: int | None = MAX_HEIGHT,
+    overwrite: bool = False,
+    part: Part = Part(),  # noqa: B008 - frozen
+    progress: Progress = no_progress,
+) -> ExtractReport:
+    """Look for texts in photographs and store where they are. After an interruption, the same call continues.
+
+    Args:
+        folder: of the results: ``concepts`` in that of the regions, where ``build`` looks.
+        model: that takes words.
+        texts: to look for, without repetitions.
+        max_height, overwrite, part, progress: as for ``extract``.
+
+    Raises:
+        InputError: the folder contains detections of other texts or of another model.
+    """
+    settings = {**model.to_dict(), "max_height": max_height}
+    store = new_store(Path(folder), texts, settings)
+    store.begin(overwrite)
+    report, mine, moment = ExtractReport(), part.of(photographs), time.perf_counter()
+    waiting = [item for item in mine if overwrite or not store.has(item.name, _digest(item))]
+    report.kept = len(mine) - len(waiting)
+    for done, (item, pixels) in enumerate(read_ahead(waiting, max_height), start=report.kept):
+        progress("concepts", done, len(mine))
+        if isinstance(pixels, ScoupError):
+            report.skipped[item.name] = str(pixels)
+            continue
+        found = model.detect(pixels.image, store.texts)
+        width, height = pixels.image.shape[1], pixels.image.shape[0]
+        stored = (height, width) if pixels.turns % 2 else (width, height)
+        boxes = boxes_as_stored(pixels, found.boxes)
+        store.write(item.name, pixels.digest, replace(found, boxes=boxes, size=stored, masks=None))
+        report.made.append(item.name)
+        report.regions += len(found.texts)
+    progress("concepts", len(mine), len(mine))
+    report.add_time("detect", moment)
+    return report
+
+
+def boxes_as_stored(pixels: Pixels, boxes: Tensor) -> Tensor:
+    """Return boxes [M, 4] of the upright photograph in the orientation of its file."""
+    left, top, right, bottom = boxes.unbind(1)
+    height, width = pixels.image.shape[:2]
+    if pixels.mirrored:
+        left, right = width - right, width - left
+    for _ in range(pixels.turns):  # a quarter turn with the clock
+        left, top, right, bottom = height - bottom, left, height - top, right
+        width, height = height, width
+    return torch.stack([left, top, right, bottom], 1)
+
+
+def _digest(item: Photograph) -> str:
+    try:
+        return file_sha256(item.path)
+    except ScoupError:
+        return ""  # cannot be read: skipped when its turn comes

@@ -1,0 +1,141 @@
+"""What a model with words found in photographs: a folder with ``concepts.json`` and one JSON file per photograph."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from scoup.base.atomic import write_text
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, check_format_version
+from scoup.base.locks import WAIT
+from scoup.io.reading import read_json
+from scoup.io.regions.views import stem_of
+from scoup.scene.names import Detections
+
+FOLDER_NAME = "concepts"
+"""Of the folder, inside that of the region features."""
+MANIFEST = "concepts.json"
+SCHEMA = "scoup.concepts"
+VERSION = 1
+_REMEDY = "look for the words again"
+
+
+@dataclass(frozen=True)
+class DetectionStore:
+    """A folder of detections, all made by one model with the same texts."""
+
+    folder: Path
+    texts: tuple[str, ...]
+    settings: dict[str, Any]  # of the model, as plain JSON values
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of texts and settings: files made with others do not count."""
+        return hashlib.sha256(json.dumps([self.texts, self.settings], sort_keys=True).encode()).hexdigest()[
+            :32
+        ]
+
+    @classmethod
+    def open(cls, folder: Path) -> DetectionStore:
+        """Open a folder that ``begin`` has made."""
+        if not (folder / MANIFEST).is_file():
+            raise MissingFileError(folder / MANIFEST, "there are no detections", _REMEDY)
+        record = read_json(folder / MANIFEST, "the manifest of a folder of detections", _REMEDY)
+        record.get("schema").text((SCHEMA,))
+        check_format_version(folder / MANIFEST, record.get("version").value, VERSION)
+        texts = tuple(item.text() for item in record.get("texts").items())
+        return cls(folder, texts, record.get("settings").object())
+
+    def begin(self, overwrite: bool = False) -> None:
+        """Write the manifest, unless it is there.
+
+        Raises:
+            InputError: the folder contains detections of another model or of other texts.
+        """
+        if (self.folder / MANIFEST).is_file() and not overwrite:
+            if DetectionStore.open(self.folder).fingerprint != self.fingerprint:
+                raise InputError(
+                    f"{self.folder}: contains detections of other words or of another model; pass `overwrite=True` "
+                    "to make them again"
+                )
+            return
+        record = {"schema": SCHEMA, "version": VERSION, "settings": self.settings, "texts": list(self.texts)}
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_text(self.folder / MANIFEST, json.dumps(record, indent=2) + "\n", True, WAIT)
+
+    def has(self, name: str, photograph: str) -> bool:
+        """Return whether a photograph (by its SHA-256) was looked at."""
+        path = self._file(name)
+        if not path.is_file():
+            return False
+        try:
+            record = read_json(path, "detections", _REMEDY)
+            return [record.get(key).value for key in ("manifest", "photograph")] == [
+                self.fingerprint,
+                photograph,
+            ]
+        except FileFormatError:  # made again
+            return False
+
+    def write(self, name: str, photograph: str, found: Detections) -> None:
+        """Write the detections of a photograph; masks are left out."""
+        numbers = zip(found.texts.tolist(), found.scores.tolist(), found.boxes.tolist(), strict=True)
+        record = {
+            "name": name,
+            "manifest": self.fingerprint,
+            "photograph": photograph,
+            "size": list(found.size),
+            "detections": [
+                [text, round(score, 4), *(round(side, 1) for side in box)] for text, score, box in numbers
+            ],
+        }
+        write_text(self._file(name), json.dumps(record, separators=(",", ":")) + "\n", True)
+
+    def read(self, name: str) -> Detections | None:
+        """Return the detections of a photograph; None if it was not looked at with these texts and this model."""
+        path = self._file(name)
+        if not path.is_file():
+            return None
+        record = read_json(path, "detections", _REMEDY)
+        if record.get("manifest").value != self.fingerprint:
+            return None
+        try:
+            rows = torch.tensor(record.get("detections").value, dtype=torch.float64).reshape(-1, 6)
+            width, height = (int(side) for side in record.get("size").value)
+        except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+            raise FileFormatError(path, f"contains no detections ({error})", _REMEDY) from error
+        texts = rows[:, 0].long()
+        if not bool(rows.isfinite().all()) or bool(((texts < 0) | (texts >= len(self.texts))).any()):
+            raise FileFormatError(path, "contains detections of unknown texts, or without numbers", _REMEDY)
+        if min(width, height) < 1:
+            raise FileFormatError(path, f"is of a photograph of {width} x {height} pixels", _REMEDY)
+        return Detections(texts, rows[:, 1].float(), rows[:, 2:].float(), (width, height))
+
+    def _file(self, name: str) -> Path:
+        return self.folder / f"{stem_of(name)}.json"
+
+
+def find_detections(features: Path) -> DetectionStore | None:
+    """Return the detections beside region features; None if there are none."""
+    folder = features / FOLDER_NAME
+    return DetectionStore.open(folder) if (folder / MANIFEST).is_file() else None
+
+
+def detections_of(store: DetectionStore, names: Iterable[str]) -> dict[str, Detections]:
+    """Return the detections of the photographs among ``names`` that were looked at."""
+    found = {name: store.read(name) for name in names}
+    return {name: each for name, each in found.items() if each is not None}
+
+
+def new_store(folder: Path, texts: Sequence[str], settings: dict[str, Any]) -> DetectionStore:
+    """Return the store of texts and a model, to ``begin`` and write to."""
+    words = tuple(dict.fromkeys(texts))
+    if not words:
+        raise InputError("pass at least one word to look for")
+    return DetectionStore(folder, words, settings)

@@ -1,0 +1,162 @@
+"""Answers to texts that a model with words was asked in photographs: one rule joins its votes with the field's answer.
+
+Detectors and embeddings fail on different words. Where the model is not sure, the field answers alone. Where the things
+that the field would answer with have nearly as many votes as any, both agree: these answer, without those that have
+hardly a vote. Otherwise the things with most votes answer, lowered where they fit the text badly. Measured in
+docs/answers.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from scoup.field.language_field import LanguageField
+from scoup.query.matching import Choice, ComparedTable, choose_things
+from scoup.query.question import Question
+from scoup.scene.names import NameTable
+
+SURE = 0.03
+"""The model is sure of a text if a thing has at least this vote."""
+AGREES = 0.85
+"""Both agree if a thing of the field's answer has at least this share of the largest vote."""
+KEPT = 0.4
+"""Of these, those with at least this share of their own largest vote answer."""
+TOGETHER = 0.5
+"""Where they disagree, things with at least this share of the largest vote answer together, and are instances."""
+NAMES = 3
+"""Names kept per thing: the best and the next best ones."""
+HUB_THINGS, HUB_SHARE = 10, 0.5
+"""Some words are near to many things: this share of the mean of a word's so many largest cosines is subtracted from all
+of them (cross-domain similarity local scaling, Conneau et al. 2018)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """A text of a question that has a name in the field."""
+
+    names: NameTable
+    number: int
+    count: int  # of the things of the field
+
+    @cached_property
+    def votes(self) -> Tensor:
+        """[T] float32."""
+        return self.names.votes_of(self.number, self.count)
+
+    @property
+    def is_sure(self) -> bool:
+        """Return whether the votes say which things it means."""
+        return bool((self.votes >= SURE).any())
+
+    def score(self, thing: int | None = None) -> float:
+        """Return the presence of the text, 0 to 1, or of it in one thing."""
+        presence = float(self.names.presence[self.number])
+        if thing is None or not self.is_sure:
+            return presence
+        return presence * float(self.votes[thing] / self.votes.max())
+
+
+def named_texts(field: LanguageField, question: Question) -> list[Named | None]:
+    """Return what is known of each text by its name, or that of a name near to it; None for all others."""
+    table = field.thing_table
+    names = None if table is None else table.names
+    if table is None or names is None:
+        return [None] * len(question.texts)
+    near = question.near or (None,) * len(question.texts)
+    numbers = [
+        names.number(other or text) if names.number(text) is None else names.number(text)
+        for text, other in zip(question.texts, near, strict=True)
+    ]
+    return [None if number is None else Named(names, number, len(table)) for number in numbers]
+
+
+def choose(
+    field: LanguageField, known: ComparedTable, fits: Tensor, question: Question, level: int | None = None
+) -> list[Choice | None]:
+    """Return the things that answer each text of a question, by the field's choice and by names.
+
+    Args:
+        known, fits: of the field and the question (``choose_things``).
+        level: the one that answers; None: the best.
+    """
+    choices = choose_things(known, fits, level)
+    return [
+        choice
+        if choice is None or named is None
+        else joined(known, choice, fits[:, number], named.votes, level)
+        for number, (choice, named) in enumerate(zip(choices, named_texts(field, question), strict=True))
+    ]
+
+
+def joined(
+    known: ComparedTable, choice: Choice, fits: Tensor, votes: Tensor, level: int | None = None
+) -> Choice:
+    """Return the things that answer a text, from the field's choice and the votes [T] of a model."""
+    levels = known.things.levels.cpu()
+    votes = torch.where(known.usable & (levels == level) if level is not None else known.usable, votes, 0.0)
+    most = votes.max()
+    if most < SURE:
+        return choice
+    mine = votes[choice.things]
+    if mine.max() >= AGREES * most:
+        return _chosen(choice, choice.things[mine >= KEPT * mine.max()], fits)
+    usable = fits[known.usable]
+    best = usable.max()
+    # A thing that fits like the median thing has e times fewer votes than one that fits best.
+    lowered = votes * ((fits - best).clamp(max=0) / (best - usable.median()).clamp(min=1e-6)).exp()
+    together = (lowered >= TOGETHER * lowered.max()) & (levels == levels[lowered.argmax()])
+    things = together.nonzero()[:, 0]
+    return _chosen(choice, things[lowered[things].argsort(descending=True, stable=True)], fits)
+
+
+def _chosen(choice: Choice, things: Tensor, fits: Tensor) -> Choice:
+    rival = choice.runner_up if choice.runner_up is None or choice.runner_up not in things.tolist() else None
+    lost = [thing for thing in choice.things.tolist() if thing not in things.tolist()]
+    return replace(choice, things=things, fit=float(fits[things].max()), runner_up=lost[0] if lost else rival)
+
+
+def instances_by_votes(known: ComparedTable, choice: Choice, votes: Tensor) -> Tensor:
+    """Return the things [I] int64 of the level of an answer that are one instance each, best first, by votes [T]."""
+    levels = known.things.levels.cpu()
+    mine = torch.where(known.usable & (levels == levels[choice.things[0]]), votes, 0.0)
+    instances = (mine >= TOGETHER * mine.max()).nonzero()[:, 0]
+    return instances[mine[instances].argsort(descending=True, stable=True)]
+
+
+def voted_names(
+    field: LanguageField, texts: Collection[str] | None = None
+) -> dict[int, tuple[tuple[str, ...], float]]:
+    """Return the names that a model gave to each thing that it is sure of, best first, and the score of the first.
+
+    Args:
+        field: with or without names.
+        texts: that may be names; None: all.
+    """
+    table = field.thing_table
+    if table is None or table.names is None or not len(table.names.votes):
+        return {}
+    names, allowed = table.names, None if texts is None else {text.casefold() for text in texts}
+    usable = [row for row, text in enumerate(names.texts) if allowed is None or text.casefold() in allowed]
+    votes = names.matrix(len(table))[:, usable]
+    if not usable:
+        return {}
+    found = {}
+    for thing, row in enumerate(best_words(votes).tolist()):
+        mine = [usable[word] for word in row if votes[thing, word] >= SURE]
+        if mine:
+            score = Named(names, mine[0], len(table)).score(thing)
+            found[thing] = tuple(names.texts[word] for word in mine), score
+    return found
+
+
+def best_words(cosines: Tensor) -> Tensor:
+    """Return the up to ``NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
+    hubs = cosines.topk(min(HUB_THINGS, len(cosines)), dim=0).values.sum(0) / max(
+        1, min(HUB_THINGS, len(cosines))
+    )
+    return (cosines - HUB_SHARE * hubs).topk(min(NAMES, cosines.shape[1]), dim=1).indices

@@ -1,0 +1,180 @@
+"""Answers refined on demand: a model with words looks for texts in some photographs, and things get names.
+
+Views are chosen one by one: those that show things that may answer, largest where they fit best, and things that few
+views chosen before have shown. All things count a little, for the field may be wrong.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
+from scoup.io import load_image
+from scoup.io.camera_images import attach_images
+from scoup.models.concepts import ConceptModel, open_concepts
+from scoup.query.expression import Expression
+from scoup.query.matching import compare_things
+from scoup.query.question import make_question
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.names import Detections
+from scoup.uplift.naming import name_things
+
+MOST_VIEWS = 12
+SOME = 0.2
+"""All things together weigh so much as the one that fits a text best."""
+LARGE = 0.05
+"""A thing whose radius is this share of a picture's longest side is seen as well as any larger one."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A refinement: how many photographs, and rendered views in their place, were looked at, and for how long."""
+
+    texts: tuple[str, ...]
+    views: tuple[str, ...]
+    rendered: int
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        return {**vars(self), "seconds": round(self.seconds, 2)}
+
+    def describe(self) -> str:
+        """Return it in words, for people."""
+        pictures = f"{len(self.views) - self.rendered} photographs"
+        if self.rendered:
+            pictures += f" and {self.rendered} rendered views"
+        return f"looked for {', '.join(self.texts)} in {pictures}, {self.seconds:.1f} s"
+
+
+def refine(
+    field: LanguageField,
+    texts: str | Sequence[str],
+    model: ConceptModel | str,
+    cameras: Cameras | None = None,
+    most_views: int = MOST_VIEWS,
+) -> Refined:
+    """Look for texts in photographs of a field with a model, and name the things of the field that it finds.
+
+    From now on the field answers these texts by the model's votes and its own embeddings (``scoup.query.named``); a
+    saved field keeps the names.
+
+    Args:
+        field: with things; its ``thing_table`` gets names.
+        texts: to look for.
+        model: or its name (``scoup.models.concepts.CONCEPTS``).
+        cameras: with their photographs; by default the field's own. A camera without one is rendered.
+        most_views: to look at.
+
+    Raises:
+        InputError: the field has no things or no cameras.
+    """
+    started = time.perf_counter()
+    words = (texts,) if isinstance(texts, str) else tuple(texts)
+    table = field.thing_table
+    if table is None or not len(table):
+        raise InputError(
+            f"{field.path or 'this field'}: contains no things to name; build it again with things"
+        )
+    cameras = photographed_cameras(field) if cameras is None else cameras
+    model = open_concepts(model, device=field.codebook.device) if isinstance(model, str) else model
+    views: list[tuple[Camera, Detections]] = []
+    rendered = 0
+    for camera in choose_views(field, words, cameras, most_views):
+        image = _photograph(camera)
+        rendered += image is None
+        views.append((camera, model.detect(_render(field, camera) if image is None else image, words)))
+    names = name_things(field.gaussians, table, views, words, field.raster_preset)
+    field.thing_table = replace(table, names=names if table.names is None else table.names.joined(names))
+    looked_at = tuple(camera.name for camera, _ in views)
+    return Refined(words, looked_at, rendered, time.perf_counter() - started)
+
+
+def refine_texts(field: LanguageField, texts: Any, model: ConceptModel | str) -> Refined:
+    """Refine the texts of a question (``field.question``)."""
+    words = texts.texts if isinstance(texts, Expression) else texts
+    if not isinstance(words, (str, list, tuple)) or not all(isinstance(word, str) for word in words):
+        raise InputError("a model with words looks for texts, not for vectors; omit `refine`")
+    return refine(field, words, model)
+
+
+def photographed_cameras(field: LanguageField) -> Cameras:
+    """Return the cameras of a field with their photographs, as far as they are known or beside its splat."""
+    cameras = field.cameras
+    if cameras is None or not len(cameras):
+        raise InputError(f"{field.path or 'this field'}: contains no cameras; pass those of its photographs")
+    if field.geometry_path is None or any(camera.image_path is not None for camera in cameras):
+        return cameras
+    return attach_images(
+        cameras, field.geometry_path, tuple(field.geometry_path.parents[:4]), None, None, "keep"
+    )
+
+
+def choose_views(
+    field: LanguageField, texts: Sequence[str], cameras: Cameras, most: int = MOST_VIEWS
+) -> list[Camera]:
+    """Return up to ``most`` cameras in which things that may answer texts are seen best, in order of their names."""
+    question = make_question(field, list(texts))
+    known = compare_things(field, question)
+    assert known is not None
+    fits = known.fits(question.queries.float().cpu())[known.usable]
+    weights = (fits - fits.amax(0)).exp().amax(1) + SOME / max(1, len(fits))
+    sizes = field.kept(
+        (_apparent_sizes, *(camera.fingerprint() for camera in cameras)),
+        lambda: _apparent_sizes(field, cameras),
+    )[:, known.usable]
+    chosen: list[int] = []
+    seen = torch.zeros(len(weights))
+    for _ in range(min(most, len(cameras))):
+        gains = (weights * sizes / (1 + seen)).sum(1)
+        gains[chosen] = -1
+        chosen.append(int(gains.argmax()))
+        seen += sizes[chosen[-1]]
+    return [cameras[number] for number in sorted(chosen)]
+
+
+def _apparent_sizes(field: LanguageField, cameras: Cameras) -> Tensor:
+    """Return how well each of T things is seen by each camera, [V, T] 0..1, whatever may be in between."""
+    table = field.thing_table
+    assert table is not None
+    means = field.gaussians.means.float().cpu()
+    means = torch.where(means.isfinite(), means, 0.0)
+    sums, squares, counts = torch.zeros(len(table), 3), torch.zeros(len(table)), torch.zeros(len(table))
+    for owners in table.owners.cpu().T:
+        mine = (owners >= 0).nonzero()[:, 0]
+        of = owners[mine].long()
+        sums.index_add_(0, of, means[mine])
+        squares.index_add_(0, of, means[mine].square().sum(1))
+        counts.index_add_(0, of, torch.ones(len(of)))
+    middles = sums / counts.clamp(min=1)[:, None]
+    radii = (squares / counts.clamp(min=1) - middles.square().sum(1)).clamp(min=0).sqrt()
+    sizes = []
+    for camera in cameras:
+        viewmat, K = camera.viewmat.float(), camera.K.float()
+        x, y, depth = (middles @ viewmat[:3, :3].T + viewmat[:3, 3]).T
+        u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]
+        inside = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        size = K[0, 0] * radii / depth / (LARGE * max(camera.width, camera.height))
+        sizes.append(torch.where(inside & (counts > 0), size.clamp(max=1), 0.0))
+    return torch.stack(sizes)
+
+
+def _photograph(camera: Camera) -> NDArray[np.uint8] | None:
+    """Return the photograph of a camera at its size; None where there is none."""
+    if camera.image_path is None or not camera.image_path.is_file():
+        return None
+    return load_image(camera).numpy()
+
+
+def _render(field: LanguageField, camera: Camera) -> NDArray[np.uint8]:
+    colors = field.at(camera).renders.colors().cpu()
+    return (colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

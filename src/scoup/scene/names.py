@@ -1,0 +1,123 @@
+"""Names of things: what models that take words found in photographs, and which things they voted for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup.base.brief import brief
+from scoup.base.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """What a model found in one photograph: M places, each for one of several texts."""
+
+    texts: Tensor  # [M] int64, position of the text
+    scores: Tensor  # [M] float32, 0 to 1
+    boxes: Tensor  # [M, 4] float32, x0, y0, x1, y1 in pixels
+    size: tuple[int, int]  # width and height of the photograph
+    masks: Tensor | None = None  # [M, H, W] boolean; None of models that find boxes
+
+    __repr__ = brief
+
+    def above(self, least: float) -> Detections:
+        """Return those with at least this score."""
+        kept = self.scores >= least
+        masks = None if self.masks is None else self.masks[kept]
+        return Detections(self.texts[kept], self.scores[kept], self.boxes[kept], self.size, masks)
+
+    def masks_at(self, width: int, height: int) -> Tensor:
+        """Return masks [M, height, width] float32 at another size of the picture; boxes are filled."""
+        if self.masks is not None:
+            return torch.nn.functional.interpolate(self.masks[:, None].float(), (height, width), mode="area")[
+                :, 0
+            ]
+        x = (torch.arange(width) + 0.5) * self.size[0] / width
+        y = (torch.arange(height) + 0.5) * self.size[1] / height
+        left, top, right, bottom = self.boxes.T[:, :, None]
+        across, down = (x >= left) & (x <= right), (y >= top) & (y <= bottom)
+        return (down[:, :, None] & across[:, None]).float()
+
+
+@dataclass(frozen=True, eq=False)
+class NameTable:
+    """M texts that a model looked for in photographs, and E votes of what it found for things."""
+
+    texts: tuple[str, ...]  # M different ones
+    presence: Tensor  # [M] float32, 0 to 1: how sure it is that the photographs show them
+    rows: Tensor  # [E] int32, position of the text of each vote
+    things: Tensor  # [E] int32, number of the thing
+    votes: (
+        Tensor  # [E] float32, 0 to 1: mean over views of the score times the overlap of thing and detection
+    )
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        kinds = {
+            "presence": torch.float32,
+            "rows": torch.int32,
+            "things": torch.int32,
+            "votes": torch.float32,
+        }
+        counts = {"presence": len(self.texts)}
+        for name, dtype in kinds.items():
+            part = getattr(self, name)
+            if part.dtype != dtype or part.shape != (counts.get(name, len(self.votes)),):
+                raise InputError(f"{name} of names is {part.dtype} {list(part.shape)}")
+        if len(set(self.texts)) < len(self.texts):
+            raise InputError("two names of things are one text")
+        if len(self.rows) and not 0 <= int(self.rows.min()) <= int(self.rows.max()) < len(self.texts):
+            raise InputError(f"a vote names a text beyond the {len(self.texts)}")
+        if not bool(torch.isfinite(self.presence).all() & torch.isfinite(self.votes).all()):
+            raise InputError("names of things contain values that are not finite")
+
+    def __len__(self) -> int:
+        return len(self.texts)
+
+    def number(self, text: str) -> int | None:
+        """Return the position of a text, whatever its capitals; None if it was not looked for."""
+        same = text.casefold()
+        return next((number for number, each in enumerate(self.texts) if each.casefold() == same), None)
+
+    def votes_of(self, number: int, count: int) -> Tensor:
+        """Return the votes of one text for each of ``count`` things, [count] float32."""
+        mine = self.rows == number
+        return torch.zeros(count).index_put_((self.things[mine].long(),), self.votes[mine])
+
+    def matrix(self, count: int) -> Tensor:
+        """Return the votes of all texts, [count, M] float32."""
+        found = torch.zeros(count, len(self))
+        found[self.things.long(), self.rows.long()] = self.votes
+        return found
+
+    def without(self, texts: Iterable[str]) -> NameTable:
+        """Return the table without some of the texts."""
+        gone = {text.casefold() for text in texts}
+        kept = [number for number, text in enumerate(self.texts) if text.casefold() not in gone]
+        place = torch.full((len(self),), -1, dtype=torch.int32)
+        place[kept] = torch.arange(len(kept), dtype=torch.int32)
+        rows = place[self.rows.long()]
+        mine = rows >= 0
+        return NameTable(
+            tuple(self.texts[number] for number in kept),
+            self.presence[kept],
+            rows[mine],
+            self.things[mine],
+            self.votes[mine],
+        )
+
+    def joined(self, newer: NameTable) -> NameTable:
+        """Return both tables as one; texts of both are those of the newer one."""
+        older = self.without(newer.texts)
+        return NameTable(
+            (*older.texts, *newer.texts),
+            torch.cat([older.presence, newer.presence]),
+            torch.cat([older.rows, newer.rows + len(older)]),
+            torch.cat([older.things, newer.things]),
+            torch.cat([older.votes, newer.votes]),
+        )

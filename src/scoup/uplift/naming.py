@@ -1,0 +1,172 @@
+"""Names for things: what a model with words finds in photographs votes for the things that are there.
+
+A detection votes for the things that it overlaps, by its score times the overlap: of boxes, or of masks where the model
+gives masks. The vote of a text for a thing is the mean over the best views, of those that see the thing; so one view
+alone weighs little. A text is as present as the mean of its best scores says. Measured in docs/answers.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from scoup import raster
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.names import Detections, NameTable
+from scoup.scene.things import ThingTable
+
+SIDE = 320  # longest side of the pictures in which things and detections are compared
+AT_A_TIME = 64  # things that are rendered together
+LEAST_PIXELS = 12  # of a thing in such a picture; smaller ones are not seen
+LEAST_OVERLAP = 0.55  # below it, thing and detection are different
+BEST_VIEWS, BEST_SCORES = 10, 5  # views that count for a vote, and for presence
+EVEN_SCORE = 0.085
+"""The mean score at which a text is as likely present as not: so 0.05 becomes 0.37, the least of what is present."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThingsInView:
+    """The T things of a scene in one small picture."""
+
+    masks: Tensor  # [T, h, w] boolean, where a thing contributes most of a pixel
+    boxes: Tensor  # [T, 4] float32 x0, y0, x1, y1 in its pixels, without the outermost hundredth of the thing's pixels
+
+    @property
+    def seen(self) -> Tensor:
+        """Return which things have enough pixels, [T] boolean."""
+        return self.masks.sum((1, 2)) >= LEAST_PIXELS
+
+
+def things_in_view(
+    gaussians: Gaussians, table: ThingTable, camera: Camera, raster_preset: str, backend: str | None = None
+) -> ThingsInView:
+    """Return the things as a camera sees them, on the CPU."""
+    small = Cameras([camera]).scaled(min(1.0, SIDE / max(camera.width, camera.height)))[0]
+    projection = raster.project(gaussians, small, raster_preset, backend)
+    ones = torch.ones(len(gaussians), 1, device=gaussians.device)
+    alpha = raster.render_values(projection, ones)[..., 0].cpu()
+    masks = []
+    for start in range(0, len(table), AT_A_TIME):
+        count = min(AT_A_TIME, len(table) - start)
+        values = ones.new_zeros(len(gaussians), count)
+        for owners in table.owners.to(values.device).T:
+            mine = ((owners >= start) & (owners < start + count)).nonzero()[:, 0]
+            values[mine, owners[mine].long() - start] = 1
+        shares = raster.render_values(projection, values).permute(2, 0, 1).cpu()
+        masks.append(shares > 0.5 * alpha.clamp(min=0.05))
+    together = torch.cat(masks) if masks else torch.zeros(0, small.height, small.width, dtype=torch.bool)
+    return ThingsInView(
+        together, torch.stack([*_ends(together.sum(1)), *_ends(together.sum(2))], 1)[:, [0, 2, 1, 3]]
+    )
+
+
+def _ends(counts: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where the middle 98 % of pixels counted along one side [T, n] begin and end, [T] float32 each."""
+    below = counts.cumsum(1) / counts.sum(1, keepdim=True).clamp(min=1)
+    return (below <= 0.01).sum(1).float(), (below < 0.99).sum(1).float() + 1
+
+
+def overlaps(found: Detections, view: ThingsInView) -> Tensor:
+    """Return the intersection over union of each detection with each thing, [M, T]; 0 with things that are not seen."""
+    height, width = view.masks.shape[1:]
+    if found.masks is None:
+        scale = torch.tensor([width / found.size[0], height / found.size[1]]).repeat(2)
+        ious = box_ious(found.boxes * scale, view.boxes)
+    else:
+        mine, theirs = found.masks_at(width, height).flatten(1), view.masks.flatten(1).float()
+        both = mine @ theirs.T
+        ious = both / (mine.sum(1)[:, None] + theirs.sum(1) - both).clamp(min=1)
+    return torch.where(view.seen, ious, 0.0)
+
+
+def box_ious(one: Tensor, other: Tensor) -> Tensor:
+    """Return the intersection over union of boxes [M, 4] and [T, 4], [M, T]."""
+    low, high = torch.maximum(one[:, None, :2], other[:, :2]), torch.minimum(one[:, None, 2:], other[:, 2:])
+    both = (high - low).clamp(min=0).prod(2)
+    areas = [(boxes[:, 2:] - boxes[:, :2]).prod(1) for boxes in (one, other)]
+    return both / (areas[0][:, None] + areas[1] - both).clamp(min=1e-6)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewVotes:
+    """What one photograph says of M texts and T things: E votes."""
+
+    rows: Tensor  # [E] int64, position of the text
+    things: Tensor  # [E] int64
+    votes: Tensor  # [E] float32
+    seen: Tensor  # [T] boolean, the things that it shows
+    tops: Tensor  # [M] float32, the best score of each text
+
+    def of_text(self, row: int) -> ViewVotes:
+        """Return the votes of one text, as the only one."""
+        mine = self.rows == row
+        rows = torch.zeros_like(self.rows[mine])
+        return ViewVotes(rows, self.things[mine], self.votes[mine], self.seen, self.tops[row : row + 1])
+
+
+def votes_in_view(view: ThingsInView, found: Detections, n_texts: int) -> ViewVotes:
+    """Return the votes of the detections in one photograph, the best of each text for each thing."""
+    count = max(1, len(view.masks))
+    ious = overlaps(found, view)
+    row, thing = (ious >= LEAST_OVERLAP).nonzero(as_tuple=True)
+    keys, place = (found.texts[row] * count + thing).unique(return_inverse=True)
+    votes = torch.zeros(len(keys)).scatter_reduce_(0, place, found.scores[row] * ious[row, thing], "amax")
+    tops = torch.zeros(n_texts).scatter_reduce_(0, found.texts, found.scores, "amax")
+    return ViewVotes(keys // count, keys % count, votes, view.seen, tops)
+
+
+def count_votes(texts: Sequence[str], views: Sequence[ViewVotes]) -> NameTable:
+    """Return the names that the votes of V >= 1 photographs give to things."""
+    seen_in = torch.stack([view.seen for view in views]).sum(0)
+    count = max(1, len(seen_in))
+    keys = torch.cat([view.rows * count + view.things for view in views])
+    key, vote = _sums_of_best(keys, torch.cat([view.votes for view in views]))
+    thing = key % count
+    votes = vote / seen_in[thing].clamp(2, BEST_VIEWS) if len(thing) else vote
+    presence = presence_of(torch.stack([view.tops for view in views]))
+    return NameTable(tuple(texts), presence, (key // count).int(), thing.int(), votes)
+
+
+def name_things(
+    gaussians: Gaussians,
+    table: ThingTable,
+    views: Iterable[tuple[Camera, Detections]],
+    texts: Sequence[str],
+    raster_preset: str = "inria",
+    backend: str | None = None,
+) -> NameTable:
+    """Let detections vote for the things of a scene.
+
+    Args:
+        gaussians: the trained scene.
+        table: its T things.
+        views: V >= 1 photographs with what was found in them; detections count the texts as ``texts`` does.
+        texts: M of them, looked for in all of the photographs.
+        raster_preset, backend: of the rasteriser.
+    """
+    counted = [
+        votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), found, len(texts))
+        for camera, found in views
+    ]
+    return count_votes(texts, counted)
+
+
+def presence_of(scores: Tensor) -> Tensor:
+    """Return how sure it is that photographs show texts, [M], from the best score of each in each view [V, M]."""
+    best = scores.sort(0, descending=True).values[:BEST_SCORES].mean(0)
+    return best / (best + EVEN_SCORE)
+
+
+def _sums_of_best(keys: Tensor, votes: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the different keys, rising, and the sum of the ``BEST_VIEWS`` largest votes of each."""
+    order = votes.argsort(descending=True, stable=True)
+    order = order[keys[order].argsort(stable=True)]
+    different, counts = keys[order].unique_consecutive(return_counts=True)
+    first = (counts.cumsum(0) - counts).repeat_interleave(counts)
+    counted = torch.arange(len(order)) - first < BEST_VIEWS
+    of_key = torch.arange(len(different)).repeat_interleave(counts)
+    return different, torch.zeros(len(different)).index_add_(0, of_key[counted], votes[order][counted])

@@ -1,0 +1,218 @@
+"""Models that take words: real classes with tiny random weights against their own forward passes, and an ONNX pair."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mask_samples import smooth_image
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, UnknownNameError
+from scoup.models.concepts import LEAST_SCORE, MOST_BOXES, SAME_BOX, best_boxes, open_concepts
+from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
+from tiny_models import (
+    TINY_WORDS,
+    save_grounding_dino,
+    save_owl,
+    save_sam3_concepts,
+    saved,
+    tiny_sam,
+    tiny_tokenizer,
+)
+
+TEXTS = ("red apple", "chair", "lamp")
+HEIGHT, WIDTH = 40, 60
+
+
+def pixels_by_hand(image: np.ndarray, width: int, height: int, normalization: Normalization) -> torch.Tensor:
+    scaled = np.array(Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR))
+    values = (scaled / 255 - normalization.mean) / normalization.std
+    return torch.from_numpy(values).float().permute(2, 0, 1)[None]
+
+
+def ids_of(text: str, length: int, padding: int) -> tuple[list[int], list[int]]:
+    ids = [1, *(2 + TINY_WORDS.index(word) for word in text.split()), 6]
+    return ids + [padding] * (length - len(ids)), [1] * len(ids) + [0] * (length - len(ids))
+
+
+def owl_by_hand(model: Any, image: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    square = np.zeros((WIDTH, WIDTH, 3), np.uint8)
+    square[:HEIGHT] = image
+    rows = [ids_of(text, 16, 6) for text in TEXTS]
+    output = model(
+        input_ids=torch.tensor([ids for ids, _ in rows]),
+        attention_mask=torch.tensor([mask for _, mask in rows]),
+        pixel_values=pixels_by_hand(square, 48, 48, CLIP),
+    )
+    return output.pred_boxes[0] * WIDTH, output.logits[0].sigmoid()
+
+
+def dino_by_hand(model: Any, image: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    """All three texts fit into one caption of 12: [CLS] red apple . chair . lamp . [SEP]."""
+    ids = torch.tensor([[101, 1, 2, 1012, 3, 1012, 4, 1012, 102]])
+    pixels = pixels_by_hand(image, 1200, 800, IMAGENET)
+    output = model(pixel_values=pixels, input_ids=ids, attention_mask=torch.ones_like(ids))
+    scores = output.logits[0].sigmoid()
+    boxes = output.pred_boxes[0] * torch.tensor([WIDTH, HEIGHT, WIDTH, HEIGHT])
+    return boxes, torch.stack([scores[:, 1:3].amax(1), scores[:, 4], scores[:, 6]], 1)
+
+
+@pytest.mark.parametrize(("save", "by_hand"), [(save_owl, owl_by_hand), (save_grounding_dino, dino_by_hand)])
+def test_boxes_are_those_of_the_model_fed_by_hand(save: Any, by_hand: Any, tmp_path: Path) -> None:
+    model, image = save(tmp_path), smooth_image(HEIGHT, WIDTH)
+    found = open_concepts(str(tmp_path)).detect(image, TEXTS)
+    with torch.inference_mode():
+        boxes, scores = by_hand(model, image)
+    middle, half = boxes[:, :2], boxes[:, 2:] / 2
+    wanted = (
+        torch.cat([middle - half, middle + half], 1).clamp(min=0).minimum(torch.tensor([WIDTH, HEIGHT] * 2))
+    )
+    assert found.size == (WIDTH, HEIGHT)
+    assert set(found.texts.tolist()) == {0, 1, 2}
+    for text in range(3):
+        best = int(scores[:, text].argmax())
+        first = int((found.texts == text).nonzero()[0])
+        torch.testing.assert_close(found.scores[first], scores[best, text], atol=2e-4, rtol=0)
+        torch.testing.assert_close(found.boxes[first], wanted[best], atol=0.05, rtol=0)
+
+
+def test_many_texts_take_several_captions(tmp_path: Path) -> None:
+    save_grounding_dino(tmp_path)
+    model, image = open_concepts(str(tmp_path)), smooth_image(HEIGHT, WIDTH)
+    texts = ("red apple", "chair", "lamp", "apple", "red chair")  # 15 ids with the stops
+    found = model.detect(image, texts)
+    assert set(found.texts.tolist()) == set(range(5))
+    alone = model.detect(image, texts[4:])
+    mine = found.texts == 4
+    torch.testing.assert_close(found.scores[mine], alone.scores, atol=1e-5, rtol=0)
+
+
+def test_masks_of_sam3_are_those_of_the_model_fed_by_hand(tmp_path: Path) -> None:
+    model, image = save_sam3_concepts(tmp_path), smooth_image(HEIGHT, WIDTH)
+    found = open_concepts(str(tmp_path)).detect(image, TEXTS)
+    assert found.masks is not None
+    assert found.masks.shape == (len(found.scores), HEIGHT, WIDTH)
+    for number, text in enumerate(TEXTS):
+        ids, mask = ids_of(text, 32, 6)
+        with torch.inference_mode():
+            output = model(
+                pixel_values=pixels_by_hand(image, 56, 56, HALF),
+                input_ids=torch.tensor([ids]),
+                attention_mask=torch.tensor([mask]),
+            )
+        scores = output.pred_logits[0].sigmoid() * output.presence_logits[0].sigmoid()
+        best, first = int(scores.argmax()), int((found.texts == number).nonzero()[0])
+        assert float(found.scores[first]) == pytest.approx(float(scores[best]), abs=2e-4)
+        logits = torch.nn.functional.interpolate(
+            output.pred_masks[:, best, None], (HEIGHT, WIDTH), mode="bilinear"
+        )
+        assert float((found.masks[first] == (logits[0, 0] > 0)).float().mean()) > 0.99
+
+
+def test_of_overlapping_boxes_the_best_stays() -> None:
+    rng = np.random.default_rng(0)
+    low = torch.from_numpy(rng.random((50, 2)) * 60).float()
+    boxes = torch.cat([low, low + torch.from_numpy(rng.random((50, 2)) * 40).float() + 5], 1)
+    scores = torch.from_numpy(rng.random((50, 2))).float() * torch.tensor([1.0, 0.02])
+    found = best_boxes(boxes, scores, (80, 80))
+    for text in range(2):
+        mine = found.boxes[found.texts == text]
+        values = found.scores[found.texts == text]
+        assert 0 < len(mine) <= MOST_BOXES
+        assert bool((values >= LEAST_SCORE).all())
+        assert values.tolist() == sorted(values.tolist(), reverse=True)
+        assert float(values[0]) == float(scores[:, text].max())
+        low, high = (
+            torch.maximum(mine[:, None, :2], mine[:, :2]),
+            torch.minimum(mine[:, None, 2:], mine[:, 2:]),
+        )
+        both, areas = (high - low).clamp(min=0).prod(2), (mine[:, 2:] - mine[:, :2]).prod(1)
+        ious = both / (areas[:, None] + areas - both)
+        assert float((ious - torch.eye(len(mine))).max()) <= SAME_BOX + 1e-6
+    assert float(found.boxes.max()) <= 80
+
+
+def test_what_cannot_be_loaded_is_told(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="no model with words named 'owl'; nearest names: 'owlv2'"):
+        open_concepts("owl")
+    with pytest.raises(ScoupError, match="'sam' is not a model with words"):
+        open_concepts(str(saved(tiny_sam(), tmp_path)))
+    with pytest.raises(MissingFileError, match=r"image\.onnx"):
+        open_concepts(f"onnx:{tmp_path}")
+
+
+def save_onnx_pair(folder: Path, side: int = 24, dim: int = 4) -> np.ndarray:
+    """An image model with fixed boxes, rows that are means of the image times a map, and a text model of one table."""
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    from onnx import TensorProto, helper, numpy_helper
+
+    rng = np.random.default_rng(2)
+    rows = rng.normal(size=(1, 3, dim)).astype(np.float32)
+    constants = {
+        "boxes_": np.array([[[0.25, 0.25, 0.5, 0.5], [0.75, 0.5, 0.2, 0.4], [0.5, 0.5, 1, 1]]], np.float32),
+        "rows_": rows, "shift_": np.full((1, 3, 1), -0.1, np.float32), "scale_": np.full((1, 3, 1), 5, np.float32),
+    }  # fmt: skip
+    names = ("boxes", "rows", "shift", "scale")
+    nodes = [helper.make_node("ReduceMax", ["pixels"], ["most"], keepdims=0)]
+    nodes += [helper.make_node("Mul", [f"{name}_", "most"], [name]) for name in names]
+
+    def save(
+        name: str, nodes: list[Any], arrays: dict[str, np.ndarray], given: Any, outputs: tuple[str, ...]
+    ) -> None:
+        graph = helper.make_graph(
+            nodes, name, [given],
+            [helper.make_tensor_value_info(each, TensorProto.FLOAT, None) for each in outputs],
+            [numpy_helper.from_array(array, key) for key, array in arrays.items()],
+        )  # fmt: skip
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+        onnx.save(model, folder / f"{name}.onnx")
+
+    save(
+        "image",
+        nodes,
+        constants,
+        helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, side, side]),
+        names,
+    )
+    table = rng.normal(size=(7, dim)).astype(np.float32)
+    sums = [
+        helper.make_node("Gather", ["table", "ids"], ["each"]),
+        helper.make_node("ReduceMean", ["each"], ["vectors"], axes=[1], keepdims=0),
+    ]
+    save(
+        "text",
+        sums,
+        {"table": table},
+        helper.make_tensor_value_info("ids", TensorProto.INT64, ["Q", 5]),
+        ("vectors",),
+    )
+    tiny_tokenizer(folder, TINY_WORDS)
+    vectors = [table[ids_of(text, 5, 0)[0]].mean(0) for text in TEXTS]
+    cosines = np.array(
+        [[row @ v / np.linalg.norm(row) / np.linalg.norm(v) for v in vectors] for row in rows[0]]
+    )
+    return 1 / (1 + np.exp(-(cosines - 0.1) * 5))
+
+
+def test_a_pair_of_onnx_files_gives_the_scores_of_its_formula(tmp_path: Path) -> None:
+    scores = save_onnx_pair(tmp_path)
+    white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    model = open_concepts(f"onnx:{tmp_path}")
+    found = model.detect(white, TEXTS)
+    wanted = torch.tensor(
+        [[0.0, 0, 30, 30], [39, 18, 51, 40], [0, 0, 60, 40]]
+    )  # the last are cut at the image's end
+    for text in range(3):
+        mine = found.texts == text
+        order = np.argsort(-scores[:, text])
+        order = order[scores[order, text] >= LEAST_SCORE]
+        np.testing.assert_allclose(found.scores[mine].numpy(), scores[order, text], atol=1e-5)
+        torch.testing.assert_close(found.boxes[mine], wanted[order], atol=1e-3, rtol=0)
+    (tmp_path / "tokenizer.json").write_text("{}")
+    with pytest.raises(FileFormatError, match="is not a tokenizer"):
+        open_concepts(f"onnx:{tmp_path}")

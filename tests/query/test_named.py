@@ -1,0 +1,188 @@
+"""Names that a model gave: the rule that joins its votes with the field's answer, refinement on demand, files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cli_support import run
+from query.planted_room import BACK, FRONT, planted_room
+from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
+from scoup.query.matching import Choice, compare_things
+from scoup.query.named import AGREES, KEPT, SURE, TOGETHER, joined
+from scoup.query.refine import choose_views, refine
+from scoup.scene.cameras import Cameras
+from scoup.scene.names import Detections, NameTable
+from scoup.uplift.naming import things_in_view
+
+MUG, OTHER_MUG, LAPTOP, LAMP, BALL = 1, 2, 3, 4, 5  # of ROOM
+
+
+def names_of(votes: dict[str, dict[int, float]], presence: float = 0.9) -> NameTable:
+    pairs = [(row, thing, vote) for row, of in enumerate(votes.values()) for thing, vote in of.items()]
+    rows, things, values = zip(*pairs, strict=True)
+    return NameTable(
+        tuple(votes),
+        torch.full((len(votes),), presence),
+        torch.tensor(rows, dtype=torch.int32),
+        torch.tensor(things, dtype=torch.int32),
+        torch.tensor(values),
+    )
+
+
+def named_room(votes: dict[str, dict[int, float]], presence: float = 0.9) -> LanguageField:
+    field = planted_room()
+    assert field.thing_table is not None
+    field.thing_table = replace(field.thing_table, names=names_of(votes, presence))
+    return field
+
+
+@pytest.mark.parametrize(
+    ("votes", "things"),
+    [
+        ({LAMP: 0.9 * SURE}, {MUG, OTHER_MUG}),  # not sure: the field alone
+        ({MUG: 0.3, LAMP: 0.3 / (AGREES + 0.1)}, {MUG}),  # they agree; the mug without a vote is left out
+        ({MUG: 0.3, OTHER_MUG: 0.3 * (KEPT + 0.01)}, {MUG, OTHER_MUG}),
+        ({LAMP: 0.6, MUG: 0.02}, {LAMP}),
+        ({LAMP: 0.6, BALL: 0.6 * (TOGETHER + 0.2), LAPTOP: 0.02}, {LAMP, BALL}),
+    ],
+)
+def test_votes_and_the_field_answer_together(votes: dict[int, float], things: set[int]) -> None:
+    answer = named_room({"mug": votes}).answer("mug")
+    assert set(answer.things) == things
+    assert answer.presence
+    assert answer.score == pytest.approx(0.9)
+    assert bool(answer.mask.any())
+
+
+def test_things_that_fit_badly_are_lowered() -> None:
+    """Two things with equal votes: the one that fits the text like the median thing counts a third as much."""
+    field = planted_room()
+    question = field.question("mug")
+    known = compare_things(field, question)
+    assert known is not None
+    fits = torch.full((len(known.counts),), 1.0)
+    fits[[LAMP, BALL, MUG]] = torch.tensor([4.0, 1.0, 5.0])
+    votes = torch.zeros(len(fits))
+    votes[[LAMP, BALL]] = 0.5
+    chosen = joined(known, Choice(torch.tensor([MUG]), 5.0, None), fits, votes)
+    assert chosen.things.tolist() == [LAMP]
+    assert (chosen.runner_up, chosen.fit) == (MUG, 4.0)
+
+
+def test_presence_is_that_of_the_photographs() -> None:
+    field = named_room({"lamp": {LAMP: 0.02}}, presence=0.1)
+    assert field.answer("lamp").presence is False
+    assert field.answer("laptop").presence, "of a text without a name it is the field's"
+    assert planted_room().answer("lamp").presence
+
+
+def test_a_text_near_to_a_name_is_answered_by_it() -> None:
+    field = planted_room()
+    words = {word: field.text_encoder().encode([word])[0] for word in field.text_encoder().names or ()}
+    words["luminaire"] = torch.nn.functional.normalize(words["lamp"] + 0.02 * words["ball"], dim=0)
+    named = named_room({"luminaire": {BALL: 0.5}})
+    named.text_encoder(words)
+    assert named.answer("luminaire").things == (BALL,)
+    assert named.answer("lamp").things == (BALL,)
+    assert named.answer("laptop").things == (LAPTOP,)
+
+
+def test_names_come_first_in_catalogues_and_lists() -> None:
+    field = named_room({"ball": {LAMP: 0.5}, "pen": {MUG: 0.01}})
+    catalog = field.catalog(["lamp", "ball", "mug", "laptop"])
+    by_number = {thing.number: thing.text for thing in catalog.things}
+    assert (by_number[LAMP], by_number[MUG], by_number[LAPTOP]) == ("ball", "mug", "laptop")
+    assert {thing.number: thing.text for thing in field.things()}[LAMP] == "ball"
+    assert field.catalog(["lamp", "mug"]).things[LAMP].text == "lamp", "only words of the list are names"
+
+
+class Finder:
+    """A model that sees a box where a thing of the room is, of whatever it is asked."""
+
+    def __init__(self, field: LanguageField, thing: int, score: float = 0.8) -> None:
+        assert field.thing_table is not None
+        self.looked: list[tuple[int, ...]] = []
+        self.score = score
+        self.boxes = [
+            things_in_view(field.gaussians, field.thing_table, camera, "inria").boxes[thing]
+            for camera in (FRONT, BACK)
+        ]
+
+    def to_dict(self) -> dict[str, str]:
+        return {"concepts": "finder"}
+
+    def detect(self, image: np.ndarray, texts: Sequence[str]) -> Detections:
+        box = self.boxes[len(self.looked)]
+        self.looked.append(image.shape)
+        rows = torch.arange(len(texts))
+        return Detections(rows, torch.full((len(rows),), self.score), box.repeat(len(rows), 1), (64, 48))
+
+
+def test_on_demand_the_thing_that_the_model_sees_answers() -> None:
+    field = planted_room()
+    model = Finder(field, BALL)
+    question = field.question("lamp", refine=model)
+    assert field.answer(question).things == (BALL,)
+    assert model.looked == [(48, 64, 3)] * 2, "both cameras were rendered at their size"
+    assert field.answer("lamp").things == (BALL,), "the next question needs no model"
+    assert field.answer(question.texts[0]).score == pytest.approx(0.8 / 0.885)
+    with pytest.raises(InputError, match="not for vectors"):
+        field.question(torch.ones(1, 32), refine=model)
+    with pytest.raises(InputError, match="contains no things to name"):
+        planted_room(has_things=False).question("lamp", refine=model)
+
+
+def test_what_the_model_does_not_see_is_absent() -> None:
+    field = planted_room()
+    said = refine(field, ["lamp"], Finder(field, BALL, score=0.01))
+    assert not field.answer("lamp").presence
+    assert said.describe().startswith("looked for lamp in 0 photographs and 2 rendered views, ")
+
+
+def test_views_show_what_may_answer() -> None:
+    """Of three cameras, two of which look away, the one that sees the room is chosen first."""
+    turned = FRONT.viewmat.clone()
+    turned[[0, 2]] = -turned[[0, 2]]  # half a turn about the vertical axis
+    away = [replace(FRONT, name=f"away {number}.png", viewmat=turned) for number in range(2)]
+    field = planted_room()
+    cameras = Cameras([*away, FRONT])
+    assert [camera.name for camera in choose_views(field, ["mug"], cameras, 1)] == ["front.png"]
+    assert len(choose_views(field, ["mug"], cameras, 9)) == 3
+
+
+def test_the_verb_keeps_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    field = planted_room()
+    path, words = tmp_path / "room.scoup", tmp_path / "words.npz"
+    field.save(path, weight_bits=8)
+    encoder = field.text_encoder()
+    names = list(encoder.names or ())
+    np.savez(words, names=np.array(names), vectors=encoder.encode(names).numpy())
+    monkeypatch.setattr("scoup.query.refine.open_concepts", lambda name, device: Finder(field, BALL))
+    query = ("query", path, "lamp", "--text", words, "--pictures", "none", "--json")
+    code, out, error = run(*query, "--out", tmp_path / "a", "--refine", "owlv2")
+    assert code == 0, error
+    assert '"rendered": 2' in out
+    assert json.loads(out)["places"][0]["things"] == [BALL]
+    table = LanguageField.load(path).thing_table
+    assert table is not None
+    assert table.names is None, "nothing is kept unless asked for"
+    code, _, error = run(*query, "--out", tmp_path / "b", "--refine", "owlv2", "--keep")
+    assert code == 0, error
+    kept = LanguageField.load(path)
+    torch.testing.assert_close(kept.code_weights, field.code_weights)
+    kept.text_encoder(words)
+    assert kept.answer("lamp").things == (BALL,)
+    code, out, error = run(*("mug" if word == "lamp" else word for word in query), "--out", tmp_path / "d")
+    assert code == 0, error
+    assert json.loads(out)["places"][0]["things"] == [MUG, OTHER_MUG], "a text that is not a name"
+    code, _, error = run(*query, "--out", tmp_path / "c", "--keep")
+    assert code == 2
+    assert "--refine" in error
