@@ -15,7 +15,7 @@ from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, check_format_version
 from scoup.base.locks import WAIT
 from scoup.io.reading import read_json
-from scoup.io.regions.views import stem_of
+from scoup.io.regions.compact import stem_of
 from scoup.scene.names import Detections
 
 FOLDER_NAME = "concepts"
@@ -95,7 +95,9 @@ class DetectionStore:
                 [text, round(score, 4), *(round(side, 1) for side in box)] for text, score, box in numbers
             ],
         }
-        write_text(self._file(name), json.dumps(record, separators=(",", ":")) + "\n", True)
+        path = self._file(name)
+        path.parent.mkdir(parents=True, exist_ok=True)  # names may have folders
+        write_text(path, json.dumps(record, separators=(",", ":")) + "\n", True)
 
     def read(self, name: str) -> Detections | None:
         """Return the detections of a photograph; None if it was not looked at with these texts and this model."""
