@@ -29,6 +29,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup render scene.scoup --what codes --camera all
   scoup view scene.scoup
   scoup mcp scene.scoup
+  scoup archive DIR "kettle"
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
@@ -52,6 +53,7 @@ SCOUP = Family(
         "render": "scoup.cli.render:Render",
         "view": "scoup.cli.view:View",
         "mcp": "scoup.cli.mcp:ServeAgents",
+        "archive": "scoup.cli.archive:SearchArchive",
         "info": "scoup.cli.info:Info",
         "eval": "scoup_lab.cli.evaluate:EVAL",
         "bench": "scoup_lab.cli.bench:Bench",

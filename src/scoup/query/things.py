@@ -121,7 +121,7 @@ def all_things(field: LanguageField) -> list[Thing]:
         return []
     counts = table.sums(torch.ones(len(table.owners)))
     numbers = (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist()
-    return _things_of_table(field, numbers)
+    return things_of_table(field, numbers)
 
 
 def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False) -> list[Thing]:
@@ -143,11 +143,12 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
     scores = {number: score(fit) for number, fit in zip(numbers, fits, strict=True)}
     return [
         replace(thing, text=answer.text, score=scores[thing.number or 0])
-        for thing in _things_of_table(field, numbers)
+        for thing in things_of_table(field, numbers)
     ]
 
 
-def _things_of_table(field: LanguageField, numbers: Sequence[int]) -> list[Thing]:
+def things_of_table(field: LanguageField, numbers: Sequence[int]) -> list[Thing]:
+    """Return the instances of a field with some numbers, but for those without a usable Gaussian."""
     table = field.thing_table
     assert table is not None
     members: list[Tensor] = [torch.empty(0, dtype=torch.int64)] * len(numbers)
