@@ -237,8 +237,6 @@ class Archive:
             InputError: none is named, or its vectors have another size.
             MissingFileError, FileFormatError, ScoupError: it cannot be opened (``TextEncoder.open``).
         """
-        if isinstance(self._encoder, TextEncoder):
-            return self._encoder
         about, source = self._about(), self._encoder
         if source is None and about:
             source = place_of(self.folder / ABOUT, about["words"]) or about["embedding_model"]
@@ -249,13 +247,13 @@ class Archive:
             raise InputError(
                 f"{self.folder}: {problem}; add fields, and pass a word table or model as `text`"
             )
-        opened = TextEncoder.open(source)
+        opened = source if isinstance(source, TextEncoder) else TextEncoder.open(source)
         if about and opened.dim != about["dim"]:
             raise InputError(
-                f"{source}: has vectors of {opened.dim} dimensions, but the archive {self.folder} contains embeddings "
-                f"of {about['dim']}; pass a word table or model of {about['embedding_model'] or 'its fields'}"
+                f"{opened.name or 'the word table'}: has vectors of {opened.dim} dimensions, the archive {self.folder} "
+                f"contains {_embeddings(about['embedding_model'], about['dim'])}; pass a word table or model of these"
             )
-        warn_of_another_model(opened.name, about.get("embedding_model", ""), str(source))
+        warn_of_another_model(opened.name, about.get("embedding_model", ""), opened.name)
         self._encoder = opened
         return opened
 

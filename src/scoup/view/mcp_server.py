@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,8 @@ INSTRUCTIONS = (
 )
 
 
-def make_server(tools: SceneTools) -> Any:
-    """Return the server (``mcp.server.mcpserver.MCPServer``) with one tool per public method of ``SceneTools``.
+def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> Any:
+    """Return the server (``mcp.server.mcpserver.MCPServer``) with a tool per public method of ``SceneTools``, and more.
 
     Raises:
         ScoupError: the package `mcp` is not installed.
@@ -56,6 +56,7 @@ def make_server(tools: SceneTools) -> Any:
         tools.describe_thing,
         tools.measure_distance,
         tools.render_view,
+        *more,
     ):
         add(method)
     if tools.export_folder is not None:
