@@ -110,7 +110,7 @@ def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive) ->
 
 @pytest.mark.parametrize(
     "where",
-    ["flor = 2", "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", ""],
+    ["storey = 2", "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", ""],
 )
 def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, where: str) -> None:
     with pytest.raises(InputError, match="condition"):
