@@ -352,15 +352,12 @@ def _found(asked: AskedScan, wanted: dict[str, set[int]] | None) -> Iterator[tup
     """Yield the things of a scan that answer and are wanted, best first."""
     scan, record = asked.scan, asked.scan.record
     for number, text in asked.things():
-        position, centre, axes, extent = scan.places[number]
-        if position is None or (wanted is not None and number not in wanted[record.name]):
+        if (wanted is not None and number not in wanted[record.name]) or (place := scan.place(number)) is None:
             continue
         score, rank = asked.rank(number, text)
-        centre, axes, extent = (torch.tensor(part, dtype=torch.float64) for part in (centre, axes, extent))
         level = record.levels[int(scan.table.levels[number])]
         yield rank, FoundThing(
-            record.name, number, text, level, score, torch.tensor(position, dtype=torch.float64),
-            OrientedBox(centre, axes.reshape(3, 3), extent), int(scan.counts[number]), record.columns,
+            record.name, number, text, level, score, *place, int(scan.counts[number]), record.columns,
             record.field_path,
         )  # fmt: skip
 

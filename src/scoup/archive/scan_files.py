@@ -19,6 +19,7 @@ from scoup.base.atomic import atomic_path
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, check_format_version
 from scoup.base.locks import WAIT
 from scoup.field.container import place_of, relative_place
+from scoup.query.boxes import OrientedBox
 from scoup.query.matching import ComparedTable
 from scoup.scene.things import NO_THING, ThingTable
 
@@ -83,6 +84,22 @@ class Scan:
     places: list[tuple[list[float] | None, ...]]  # position, centre, axes and extent of the box
     compared: dict[str, tuple[ComparedTable, Tensor]] = field(default_factory=dict)
     """Digest of words -> the things compared with them, and the best fit of each: those asked last."""
+
+    def place(self, number: int) -> tuple[Tensor, OrientedBox] | None:
+        """Return position and box of a thing; None without a usable Gaussian."""
+        if self.places[number][0] is None:
+            return None
+        with _damage_named(self.record.file):
+            parts = [torch.tensor(part, dtype=torch.float64) for part in self.places[number]]
+            if not bool(torch.isfinite(torch.cat(parts)).all()) or [len(part) for part in parts] != [
+                3,
+                3,
+                9,
+                3,
+            ]:
+                raise InputError(f"thing {number} has an invalid position or box")
+            position, centre, axes, extent = parts
+            return position, OrientedBox(centre, axes.reshape(3, 3), extent)
 
 
 def write_scan(scan: Scan) -> None:
@@ -186,9 +203,6 @@ def read_scan(record: ScanRecord, connection: DuckDBPyConnection) -> Scan:
         )
         if list(numbers) != list(range(count)):
             raise InputError(f"expected things 0 to {count - 1}")
-        places = [row[9:] for row in every]
-        if not all(_is_place(place) for place in places):
-            raise InputError("a position or box is not one")
         vectors = connection.execute("SELECT unnest(vector) AS v FROM read_parquet($file)", rows).fetchnumpy()
         embeddings = torch.from_numpy(np.ma.filled(vectors["v"], np.nan).reshape(count, record.dim))
         pairs = connection.execute(
@@ -222,7 +236,7 @@ def read_scan(record: ScanRecord, connection: DuckDBPyConnection) -> Scan:
         known = torch.tensor(hubs, dtype=torch.float32)
         if not bool(torch.isfinite(known).all() & (sizes >= 0).all()):
             raise InputError("a number is out of range")
-    return Scan(record, table, sizes, overlaps, known, places)
+    return Scan(record, table, sizes, overlaps, known, [row[9:] for row in every])
 
 
 def connect(folder: Path | None = None) -> DuckDBPyConnection:
@@ -254,15 +268,6 @@ def check_columns(columns: Any) -> OwnColumns:
         if type(value) not in _OWN_TYPES:
             raise InputError(f"column {name}: expected a text or a number, got {type(value).__name__}")
     return columns
-
-
-def _is_place(place: Sequence[Any]) -> bool:
-    """Tell whether a row has a finite position and box, or neither."""
-    if all(part is None for part in place):
-        return True
-    return [len(part or ()) for part in place] == [3, 3, 9, 3] and bool(
-        np.isfinite(np.concatenate(place)).all()
-    )
 
 
 def _quoted(text: str) -> str:

@@ -16,11 +16,11 @@ from scoup.base.errors import MissingFileError, ScoupWarning
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.query import matching
-from scoup.query.answer_scene import answers_of, null_scores
+from scoup.query.answer_scene import answers_of
 from scoup.query.expression import parse_expression
 from scoup.query.matching import ComparedTable, choose_things, compared_words, find_instances, hub_cosines
 from scoup.query.phrases import Phrase, texts_of
-from scoup.query.presence import LEAST_GAUSSIANS, NullScores, is_present, presence_threshold
+from scoup.query.presence import LEAST_GAUSSIANS, NullScores, is_present, other_words, presence_threshold
 from scoup.query.question import Question, make_question, text_vectors
 from scoup.query.relations import things_of_question
 
@@ -44,6 +44,7 @@ class Search:
     counted: bool  # things are one instance each
     words: Tensor  # [B, D]
     digest: str  # of the words
+    others: Tensor  # [Q, B] boolean, the words that count (``other_words``); none with too few words
 
     @classmethod
     def of(cls, text: str, encoder: TextEncoder, counted: bool, present_from: float | None) -> Search:
@@ -54,7 +55,10 @@ class Search:
         least = presence_threshold(len(vectors.everyday), source, present_from)
         question = Question.from_vectors(vectors.with_everyday(), present_from=least, expression=expression)
         words = compared_words(question)
-        return cls(question, encoder, counted, words, words_digest(words))
+        others = other_words(question.queries, words)
+        if not question.can_judge_presence:
+            others = others[:, :0]
+        return cls(question, encoder, counted, words, words_digest(words), others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +82,8 @@ class AskedScan:
             scan.compared[search.digest] = table, scan.record.best_fits if known_words else table.best_fits
         known, best_fits = scan.compared[search.digest]
         fits = known.fits(search.question.queries.float().cpu())
-        return cls(search, scan, known, fits, null_scores(search.question, best_fits))
+        scores = [NullScores(best_fits[: len(others)], others) for others in search.others]
+        return cls(search, scan, known, fits, scores)
 
     def rank(self, thing: int, text: str) -> tuple[float | None, Rank]:
         """Return the score of a thing for a text, and its rank."""
