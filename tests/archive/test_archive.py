@@ -200,7 +200,7 @@ def test_a_field_that_left_or_changed_answers_no_phrase(
     with pytest.warns(ScoupWarning, match="has changed since"):
         assert archive.find("mug left of the laptop") == []
     path.unlink()
-    with pytest.warns(ScoupWarning, match=r"moved\.scoup: is missing"):
+    with pytest.warns(ScoupWarning, match=r"moved\.scoup: cannot be asked"):
         assert archive.find("mug left of the laptop") == []
     assert archive.find("mug")
 

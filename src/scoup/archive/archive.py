@@ -293,7 +293,7 @@ class Archive:
         return about
 
     def _record(self, file: Path) -> ScanRecord:
-        record, about = read_record(file, self._connection), self._about()
+        record, about = read_record(file, self._connection.cursor()), self._about()
         own = _embeddings(record.embedding_model, record.dim)
         if own != (others := _embeddings(about["embedding_model"], about["dim"])):
             remedy = "move it to an archive of its own"
@@ -311,7 +311,7 @@ class Archive:
                 continue
             stamp = state.st_mtime_ns, state.st_size
             if file not in self._scans or self._scans[file][0] != stamp:
-                self._scans[file] = stamp, read_scan(self._record(file), self._connection)
+                self._scans[file] = stamp, read_scan(self._record(file), self._connection.cursor())
             yield self._scans[file][1]
 
     def _wanted(self, where: str) -> dict[str, set[int]]:
@@ -324,7 +324,7 @@ class Archive:
         names = [glob.escape(str(file)) for file in files]
         try:
             # An expression, not a statement: it reads, and only this folder (``connect``).
-            every = self._connection.read_parquet(names, union_by_name=True, filename=True)
+            every = self._connection.cursor().read_parquet(names, union_by_name=True, filename=True)
             rows = every.filter(where).project("filename, thing").fetchall()
         except duckdb.Error as error:
             for file in files:
@@ -352,7 +352,9 @@ def _found(asked: AskedScan, wanted: dict[str, set[int]] | None) -> Iterator[tup
     """Yield the things of a scan that answer and are wanted, best first."""
     scan, record = asked.scan, asked.scan.record
     for number, text in asked.things():
-        if (wanted is not None and number not in wanted[record.name]) or (place := scan.place(number)) is None:
+        if (wanted is not None and number not in wanted[record.name]) or (
+            place := scan.place(number)
+        ) is None:
             continue
         score, rank = asked.rank(number, text)
         level = record.levels[int(scan.table.levels[number])]

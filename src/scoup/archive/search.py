@@ -74,12 +74,12 @@ class AskedScan:
     @classmethod
     def of(cls, search: Search, scan: Scan) -> AskedScan:
         if search.digest not in scan.compared:
-            hubs, known_words = scan.hubs, scan.record.words == search.digest
-            if not known_words:
-                hubs = hub_cosines(scan.table, search.words)
+            record = scan.record
+            known_words = record.words == search.digest and len(record.best_fits) == len(search.words)
+            hubs = scan.hubs if known_words else hub_cosines(scan.table, search.words)
             table = ComparedTable.known(scan.table, search.words, hubs, scan.counts, scan.shared)
             scan.compared.clear()
-            scan.compared[search.digest] = table, scan.record.best_fits if known_words else table.best_fits
+            scan.compared[search.digest] = table, record.best_fits if known_words else table.best_fits
         known, best_fits = scan.compared[search.digest]
         fits = known.fits(search.question.queries.float().cpu())
         scores = [NullScores(best_fits[: len(others)], others) for others in search.others]
@@ -117,7 +117,7 @@ class AskedScan:
             target for target in question.expression.targets if all(chosen[text] for text in texts_of(target))
         ]
         if any(isinstance(target, Phrase) for target in targets):
-            return list(self._of_field())
+            return self._of_field()
         found: dict[int, str] = {}
         for text in (texts_of(target)[0] for target in targets):
             for thing in chosen[text]:
@@ -137,31 +137,26 @@ class AskedScan:
                 things = find_instances(self.known, self.fits[:, number], things)
             yield things.tolist() if is_present(self.scores[number](choice.fit), size, least) else []
 
-    def _of_field(self) -> Iterator[tuple[int, str]]:
+    def _of_field(self) -> list[tuple[int, str]]:
         """The things that answer phrases, for which shapes are compared: the field itself is asked."""
-        record = self.scan.record
+        record, asked, problem = self.scan.record, self.search.question, "has changed"
         try:
             field = LanguageField.load(record.field_path)
-        except MissingFileError:
-            problem = (
-                f"{record.field_path}: is missing, so phrases are not answered in the scan {record.name}"
-            )
-            warnings.warn(f"{problem}; add the field again from its new place", ScoupWarning, stacklevel=2)
-            return
-        if field.thing_table is None or not torch.equal(
-            field.thing_table.embeddings, self.scan.table.embeddings
-        ):
-            problem = f"{record.field_path}: has changed since it became the scan {record.name}"
-            warnings.warn(f"{problem}; add it again", ScoupWarning, stacklevel=2)
-            return
-        asked = self.search.question
-        question = make_question(
-            field, asked.expression, self.search.encoder, asked.present_from is None, asked.present_from
+            if field.thing_table is not None and torch.equal(
+                field.thing_table.embeddings, self.scan.table.embeddings
+            ):
+                always, least = asked.present_from is None, asked.present_from
+                question = make_question(field, asked.expression, self.search.encoder, always, least)
+                answers = answers_of(field, question)
+                found = things_of_question(field, question, answers, None, self.search.counted)
+                return [(thing.number, thing.text) for thing in found if thing.number is not None]
+        except MissingFileError as error:
+            problem = f"cannot be asked ({error})"
+        message = (
+            f"{record.field_path}: {problem} since it became the scan {record.name}, which answers no phrase"
         )
-        answers = answers_of(field, question)
-        for thing in things_of_question(field, question, answers, None, self.search.counted):
-            if thing.number is not None:
-                yield thing.number, thing.text
+        warnings.warn(f"{message}; add it again", ScoupWarning, stacklevel=2)
+        return []
 
 
 def words_digest(words: Tensor) -> str:
