@@ -51,7 +51,7 @@ def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]
 
 @pytest.fixture
 def archive(fields: dict[str, LanguageField], tmp_path: Path) -> scoup.Archive:
-    made = scoup.Archive(tmp_path / "scans")
+    made = scoup.Archive(tmp_path / "sc[an]*s")
     for floor, field in enumerate(fields.values()):
         made.add(field, floor=floor, city="Graz")
     return made

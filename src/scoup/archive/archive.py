@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import heapq
 import json
 import re
@@ -239,7 +238,10 @@ class Archive:
         """
         about, source = self._about(), self._encoder
         if source is None and about:
-            source = place_of(self.folder / ABOUT, about["words"]) or about["embedding_model"]
+            source = place_of(self.folder.resolve() / ABOUT, about["words"]) or about["embedding_model"]
+            if isinstance(source, Path) and not source.is_file():
+                problem = f"is missing, and the archive {self.folder} names it as its word table"
+                raise MissingFileError(source, problem, "pass its new place as `text`")
         elif source is None and field is not None:
             source = field.encoder_source
         if not source:
@@ -282,7 +284,7 @@ class Archive:
 
     def _check_model(self, field: LanguageField) -> dict[str, Any]:
         """Refuse a field of another embedding model; returns what archive.json says, or will say."""
-        words = relative_place(self.folder / ABOUT, field.info.words)
+        words = relative_place(self.folder.resolve() / ABOUT, field.info.words)
         own = {"embedding_model": field.embedding_model, "dim": field.dim, "words": words}
         about = self._about() or {"format": FORMAT, "version": VERSION, **own}
         if (about["embedding_model"], about["dim"]) != (field.embedding_model, field.dim):
@@ -321,7 +323,7 @@ class Archive:
         files, wanted = self._files(), {}
         if not files:
             return wanted
-        names = [glob.escape(str(file)) for file in files]
+        names = [str(file) for file in files]
         try:
             # An expression, not a statement: it reads, and only this folder (``connect``).
             every = self._connection.cursor().read_parquet(names, union_by_name=True, filename=True)

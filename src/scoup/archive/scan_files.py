@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -113,7 +112,7 @@ def write_scan(scan: Scan) -> None:
     header = {
         "format": FORMAT,
         "version": VERSION,
-        "field": relative_place(file, record.field_path),
+        "field": relative_place(file.resolve(), record.field_path),
         "embedding_model": record.embedding_model,
         "dim": record.dim,
         "levels": list(record.levels),
@@ -166,13 +165,13 @@ def read_record(file: Path, connection: DuckDBPyConnection) -> ScanRecord:
     with _damage_named(file):
         entries = connection.execute(
             "SELECT value FROM parquet_kv_metadata($file) WHERE key = 'scoup'",
-            {"file": glob.escape(str(file))},
+            {"file": str(file)},
         ).fetchall()
         header = json.loads(entries[0][0]) if entries else {}
         if header.get("format") != FORMAT:
             raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", REMEDY)
         check_format_version(file, header["version"], VERSION)
-        field_path = place_of(file, header["field"])
+        field_path = place_of(file.resolve(), header["field"])
         assert field_path is not None
         return ScanRecord(
             file.stem,
@@ -190,7 +189,7 @@ def read_record(file: Path, connection: DuckDBPyConnection) -> ScanRecord:
 
 def read_scan(record: ScanRecord, connection: DuckDBPyConnection) -> Scan:
     """Read the things of a scan; errors as of ``read_record``."""
-    rows = {"file": glob.escape(str(record.file))}
+    rows = {"file": str(record.file)}
     count, levels = record.n_things, {name: place for place, name in enumerate(record.levels)}
     with _damage_named(record.file):
         every = connection.execute(
