@@ -81,9 +81,8 @@ def test_answers_are_those_of_the_fields(
         for thing in things:
             assert thing.number is not None
             one = mine[thing.number]
-            assert (one.text, one.score, one.level, one.n_gaussians) == (
-                thing.text, thing.score, thing.level, thing.n_gaussians
-            )  # fmt: skip
+            kept = [(each.text, each.score, each.level, each.n_gaussians) for each in (one, thing)]
+            assert kept[0] == kept[1]
             assert torch.equal(one.position, thing.position)
             assert torch.equal(one.box.corners(), thing.box.corners())
             assert one.to_dict()["box"] == thing.to_dict()["box"]
@@ -299,6 +298,7 @@ def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch:
     assert (code, out) == (0, f"{ABSENT}: nothing found\n")
     assert "kitchen: 16 things of" in run("archive", "a", "--list")[1]
     assert "pass one of" in refused("archive", "a", "mug", "--list")
+    assert "different names" in refused("archive", "a", "--add", paths[0], paths[0])
     assert "NAME=VALUE" in refused("archive", "a", "--add", paths[0], "--set", "floor")
     assert "--top" in refused("archive", "a", "mug", "--top", "0")
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
@@ -62,14 +62,20 @@ class SearchArchive(Common):
         chosen = [bool(self.add), bool(self.remove), self.list_scans, self.question is not None]
         if sum(chosen) != 1:
             raise InputError(f"{self.folder}: pass one of TEXT, --add, --remove and --list")
-        columns = own_columns(self.columns)
+        columns = _own_columns(self.columns)
         if columns and not self.add:
             raise InputError("--set is for --add")
         archive = Archive(self.folder, self.text)
         if self.question is not None:
             return self._search(archive, self.question, console)
-        if self.add:
-            add_fields(archive, self.add, columns, console)
+        if len({path.stem for path in self.add}) < len(self.add):
+            raise InputError(
+                f"expected .scoup files with different names, got {', '.join(map(str, self.add))}"
+            )
+        with console.progress() as progress:
+            for number, path in enumerate(self.add, 1):
+                archive.add(path, **columns)
+                progress("add", number, len(self.add))
         for name in self.remove:
             archive.remove(name)
         return _list(archive, console, self.list_scans)
@@ -87,7 +93,7 @@ class SearchArchive(Common):
         console.result(record)
 
 
-def own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
+def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
     """Return NAME=VALUE as columns; what reads as a number is one."""
     from scoup.base.errors import InputError
 
@@ -105,19 +111,6 @@ def own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
     return columns
 
 
-def add_fields(archive: Archive, fields: tuple[Path, ...], columns: dict[str, Any], console: Console) -> None:
-    """Add fields with different names."""
-    from scoup.base.errors import InputError
-
-    names = [path.stem for path in fields]
-    if len(set(names)) < len(names):
-        raise InputError(f"expected .scoup files with different names, got {', '.join(names)}")
-    with console.progress() as progress:
-        for number, path in enumerate(fields):
-            progress("add", number, len(fields))
-            archive.add(path, **columns)
-
-
 def _list(archive: Archive, console: Console, in_full: bool) -> None:
     records = archive.scans()
     if in_full:
@@ -126,17 +119,8 @@ def _list(archive: Archive, console: Console, in_full: bool) -> None:
             console.say(f"{name}: {counted(record.n_things, 'thing')} of {record.field_path}{own}")
     things = sum(record.n_things for record in records.values())
     console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {counted(things, 'thing')}")
-    console.result(
-        {
-            "archive": archive.folder,
-            "scans": [
-                {
-                    "scan": name,
-                    "things": each.n_things,
-                    "field": each.field_path,
-                    "columns": dict(each.columns),
-                }
-                for name, each in records.items()
-            ],
-        }
-    )
+    scans = [
+        {"scan": name, "things": each.n_things, "field": each.field_path, "columns": dict(each.columns)}
+        for name, each in records.items()
+    ]
+    console.result({"archive": archive.folder, "scans": scans})
