@@ -24,7 +24,11 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     shutil.copytree("scans/a", "scans/broken")
     Path("scans/broken/point_cloud.ply").write_bytes(b"ply\n")
     table = Path("scans/a/words.npz").resolve()
-    command = (*["batch", "scans", "--out", "fields", "--archive", "archive", "--jobs", "2", "--model"], table, *QUICK)
+    command = (
+        *["batch", "scans", "--out", "fields", "--archive", "archive", "--jobs", "2", "--model"],
+        table,
+        *QUICK,
+    )
     code, out, _ = run(*command, "--json")
     said = json.loads(out)
     assert code == 2
