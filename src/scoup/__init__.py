@@ -45,11 +45,13 @@ _HOMES = {
     "Reshaping": "scoup.query.select",
     "GaussianLabels": "scoup.query.labels",
     "parse_expression": "scoup.query.expression",
+    "Archive": "scoup.archive.archive",
 }
 
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
+    from scoup.archive.archive import Archive as Archive
     from scoup.base.errors import ScoupError as ScoupError
     from scoup.base.errors import ScoupWarning as ScoupWarning
     from scoup.coding import Codebook as Codebook

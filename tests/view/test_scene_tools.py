@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from cli_support import RUN, refused, run, write_scene
+from scoup.archive.archive import Archive
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
@@ -126,7 +127,8 @@ def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
 @pytest.mark.usefixtures("quick_python")
 def test_the_server_speaks_to_the_official_client(folder: Path):
     mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
-    arguments = ["-c", RUN, "mcp", str(folder / "f.scoup")]
+    Archive(folder / "archive").add(folder / "f.scoup", floor=2)
+    arguments = ["-c", RUN, "mcp", str(folder / "f.scoup"), "--archive", str(folder / "archive")]
     server = mcp.StdioServerParameters(command=sys.executable, args=arguments)
 
     async def talk() -> list[Any]:
@@ -135,16 +137,28 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
             found = await client.call_tool("find", {"scene": "f", "text": "how many kettles"})
             wrong = await client.call_tool("find", {"scene": "f", "text": "kettle", "limit": "many"})
             unknown = await client.call_tool("describe_thing", {"scene": "f", "thing": 99999})
+            asked = {"text": "kettle", "where": "floor = 2"}
+            archived = await client.call_tool("find_in_archive", asked)
             picture = await client.call_tool("render_view", {"scene": "f"})
-            return [names, found, wrong, unknown, picture]
+            return [names, found, wrong, unknown, archived, picture]
 
-    names, found, wrong, unknown, picture = anyio.run(talk)
-    reading = ["describe_thing", "find", "list_cameras", "list_scenes", "list_things", "measure_distance"]
+    names, found, wrong, unknown, archived, picture = anyio.run(talk)
+    reading = [
+        "describe_thing",
+        "find",
+        "find_in_archive",
+        "list_cameras",
+        "list_scenes",
+        "list_things",
+        "measure_distance",
+    ]
     assert names == [*reading, "render_view"]  # no exports without a folder
     expected = LanguageField.load(folder / "f.scoup").things("how many kettles")
     assert json.loads(found.content[0].text)["count"] == len(expected)
     assert wrong.is_error
     assert unknown.is_error
+    kettles = Archive(folder / "archive").find("kettle")
+    assert json.loads(archived.content[0].text)["things"] == [each.to_dict() for each in kettles]
     assert "list_things names those" in unknown.content[0].text
     image = Image.open(io.BytesIO(base64.b64decode(picture.content[0].data)))
     assert np.asarray(image).shape[2] == 3

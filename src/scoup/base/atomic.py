@@ -67,7 +67,7 @@ def folder_made(folder: Path, output: Path) -> Iterator[None]:
 
 
 @contextmanager
-def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
+def atomic_path(path: str | Path, overwrite: bool = False, wait: float = 0.0) -> Iterator[Path]:
     """Yield a path of the same name, in a hidden folder beside ``path``, that becomes ``path`` at the end.
 
     For libraries that write a file by its name. On any error, interruption included, the hidden folder is removed with
@@ -77,6 +77,7 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     Args:
         path: the output; its folder is made if it is missing.
         overwrite: replace an existing file.
+        wait: seconds to wait for another process that writes it.
 
     Raises:
         OutputExistsError: ``path`` exists, and ``overwrite`` is false.
@@ -85,7 +86,7 @@ def atomic_path(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """
     path = check_output(path, overwrite)
     with (
-        temporary_output(path, overwrite) as hidden,
+        temporary_output(path, overwrite, wait) as hidden,
         refusals_named(path, hidden),
         refusals_named(path, hidden / path.name),
     ):
@@ -106,7 +107,7 @@ def atomic_file(
         path: the output.
         overwrite: replace an existing file.
         flush: write it to the disk before the rename; otherwise, whoever writes many files calls ``flush_to_disk``.
-        wait: seconds to wait for another process that writes it.
+        wait: as of ``atomic_path``.
     """
     path = check_output(path, overwrite)
     with temporary_output(path, overwrite, wait) as temporary, refusals_named(path, temporary):

@@ -24,6 +24,8 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup render scene.scoup --what codes --camera all
   scoup view scene.scoup
   scoup mcp scene.scoup
+  scoup batch SCANS --out FIELDS --archive DIR
+  scoup archive DIR "kettle"
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
@@ -47,6 +49,8 @@ SCOUP = Family(
         "render": "scoup.cli.render:Render",
         "view": "scoup.cli.view:View",
         "mcp": "scoup.cli.mcp:ServeAgents",
+        "batch": "scoup.cli.batch:Batch",
+        "archive": "scoup.cli.archive:SearchArchive",
         "info": "scoup.cli.info:Info",
         "eval": "scoup_lab.cli.evaluate:EVAL",
         "bench": "scoup_lab.cli.bench:Bench",

@@ -20,7 +20,7 @@ class ServeAgents(Common):
     relations, distances, views with marks, and export selections into one folder. A client starts this program; see
     docs/agents.md."""
 
-    option_groups: ClassVar[OptionGroups] = {"tools": "text out metres_per_unit"}
+    option_groups: ClassVar[OptionGroups] = {"tools": "text out archive metres_per_unit"}
 
     fields: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
@@ -31,11 +31,15 @@ class ServeAgents(Common):
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
     out: OptionalPath = None
     """Folder into which selections may be exported; nothing in it is overwritten. Default: exports are refused."""
+    archive: OptionalPath = None
+    """Archive in which things are found too, written by scoup archive."""
     metres_per_unit: OptionalNumber = None
     """Length of the scenes' unit in metres."""
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
+        from scoup.archive.agent_tool import archive_tool
+        from scoup.archive.archive import Archive
         from scoup.base.errors import InputError, MissingFileError
         from scoup.field.language_field import LanguageField
         from scoup.view.mcp_server import make_server, serve
@@ -55,7 +59,8 @@ class ServeAgents(Common):
             field.text_encoder(self.text)
             len(field.gaussians)  # a geometry that is missing is said now, not to the model
             fields[name] = field
-        server = make_server(SceneTools(fields, self.out, self.metres_per_unit))
+        more = [] if self.archive is None else [archive_tool(Archive(self.archive, self.text))]
+        server = make_server(SceneTools(fields, self.out, self.metres_per_unit), more)
         try:
             console.warn(f"serving {', '.join(names)} over standard input and output")
             serve(server)

@@ -87,19 +87,24 @@ class ComparedTable:
     @classmethod
     def of(cls, things: ThingTable, words: Tensor, hub_share: float = HUB_SHARE) -> ComparedTable:
         """Compare things with everyday words, or with whatever stands in their place."""
-        embeddings = things.embeddings.float().cpu()
+        counts = things.sums(torch.ones(len(things.owners))).float()
+        hubs = hub_cosines(things, words)
+        return cls.known(things, words.clone(), hubs, counts, shared_gaussians(things), hub_share)
+
+    @classmethod
+    def known(
+        cls,
+        things: ThingTable,
+        words: Tensor,
+        hubs: Tensor,
+        counts: Tensor,
+        shared: Tensor,
+        hub_share: float = HUB_SHARE,
+    ) -> ComparedTable:
+        """Compare things whose Gaussians were counted before; ``owners`` of the table is not read."""
         regions, stability = things.n_regions.cpu().clamp(min=1), things.stability.cpu()
         doubt = FEW_REGIONS * regions.rsqrt() - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
-        rank = max(1, math.ceil(HUB_QUANTILE * len(words)))
-        hubs = torch.cat(
-            [
-                (part @ words.T).kthvalue(rank, dim=1).values
-                for part in embeddings.split(THINGS_AT_A_TIME) or [embeddings]
-            ]
-        )
-        counts = things.sums(torch.ones(len(things.owners))).float()
-        shared = shared_gaussians(things)
-        return cls(things, words.clone(), embeddings, hubs, doubt, counts, shared, hub_share)
+        return cls(things, words, things.embeddings.float().cpu(), hubs, doubt, counts, shared, hub_share)
 
     @property
     def nbytes(self) -> int:
@@ -137,6 +142,13 @@ class ComparedTable:
         return best
 
 
+def hub_cosines(things: ThingTable, words: Tensor) -> Tensor:
+    """Return the cosine [T] of each thing with the words [B, D] that fit it best, at ``HUB_QUANTILE``."""
+    rank, embeddings = max(1, math.ceil(HUB_QUANTILE * len(words))), things.embeddings.float().cpu()
+    parts = embeddings.split(THINGS_AT_A_TIME) or [embeddings]
+    return torch.cat([(part @ words.T).kthvalue(rank, dim=1).values for part in parts])
+
+
 def shared_gaussians(things: ThingTable) -> Tensor:
     """Return how many Gaussians each two things share, [T, T] sparse float32; of a thing with itself, all it has."""
     owners, count = things.owners.cpu().long(), len(things)
@@ -163,15 +175,16 @@ class Choice:
     runner_up: int | None  # the thing elsewhere that fits best; None if there is none
 
 
-def compare_things(field: LanguageField, texts: TextVectors) -> ComparedTable | None:
-    """Return the things of a field, compared with everyday words; None for a field without things.
+def compared_words(texts: TextVectors) -> Tensor:
+    """Return the words [B, D] float32 that things are compared with; the canonical phrases replace too few."""
+    return (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
 
-    The canonical phrases replace too few everyday words.
-    """
+
+def compare_things(field: LanguageField, texts: TextVectors) -> ComparedTable | None:
+    """Return the things of a field, compared with ``compared_words``; None for a field without things."""
     if field.thing_table is None or not len(field.thing_table):
         return None
-    table, words = field.thing_table, texts.everyday if texts.can_judge_presence else texts.canonical
-    words = words.float().cpu()
+    table, words = field.thing_table, compared_words(texts)
     return field.kept((ComparedTable, words.numpy().tobytes()), lambda: ComparedTable.of(table, words))
 
 

@@ -236,7 +236,12 @@ def encode_texts(
             f"{source}: has vectors of {counted(encoder.dim, 'dimension')}, but the field contains embeddings of "
             f"{field.dim}; " + _where_words_are(field, encoder)
         )
-    _warn_of_another_model(encoder.name, field.embedding_model, source)
+    warn_of_another_model(encoder.name, field.embedding_model, source)
+    return text_vectors(encoder, texts, source)
+
+
+def text_vectors(encoder: TextEncoder, texts: Sequence[str], source: str) -> TextVectors:
+    """Return ``encode_texts`` for whatever is asked."""
     queries = encoder.encode(texts)
     try:
         canonical = encoder.canonical()
@@ -263,7 +268,7 @@ def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> 
     return torch.nn.functional.normalize(words.mean(0, keepdim=True), dim=1)
 
 
-def _warn_of_another_model(given: str, wanted: str, source: str) -> None:
+def warn_of_another_model(given: str, wanted: str, source: str) -> None:
     """Warn of vectors of another model: they may have the same size, but cosines with them mean nothing."""
     if given and wanted and _words_of(given) != _words_of(wanted):
         warnings.warn(

@@ -126,7 +126,7 @@ def all_things(field: LanguageField) -> list[Thing]:
     named = {number: (names[0], score) for number, (names, score) in voted.items()}
     return [
         replace(thing, text=text, score=score)
-        for thing in _things_of_table(field, numbers)
+        for thing in things_of_table(field, numbers)
         for text, score in [named.get(thing.number or 0, ("", None))]
     ]
 
@@ -154,11 +154,12 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
     }
     return [
         replace(thing, text=answer.text, score=scores[thing.number or 0])
-        for thing in _things_of_table(field, numbers)
+        for thing in things_of_table(field, numbers)
     ]
 
 
-def _things_of_table(field: LanguageField, numbers: Sequence[int]) -> list[Thing]:
+def things_of_table(field: LanguageField, numbers: Sequence[int]) -> list[Thing]:
+    """Return the instances of a field with some numbers, but for those without a usable Gaussian."""
     table = field.thing_table
     assert table is not None
     members: list[Tensor] = [torch.empty(0, dtype=torch.int64)] * len(numbers)

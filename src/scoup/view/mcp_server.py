@@ -10,7 +10,7 @@ import json
 import os
 import sys
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -29,8 +29,8 @@ INSTRUCTIONS = (
 )
 
 
-def make_server(tools: SceneTools) -> Any:
-    """Return the server (``mcp.server.mcpserver.MCPServer``) with one tool per public method of ``SceneTools``.
+def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> Any:
+    """Return the server (``mcp.server.mcpserver.MCPServer``) with a tool per public method of ``SceneTools``, and more.
 
     Raises:
         ScoupError: the package `mcp` is not installed.
@@ -64,6 +64,7 @@ def make_server(tools: SceneTools) -> Any:
         tools.describe_thing,
         tools.measure_distance,
         tools.render_view,
+        *more,
     ):
         add(method)
     if tools.export_folder is not None:

@@ -96,7 +96,7 @@ class SceneTools:
         field = self._field(scene)
         frame = field.frame(seen_from)
         reply = self._reply(field.things(_bounded(text), frame), limit)
-        asked = text_to_count(field, text) or text
+        asked = text_to_count(field.text_encoder(), text) or text
         answers = {answer.text: answer.to_dict() for answer in field.select(asked, frame=frame).parts}
         units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
         axes = "x, y, z of the splat that the field was built on"

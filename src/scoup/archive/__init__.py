@@ -1,0 +1,1 @@
+"""Many scans in one folder of Parquet files, asked together."""

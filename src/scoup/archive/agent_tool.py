@@ -1,0 +1,35 @@
+"""The archive as a tool for language models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from scoup.archive.archive import Archive
+from scoup.base.errors import InputError
+from scoup.models.text import LONGEST
+
+MOST_FOUND = 200
+"""Things, or with a least number of instances scans, in one reply."""
+
+
+def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
+    """Return the tool over an archive, for ``scoup.view.mcp_server.make_server``."""
+
+    def find_in_archive(
+        text: str, where: str | None = None, at_least: int | None = None, limit: int = 20
+    ) -> dict[str, Any]:
+        """Find things in many scans at once, the best first: the scan, place, box and score of each.
+
+        `text` is a name ("fire extinguisher") or a phrase, as for `find`. `where` is a condition in SQL over the
+        columns of the scans and things ("floor = 2 and gaussians > 100"). `at_least` keeps scans with so many
+        instances. Positions are in the units of each scan.
+        """
+        if not text.strip() or len(text) > LONGEST or not 1 <= limit <= MOST_FOUND:
+            raise InputError(
+                f"expected a text of 1 to {LONGEST} characters, and a limit of 1 to {MOST_FOUND}"
+            )
+        found = archive.find(text, where, limit, at_least)
+        return {"count": len(found), "things": [each.to_dict() for each in found]}
+
+    return find_in_archive

@@ -1,0 +1,371 @@
+"""An archive: scans that are added, removed and asked together."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from scoup.archive.scan_files import (
+    OwnColumns,
+    Scan,
+    ScanRecord,
+    check_columns,
+    connect,
+    read_record,
+    read_scan,
+    write_scan,
+)
+from scoup.archive.search import AskedScan, Rank, Search, words_digest
+from scoup.base.arguments import PATH, check_arguments
+from scoup.base.atomic import write_text
+from scoup.base.errors import (
+    FileFormatError,
+    InputError,
+    MissingFileError,
+    OutputExistsError,
+    ScoupError,
+    check_format_version,
+    looked_up,
+)
+from scoup.base.locks import WAIT, locked
+from scoup.base.records import rounded_vector
+from scoup.field.container import place_of, relative_place
+from scoup.field.language_field import Encoder, LanguageField
+from scoup.models.text import TextEncoder
+from scoup.query.boxes import OrientedBox
+from scoup.query.matching import compare_things
+from scoup.query.question import encode_texts, warn_of_another_model
+from scoup.query.relations import text_to_count
+from scoup.query.things import things_of_table
+
+FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
+
+
+@dataclass(frozen=True, eq=False)
+class FoundThing:
+    """A thing of a scan that answers."""
+
+    scan: str
+    """Name of the scan."""
+    thing: int
+    """Its number in the field of the scan (``Thing.number``)."""
+    text: str
+    """The text that it answers."""
+    level: str
+    """Name of its level."""
+    score: float | None
+    """As of ``Thing``: the share of everyday words whose best fit in its scan is lower, 0 to 1."""
+    position: Tensor
+    """[3] float64 in the units of its scan."""
+    box: OrientedBox
+    """Around it."""
+    n_gaussians: int
+    """How many Gaussians it has."""
+    columns: OwnColumns
+    """What was said of the scan when it was added."""
+    field_path: Path
+    """File of the scan's field."""
+
+    def field(self) -> LanguageField:
+        """Load the field of the scan."""
+        return LanguageField.load(self.field_path)
+
+    def describe(self) -> str:
+        """Return scan, number, position and extent in words, for people."""
+        position = ", ".join(f"{part:g}" for part in rounded_vector(self.position.tolist()))
+        extent = " x ".join(f"{side:.3g}" for side in self.box.extent.tolist())
+        return f"{self.scan}, thing {self.thing}, level {self.level}, at [{position}], extent {extent}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values, rounded."""
+        return {
+            "scan": self.scan,
+            "thing": self.thing,
+            "text": self.text,
+            "level": self.level,
+            "score": None if self.score is None else round(self.score, 4),
+            "position": rounded_vector(self.position.tolist()),
+            "box": self.box.to_dict(),
+            "gaussians": self.n_gaussians,
+            "columns": dict(self.columns),
+            "field": str(self.field_path),
+        }
+
+
+class Archive:
+    """A folder with a Parquet file per scan, and ``archive.json``, which names the embedding model.
+
+    Args:
+        folder: made when the first scan is added.
+        encoder: of texts; by default the word table or model that the field added first names.
+
+    Raises:
+        MissingFileError, FileFormatError: ``archive.json`` is missing or damaged.
+        ScoupError: DuckDB is not installed.
+
+    Example:
+        >>> archive = scoup.Archive("scans", encoder="scene/words.npz")
+        >>> archive.add("f.scoup", floor=2)
+        >>> found = archive.find("kettle", where="floor = 2")[0]
+        >>> found.scan, found.position.shape, len(found.field())
+        ('f', torch.Size([3]), 150)
+        >>> archive.find("kettle", where="floor = 3")
+        []
+        >>> archive.remove("f")
+        >>> archive.scans()
+        {}
+    """
+
+    def __init__(self, folder: str | Path, encoder: Encoder | None = None) -> None:
+        check_arguments("Archive", folder=(folder, PATH))
+        self.folder = Path(folder)
+        self._encoder: Encoder | None = encoder
+        self._scans: dict[Path, tuple[tuple[int, int], Scan]] = {}
+        self._connection = connect(self.folder)
+        self._about()
+
+    def scans(self) -> dict[str, ScanRecord]:
+        """Return what is known of each scan without its things, by name.
+
+        Raises:
+            FileFormatError: a file is damaged; the error names it.
+        """
+        return {file.stem: self._record(file) for file in self._files()}
+
+    def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
+        """Add a field as the scan that has the name of its file; the scan of that name is replaced.
+
+        Args:
+            field: a saved field with things, or its file.
+            columns: of the scan, for conditions, such as ``floor=2``.
+
+        Raises:
+            InputError: the field has no things or is not saved, its embedding model is not that of the archive, or
+                a scan of this name is of another field.
+            MissingFileError, FileFormatError, WriteError: the field cannot be read, or the scan not be written.
+        """
+        field = field if isinstance(field, LanguageField) else LanguageField.load(field)
+        if field.path is None or field.thing_table is None:
+            lack = "has no things; build it again" if field.path else "is not saved; save it first"
+            raise InputError(f"{field.path or 'this field'}: {lack}")
+        path, name = field.path.absolute(), field.path.stem
+        if not re.fullmatch(r"\w[\w .+-]{0,99}", name):
+            raise InputError(
+                f"{path}: a scan is named by letters, digits, spaces, _ . + and -; rename the field"
+            )
+        file = self.folder / f"{name}.parquet"
+        about = self._check_model(field)
+        if file.exists() and (old := self._record(file).field_path) != path and old.exists():
+            raise InputError(f"{path}: the scan {name} of this archive is of {old}; rename one of the fields")
+        sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
+        record = ScanRecord(name, file, path, field.embedding_model, *sizes, "", torch.zeros(0))
+        scan = self._scan_of(field, record)
+        if not self._about():
+            with suppress(OutputExistsError):  # another process has added its first scan
+                write_text(self.folder / ABOUT, json.dumps(about, indent=1) + "\n", wait=WAIT)
+            self._check_model(field)
+        write_scan(scan)
+
+    def remove(self, name: str) -> None:
+        """Remove a scan; its field stays.
+
+        Raises:
+            UnknownNameError: there is no such scan.
+        """
+        file = looked_up("scan", name, {file.stem: file for file in self._files()})
+        with locked(file, WAIT):
+            file.unlink(missing_ok=True)
+
+    def find(
+        self,
+        question: str,
+        where: str | None = None,
+        top: int = 20,
+        at_least: int | None = None,
+        present_from: float | None = None,
+    ) -> list[FoundThing]:
+        """Return the things of all scans that answer a text or phrase, best first.
+
+        In each scan, the things of ``field.things(question)`` answer. Fields are loaded for phrases only ("mug left of
+        the laptop"), and only where everything that the phrase names is present.
+
+        Args:
+            question: as of ``LanguageField.things``.
+            where: a condition in SQL over the columns of the Parquet files: "floor = 2 and gaussians > 100".
+            top: most things; with ``at_least``, most scans.
+            at_least: only scans with so many instances, those with the most first, each with all its instances.
+            present_from: as of ``LanguageField.question``.
+
+        Raises:
+            InputError: the question or condition cannot be used.
+            FileFormatError: a file is damaged; the error names it.
+        """
+        if top < 1 or (at_least is not None and at_least < 1):
+            raise InputError(f"`top` and `at_least` must be 1 or more, got {top} and {at_least}")
+        encoder = self.text_encoder()
+        text = text_to_count(encoder, question)
+        is_counted = text is not None or at_least is not None
+        search = Search.of(question if text is None else text, encoder, is_counted, present_from)
+        wanted = None if where is None else self._wanted(where)
+        asked = [AskedScan.of(search, scan) for scan in self._read_scans(wanted)]
+        bounds = [(bound, scan) for scan in asked if (bound := scan.bound) is not None]
+        if at_least is not None:
+            counted = [[*_found(scan, wanted)] for _, scan in bounds]
+            enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
+            return [found for each in enough[:top] for _, found in each]
+        best: list[tuple[Rank, FoundThing]] = []
+        for bound, scan in sorted(bounds, key=lambda each: each[0], reverse=True):
+            if len(best) >= top and best[-1][0] >= bound:
+                break  # all that follow are lower
+            best = heapq.nlargest(top, [*best, *_found(scan, wanted)], key=lambda each: each[0])
+        return [found for _, found in best]
+
+    def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
+        """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
+
+        Raises:
+            InputError: none is named, or its vectors have another size.
+            MissingFileError, FileFormatError, ScoupError: it cannot be opened (``TextEncoder.open``).
+        """
+        about, source = self._about(), self._encoder
+        if source is None and about:
+            source = place_of(self.folder.resolve() / ABOUT, about["words"]) or about["embedding_model"]
+            if isinstance(source, Path) and not source.is_file():
+                problem = f"is missing, and the archive {self.folder} names it as its word table"
+                raise MissingFileError(source, problem, "pass its new place as `text`")
+        elif source is None and field is not None:
+            source = field.encoder_source
+        if not source:
+            problem = "does not say what encodes texts" if about else "contains no scan"
+            raise InputError(
+                f"{self.folder}: {problem}; add fields, and pass a word table or model as `text`"
+            )
+        opened = source if isinstance(source, TextEncoder) else TextEncoder.open(source)
+        if about and opened.dim != about["dim"]:
+            raise InputError(
+                f"{opened.name or 'the word table'}: has vectors of {opened.dim} dimensions, the archive {self.folder} "
+                f"contains {_embeddings(about['embedding_model'], about['dim'])}; pass a word table or model of these"
+            )
+        warn_of_another_model(opened.name, about.get("embedding_model", ""), opened.name)
+        self._encoder = opened
+        return opened
+
+    def _files(self) -> list[Path]:
+        return sorted(self.folder.glob("[!.]*.parquet"))
+
+    def _about(self) -> dict[str, Any]:
+        """Return what archive.json says; nothing before the first scan."""
+        path = self.folder / ABOUT
+        try:
+            about = json.loads(path.read_text(encoding="utf-8"))
+            if about["format"] != FORMAT:
+                raise ValueError(f"it is of the format {about['format']!r:.50}")
+            check_format_version(path, about["version"], VERSION)
+            return {**about, "dim": int(about["dim"]), "embedding_model": str(about["embedding_model"])}
+        except FileNotFoundError as error:
+            if self._files():
+                problem = "there is no such file beside the Parquet files"
+                raise MissingFileError(path, problem, "restore it, or use another folder") from error
+            return {}
+        except (ValueError, LookupError, TypeError, OSError) as error:
+            if isinstance(error, ScoupError):
+                raise
+            remedy = "restore it, or add the fields to a new archive"
+            raise FileFormatError(path, f"does not describe an archive ({error})", remedy) from error
+
+    def _check_model(self, field: LanguageField) -> dict[str, Any]:
+        """Refuse a field of another embedding model; returns what archive.json says, or will say."""
+        words = relative_place(self.folder.resolve() / ABOUT, field.info.words)
+        own = {"embedding_model": field.embedding_model, "dim": field.dim, "words": words}
+        about = self._about() or {"format": FORMAT, "version": VERSION, **own}
+        if (about["embedding_model"], about["dim"]) != (field.embedding_model, field.dim):
+            raise InputError(
+                f"{field.path}: contains {_embeddings(field.embedding_model, field.dim)}, the archive {self.folder} "
+                f"{_embeddings(about['embedding_model'], about['dim'])}; use an archive per embedding model"
+            )
+        return about
+
+    def _record(self, file: Path) -> ScanRecord:
+        record, about = read_record(file, self._connection.cursor()), self._about()
+        own = _embeddings(record.embedding_model, record.dim)
+        if own != (others := _embeddings(about["embedding_model"], about["dim"])):
+            remedy = "move it to an archive of its own"
+            raise FileFormatError(file, f"contains {own}, the archive {others}", remedy)
+        return record
+
+    def _read_scans(self, wanted: dict[str, set[int]] | None) -> Iterator[Scan]:
+        """Yield the scans of now; a file that has not changed is read once."""
+        for file in self._files():
+            if wanted is not None and file.stem not in wanted:
+                continue
+            try:
+                state = file.stat()
+            except FileNotFoundError:  # removed meanwhile
+                continue
+            stamp = state.st_mtime_ns, state.st_size
+            if file not in self._scans or self._scans[file][0] != stamp:
+                self._scans[file] = stamp, read_scan(self._record(file), self._connection.cursor())
+            yield self._scans[file][1]
+
+    def _wanted(self, where: str) -> dict[str, set[int]]:
+        """Return the things of each scan for which a condition holds."""
+        import duckdb
+
+        files, wanted = self._files(), {}
+        if not files:
+            return wanted
+        names = [str(file) for file in files]
+        try:
+            # An expression, not a statement: it reads, and only this folder (``connect``).
+            every = self._connection.cursor().read_parquet(names, union_by_name=True, filename=True)
+            rows = every.filter(where).project("filename, thing").fetchall()
+        except duckdb.Error as error:
+            for file in files:
+                self._record(file)  # a damaged file is not the condition's fault
+            reason = " ".join(str(error).split("\n\n")[0].split())
+            raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
+        for file, thing in rows:
+            wanted.setdefault(Path(file).stem, set()).add(thing)
+        return wanted
+
+    def _scan_of(self, field: LanguageField, record: ScanRecord) -> Scan:
+        """Return the things of a field with their places, compared with everyday words."""
+        known = compare_things(field, encode_texts(self.text_encoder(field), field, []))
+        if known is None:
+            raise InputError(f"{field.path}: has no things; build it again")
+        places: list[Any] = [(None,) * 4] * len(known.counts)
+        for thing in things_of_table(field, range(len(places))):
+            parts = (thing.position, thing.box.centre, thing.box.axes.flatten(), thing.box.extent)
+            places[thing.number or 0] = tuple(part.tolist() for part in parts)
+        record = replace(record, words=words_digest(known.words), best_fits=known.best_fits)
+        return Scan(record, known.things.to("cpu"), known.counts, known.shared, known.hubs, places)
+
+
+def _found(asked: AskedScan, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, FoundThing]]:
+    """Yield the things of a scan that answer and are wanted, best first."""
+    scan, record = asked.scan, asked.scan.record
+    for number, text in asked.things():
+        if (wanted is not None and number not in wanted[record.name]) or (
+            place := scan.place(number)
+        ) is None:
+            continue
+        score, rank = asked.rank(number, text)
+        level = record.levels[int(scan.table.levels[number])]
+        yield rank, FoundThing(
+            record.name, number, text, level, score, *place, int(scan.counts[number]), record.columns,
+            record.field_path,
+        )  # fmt: skip
+
+
+def _embeddings(model: str, dim: int) -> str:
+    """Return in words what a field contains."""
+    return f"embeddings of {model or 'an unnamed model'} ({dim} dimensions)"

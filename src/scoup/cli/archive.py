@@ -1,0 +1,126 @@
+"""scoup archive: many scans in one folder, searched together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import tyro
+
+from scoup.base.counts import counted
+from scoup.cli.console import Console
+from scoup.cli.options import Common, OptionalInteger, OptionalNumber, OptionalText, OptionGroups
+
+if TYPE_CHECKING:
+    from scoup.archive.archive import Archive
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchArchive(Common):
+    """Find things in many scans at once, or add, remove and list the scans of an archive: a folder with a Parquet file
+    per scan."""
+
+    option_groups: ClassVar[OptionGroups] = {
+        "scan": "add remove list_scans columns",
+        "search": "where top at_least presence text",
+    }
+
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+    """Folder of the archive; made when the first scan is added."""
+    question: Annotated[
+        tyro.conf.Positional[str | None], tyro.conf.arg(metavar="TEXT", help_behavior_hint="")
+    ] = None
+    """What to find: a text, or a phrase such as "mug left of the laptop"."""
+    add: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FIELD [FIELD ...]", help_behavior_hint="")] = ()
+    """Add .scoup files as scans, each named as its file; a scan that is there is replaced."""
+    remove: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = ()
+    """Remove scans; their fields stay."""
+    list_scans: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
+    """List the scans."""
+    columns: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(name="set", metavar="NAME=VALUE", help_behavior_hint=""),
+    ] = ()
+    """With --add, a column of the scans for --where, such as floor=2; repeat it for several."""
+    where: OptionalText = None
+    """A condition in SQL over the columns of the Parquet files: "floor = 2 and gaussians > 100"."""
+    top: int = 20
+    """Most things to return; with --at-least, most scans."""
+    at_least: OptionalInteger = None
+    """Only scans with so many instances, those with the most first. Default: every thing that answers."""
+    presence: OptionalNumber = None
+    """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
+    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: that of the first field."""
+
+    def run(self, console: Console) -> None:
+        """Add, remove, list, search."""
+        from scoup.archive.archive import Archive
+        from scoup.base.errors import InputError
+
+        chosen = [bool(self.add), bool(self.remove), self.list_scans, self.question is not None]
+        if sum(chosen) != 1:
+            raise InputError(f"{self.folder}: pass one of TEXT, --add, --remove and --list")
+        columns = _own_columns(self.columns)
+        if columns and not self.add:
+            raise InputError("--set is for --add")
+        archive = Archive(self.folder, self.text)
+        if self.question is not None:
+            return self._search(archive, self.question, console)
+        if len({path.stem for path in self.add}) < len(self.add):
+            raise InputError(
+                f"expected .scoup files with different names, got {', '.join(map(str, self.add))}"
+            )
+        with console.progress() as progress:
+            for number, path in enumerate(self.add, 1):
+                archive.add(path, **columns)
+                progress("add", number, len(self.add))
+        for name in self.remove:
+            archive.remove(name)
+        return _list(archive, console, self.list_scans)
+
+    def _search(self, archive: Archive, question: str, console: Console) -> None:
+        found = archive.find(question, self.where, self.top, self.at_least, self.presence)
+        counts: dict[str, int] = {}
+        for each in found:
+            counts[each.scan] = counts.get(each.scan, 0) + 1
+            score = "" if each.score is None else f"{each.score:.2f} "
+            console.say(f"{score}{each.text}: {each.describe()}")
+        total = f"{counted(len(found), 'thing')} in {counted(len(counts), 'scan')}"
+        console.say(f"{question}: {total if found else 'nothing found'}")
+        record = {"question": question, "scans": counts, "things": [each.to_dict() for each in found]}
+        console.result(record)
+
+
+def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
+    """Return NAME=VALUE as columns; what reads as a number is one."""
+    from scoup.base.errors import InputError
+
+    columns: dict[str, str | int | float] = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not equals or name in columns:
+            raise InputError(f"--set {pair}: expected NAME=VALUE, each name once")
+        columns[name] = text
+        for kind in (float, int):
+            try:
+                columns[name] = kind(text)
+            except ValueError:
+                continue
+    return columns
+
+
+def _list(archive: Archive, console: Console, in_full: bool) -> None:
+    records = archive.scans()
+    if in_full:
+        for name, record in records.items():
+            own = "".join(f", {key} = {value}" for key, value in record.columns.items())
+            console.say(f"{name}: {counted(record.n_things, 'thing')} of {record.field_path}{own}")
+    things = sum(record.n_things for record in records.values())
+    console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {counted(things, 'thing')}")
+    scans = [
+        {"scan": name, "things": each.n_things, "field": each.field_path, "columns": dict(each.columns)}
+        for name, each in records.items()
+    ]
+    console.result({"archive": archive.folder, "scans": scans})

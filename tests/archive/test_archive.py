@@ -1,0 +1,305 @@
+"""Archives: what answers in each scan is what its field answers, and files are replaced whole and never trusted."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import scoup
+from cli_support import refused, run, run_json
+from query.planted_room import ABSENT, ROOM, Box, planted_room
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning, UnknownNameError
+from scoup.field.language_field import LanguageField
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import save_table
+
+pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
+MODEL = "some/model"
+
+
+@pytest.fixture(scope="module")
+def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]:
+    """Saved fields of three rooms, of other things each: one has three mugs, one no mug and no laptop."""
+    folder = tmp_path_factory.mktemp("fields")
+    rooms = {
+        "office": ROOM,
+        "kitchen": (*ROOM, Box("mug", (-1, 0.7, 1.1), (0.2, 0.2, 0.2))),
+        "hall": tuple(box for box in ROOM if box.name not in ("mug", "laptop")),
+    }
+    # Words of one table, as embeddings of one model have.
+    encoder = planted_room().text_encoder()
+    assert encoder.names is not None
+    save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
+    made = {}
+    for name, room in rooms.items():
+        made[name] = field = planted_room(room)
+        assert field.thing_table is not None
+        names = [box.name for box in room] + [f"clutter {number}" for number in range(6)]
+        field.thing_table = replace(field.thing_table, embeddings=encoder.encode(names).half())
+        field.info = replace(field.info, embedding_model=MODEL, words=folder / "words.npz")
+        field.text_encoder(encoder)
+        field.save(folder / f"{name}.scoup")
+    return made
+
+
+@pytest.fixture
+def archive(fields: dict[str, LanguageField], tmp_path: Path) -> scoup.Archive:
+    made = scoup.Archive(tmp_path / "sc[an]*s")
+    for floor, field in enumerate(fields.values()):
+        made.add(field, floor=floor, city="Graz")
+    return made
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        "mug",
+        "lamp",
+        ABSENT,
+        "mug or ball",
+        "how many mugs",
+        "mug left of the laptop",
+        "largest mug",
+        "pen or mug on the table",
+    ],
+)
+def test_answers_are_those_of_the_fields(
+    archive: scoup.Archive, fields: dict[str, LanguageField], question: str
+) -> None:
+    found = archive.find(question, top=1000)
+    for name, field in fields.items():
+        mine = {each.thing: each for each in found if each.scan == name}
+        things = field.things(question)
+        assert set(mine) == {thing.number for thing in things}
+        for thing in things:
+            assert thing.number is not None
+            one = mine[thing.number]
+            kept = [(each.text, each.score, each.level, each.n_gaussians) for each in (one, thing)]
+            assert kept[0] == kept[1]
+            assert torch.equal(one.position, thing.position)
+            assert torch.equal(one.box.corners(), thing.box.corners())
+            assert one.to_dict()["box"] == thing.to_dict()["box"]
+    ranks = [-1.0 if each.score is None else each.score for each in found]
+    assert ranks == sorted(ranks, reverse=True)
+    for top in (1, 2):
+        assert [(each.scan, each.thing) for each in archive.find(question, top=top)] == [
+            (each.scan, each.thing) for each in found[:top]
+        ]
+    assert bool(found) == (question != ABSENT)
+
+
+def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive) -> None:
+    found = archive.find("lamp", where="floor >= 1 and city = 'Graz'")
+    assert {each.scan for each in found} == {"kitchen", "hall"}
+    assert found[0].columns == {"floor": int(found[0].scan == "hall") + 1, "city": "Graz"}
+    assert archive.find("lamp", where="gaussians > 1000") == []
+    assert {each.scan for each in archive.find("mug", at_least=3)} == {"kitchen"}
+    assert [each.scan for each in archive.find("mug", at_least=2)] == ["kitchen"] * 3 + ["office"] * 2
+    assert len(archive.find("mug", at_least=2, top=1)) == 3
+    assert archive.find("mug", at_least=4) == []
+    assert len(found[0].field()) == len(LanguageField.load(found[0].field_path))
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["storey = 2", "true; DROP TABLE things", "(SELECT count(*) FROM read_text('/etc/hostname')) > 0", ""],
+)
+def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, where: str) -> None:
+    with pytest.raises(InputError, match="condition"):
+        archive.find("mug", where=where)
+
+
+def test_a_scan_is_replaced_and_removed(
+    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
+) -> None:
+    before = archive.find("mug")
+    archive.add(fields["office"], floor=7)
+    assert archive.scans()["office"].columns == {"floor": 7}
+    assert [each.thing for each in archive.find("mug")] == [each.thing for each in before]
+    archive.remove("office")
+    assert {each.scan for each in archive.find("mug")} == {each.scan for each in before} - {"office"}
+    assert sorted(path.name for path in archive.folder.iterdir()) == [
+        "archive.json",
+        "hall.parquet",
+        "kitchen.parquet",
+    ]
+    with pytest.raises(UnknownNameError, match="no scan named 'ofice'"):
+        archive.remove("ofice")
+    copy = tmp_path / "hall.scoup"
+    fields["hall"].save(copy)
+    fields["hall"].path = archive.scans()["hall"].field_path
+    with pytest.raises(InputError, match=r"is of .*rename one"):
+        archive.add(copy)
+
+
+def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
+    paths = [field.path for field in fields.values()] * 2
+    writers = [
+        threading.Thread(target=lambda path=path: scoup.Archive(tmp_path / "a").add(str(path)))
+        for path in paths
+    ]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert set(scoup.Archive(tmp_path / "a").scans()) == set(fields)
+
+
+def test_what_does_not_fit_is_refused(
+    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
+) -> None:
+    field = planted_room()
+    with pytest.raises(InputError, match="is not saved"):
+        archive.add(field)
+    for change, said in (
+        ({"embedding_model": "other/model"}, "other/model .*some/model .*archive per embedding model"),
+        ({"embedding_model": MODEL}, ""),
+    ):
+        field.info = replace(field.info, **change)
+        field.save(tmp_path / "new.scoup", overwrite=True)
+        if said:
+            with pytest.raises(InputError, match=said):
+                archive.add(field)
+        else:
+            archive.add(field)
+    for columns in ({"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}):
+        with pytest.raises(InputError, match="column"):
+            archive.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
+    bare = planted_room(has_things=False)
+    bare.save(tmp_path / "bare.scoup")
+    with pytest.raises(InputError, match="has no things"):
+        archive.add(bare)
+    with pytest.raises(InputError, match="`top`"):
+        archive.find("mug", top=0)
+    with pytest.raises(InputError, match="dimensions"):
+        scoup.Archive(archive.folder, TextEncoder.open({"mug": torch.ones(5)})).find("mug")
+    with pytest.raises(InputError, match="contains no scan"):
+        scoup.Archive(tmp_path / "nothing").find("mug")
+
+
+def test_a_field_that_left_or_changed_answers_no_phrase(
+    fields: dict[str, LanguageField], tmp_path: Path
+) -> None:
+    archive, path = scoup.Archive(tmp_path / "a"), tmp_path / "moved.scoup"
+    field = planted_room()
+    field.info = replace(field.info, embedding_model=MODEL, words=fields["office"].info.words)
+    field.save(path)
+    archive.add(path)
+    assert archive.find("mug left of the laptop")
+    assert field.thing_table is not None
+    field.thing_table = replace(field.thing_table, embeddings=field.thing_table.embeddings.flip(0))
+    field.save(path, overwrite=True)
+    with pytest.warns(ScoupWarning, match="has changed since"):
+        assert archive.find("mug left of the laptop") == []
+    path.unlink()
+    with pytest.warns(ScoupWarning, match=r"moved\.scoup: cannot be asked"):
+        assert archive.find("mug left of the laptop") == []
+    assert archive.find("mug")
+
+
+def cut(data: bytes) -> bytes:
+    return data[: len(data) // 2]
+
+
+def other_parquet(column: str) -> Callable[[Path], None]:
+    """Rewrite a scan with a column changed, and its metadata as they were."""
+
+    def change(path: Path) -> None:
+        import duckdb
+
+        connection = duckdb.connect()
+        (metadata,) = connection.execute(f"SELECT value FROM parquet_kv_metadata('{path}')").fetchone() or (
+            b"",
+        )
+        connection.execute(f"CREATE TABLE t AS SELECT * {column} FROM read_parquet('{path}')")
+        text = metadata.decode().replace("'", "''")
+        connection.execute(f"COPY t TO '{path}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})")
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(cut(path.read_bytes())),
+        lambda path: path.write_bytes(path.read_bytes().replace(b'"levels": ["m"]', b'"levels": ["z"]')),
+        lambda path: path.write_bytes(path.read_bytes().replace(b'"scoup scan"', b'"scoup scar"')),
+        lambda path: path.write_bytes(path.read_bytes().replace(b'"version": 1', b'"version": 9')),
+        other_parquet("EXCLUDE (vector)"),
+        other_parquet("REPLACE (vector[:5] AS vector)"),
+        other_parquet("REPLACE ([NULL] AS vector)"),
+        other_parquet("REPLACE (thing + 1 AS thing)"),
+        other_parquet("REPLACE (999 AS parent)"),
+        other_parquet("REPLACE ('NaN'::FLOAT AS hub)"),
+        other_parquet("REPLACE (-1 AS gaussians)"),
+        other_parquet("REPLACE (NULL AS gaussians)"),
+        other_parquet("REPLACE ('text' AS stability)"),
+        other_parquet("REPLACE ([1.0, 2.0] AS position)"),
+        other_parquet("REPLACE ([{'thing': 99999, 'gaussians': 1}] AS shares)"),
+    ],
+)
+def test_a_damaged_scan_is_named(archive: scoup.Archive, damage: Callable[[Path], Any]) -> None:
+    damage(archive.folder / "office.parquet")
+    with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
+        scoup.Archive(archive.folder).find("mug")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{}", "does not describe"),
+        ("[1]", "does not describe"),
+        ('{"format": "x"}', "does not describe"),
+        (None, "no such file"),
+    ],
+)
+def test_a_damaged_description_is_named(archive: scoup.Archive, text: str | None, said: str) -> None:
+    path = archive.folder / "archive.json"
+    path.unlink() if text is None else path.write_text(text)
+    with pytest.raises(FileFormatError, match=rf"archive\.json: .*{said}"):
+        scoup.Archive(archive.folder)
+
+
+def test_other_words_give_the_answers_of_the_fields(
+    archive: scoup.Archive, fields: dict[str, LanguageField]
+) -> None:
+    """Statistics of the words that were known when scans were added are not used for others."""
+    known = fields["office"].text_encoder()
+    assert known.names is not None
+    names = [name for name in known.names if name != "word 3"]
+    fewer = dict(zip(names, known.encode(names), strict=True))
+    found = scoup.Archive(archive.folder, fewer).find("mug", where="scan = 'office'")
+    field = LanguageField.load(archive.scans()["office"].field_path)
+    field.text_encoder(fewer)
+    assert [(each.thing, each.score) for each in found] == [
+        (thing.number, thing.score) for thing in field.things("mug")
+    ]
+
+
+def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    paths = [field.path for field in fields.values()]
+    added = run_json("archive", "a", "--add", *paths, "--set", "floor=2", "--set", "city=Graz")
+    assert [each["scan"] for each in added["scans"]] == ["hall", "kitchen", "office"]
+    assert added["scans"][0]["columns"] == {"floor": 2, "city": "Graz"}
+    found = run_json("archive", "a", "mug", "--where", "floor = 2", "--top", "2")
+    assert sum(found["scans"].values()) == len(found["things"]) == 2
+    assert found["things"] == [each.to_dict() for each in scoup.Archive("a").find("mug", top=2)]
+    assert run_json("archive", "a", "mug", "--at-least", "3")["scans"] == {"kitchen": 3}
+    code, out, _ = run("archive", "a", ABSENT)
+    assert (code, out) == (0, f"{ABSENT}: nothing found\n")
+    assert "kitchen: 16 things of" in run("archive", "a", "--list")[1]
+    assert "pass one of" in refused("archive", "a", "mug", "--list")
+    assert "different names" in refused("archive", "a", "--add", paths[0], paths[0])
+    assert "NAME=VALUE" in refused("archive", "a", "--add", paths[0], "--set", "floor")
+    assert "--top" in refused("archive", "a", "mug", "--top", "0")
+    assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
+    assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == MODEL

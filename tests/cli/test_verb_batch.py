@@ -1,0 +1,81 @@
+"""scoup batch: every scan of a folder, resumed, with an archive and a report."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cli_support import QUICK, refused, run, run_json, write_scene
+from scoup.field.language_field import LanguageField
+
+pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
+pytestmark = pytest.mark.usefixtures("quick_python")
+
+
+def test_a_folder_of_scans_becomes_fields_and_an_archive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in "ab":
+        write_scene(tmp_path / "scans" / name)  # of one world: their words are the same
+    shutil.copytree("scans/a", "scans/broken")
+    Path("scans/broken/point_cloud.ply").write_bytes(b"ply\n")
+    table = Path("scans/a/words.npz").resolve()
+    command = (
+        *["batch", "scans", "--out", "fields", "--archive", "archive", "--jobs", "2", "--model"],
+        table,
+        *QUICK,
+    )
+    code, out, _ = run(*command, "--json")
+    said = json.loads(out)
+    assert code == 2
+    assert said["failed"] == ["broken"]
+    assert "scans/broken/point_cloud.ply" in said["scans"]["broken"]["error"]
+    assert json.loads(Path("fields/batch.json").read_text())["scans"] == said["scans"]
+    for name in "ab":
+        assert not said["scans"][name]["kept"]
+        assert LanguageField.load(f"fields/{name}.scoup").n_atoms == 8
+    listed = run_json("archive", "archive", "--list")
+    assert [each["scan"] for each in listed["scans"]] == ["a", "b"]
+
+    # Only what is missing is made again, in fields and archive.
+    shutil.copy("scans/a/point_cloud.ply", "scans/broken/point_cloud.ply")
+    Path("archive/a.parquet").unlink()
+    before = Path("fields/a.scoup").stat().st_mtime_ns, Path("archive/b.parquet").stat().st_mtime_ns
+    said = run_json(*command)
+    assert {name: record["kept"] for name, record in said["scans"].items()} == {
+        "a": True,
+        "b": True,
+        "broken": False,
+    }
+    assert before == (Path("fields/a.scoup").stat().st_mtime_ns, Path("archive/b.parquet").stat().st_mtime_ns)
+    assert len(run_json("archive", "archive", "--list")["scans"]) == 3
+
+
+def test_regions_are_extracted_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("skimage", reason="scikit-image is not installed (pip install 'scoup[segment]')")
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "scans" / "a")
+    shutil.rmtree("scans/a/language_features")
+    models = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+    said = run_json("batch", "scans", "--out", "fields", *models, *QUICK)
+    assert said["failed"] == []
+    assert Path("scans/a/language_features").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("nowhere", "--out", "f"), "nowhere"),
+        ((".", "--out", "f"), "no folders of scans"),
+        ((".", "--out", "f", "--jobs", "0"), "--jobs"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], named: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert named in refused("batch", *arguments)
