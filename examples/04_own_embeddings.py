@@ -31,6 +31,8 @@ def describe(rgb: np.ndarray) -> np.ndarray:
     return np.concatenate([rgb - mean, 0.3 * (mean - 0.5) + 0.01], -1)
 
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 scene, word = sys.argv[1:3]
 gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)

@@ -10,6 +10,8 @@ import sys
 
 import scoup
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 path, words, thing, metres_per_unit = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
 field.text_encoder(words)

@@ -27,6 +27,8 @@ def point(vector: torch.Tensor) -> dict[str, float]:
     return dict(zip("xyz", vector.tolist(), strict=True))
 
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 path, table, metres_per_unit, phrase = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4]
 field = scoup.LanguageField.load(path)
 field.text_encoder(table)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import runpy
 import shutil
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -142,6 +144,15 @@ def test_every_example_is_run():
     here = Path(__file__)
     tests = here.read_text() + here.with_name("test_engines.py").read_text()
     assert all(path.name in tests for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_an_example_without_arguments_says_how_it_is_run(path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    for package in ("ray", "rerun"):
+        monkeypatch.setitem(sys.modules, package, ModuleType(package))
+    with pytest.raises(SystemExit, match=f"python examples/{path.name} "):
+        runpy.run_path(str(path), run_name="__main__")
 
 
 def test_things_for_robots(scene, field):
