@@ -16,6 +16,7 @@ from PIL import Image
 
 from cli_support import RUN, refused, run, write_scene
 from scoup.base.errors import InputError, ScoupError
+from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
@@ -29,7 +30,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = ("--n-atoms", "8", "--effort", "fast", "--model", table)
     code, _, err = run("build", place / "scene", *options, "--out", place / "f.scoup")
     assert code == 0, err
-    (place / "out").mkdir()
     return place
 
 
@@ -38,10 +38,11 @@ def tools(folder: Path) -> SceneTools:
     return SceneTools({"f": LanguageField.load(folder / "f.scoup")}, folder / "out", 0.5)
 
 
-def test_replies_are_those_of_the_field(tools: SceneTools):
+def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     field = tools.fields["f"]
     scene = tools.list_scenes()[0]
     assert (scene["scene"], scene["gaussians"], scene["cameras"]) == ("f", 150, 4)
+    assert scene["things"] == tools.list_things("f")["count"] == read_facts(folder / "f.scoup")["things"]
     assert [each["camera"] for each in tools.list_cameras("f")] == [
         camera.name for camera in field.cameras or ()
     ]
@@ -108,7 +109,7 @@ def test_hostile_arguments_are_refused(tools: SceneTools, call: Any, said: str):
     with pytest.raises(ScoupError, match=said):
         call(tools)
     assert tools.export_folder is not None
-    assert not [path for path in tools.export_folder.iterdir() if path.suffix != ".ply"]
+    assert not [path for path in tools.export_folder.rglob("*") if path.suffix != ".ply"]
 
 
 def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
@@ -123,6 +124,20 @@ def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
         SceneTools(tools.fields).export_selection("f", "kettle", "a")
 
 
+MISTAKES: list[tuple[str, dict[str, Any], str]] = [
+    ("find", {"text": "mug", "limit": "many"}, "limit: expected int, got 'many'"),
+    ("find", {}, "text: expected str, got none"),
+    ("find", {"text": "mug", "most": 3}, "find: unknown argument 'most'; known: scene, text, seen_from, limit"),
+    (
+        "find", {"text": "ketle"},
+        "find: words.npz: no text embedding named 'ketle'; nearest names: 'kettle', 'texture', 'wooden table', "
+        "'object', 'stuff'",
+    ),
+    ("describe_thing", {"thing": 9999},
+     "describe_thing: there is no thing 9999; list_things names those of the scene"),
+]  # fmt: skip
+
+
 @pytest.mark.usefixtures("quick_python")
 def test_the_server_speaks_to_the_official_client(folder: Path):
     mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
@@ -133,19 +148,20 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
         async with mcp.Client(server) as client:
             names = sorted(tool.name for tool in (await client.list_tools()).tools)
             found = await client.call_tool("find", {"scene": "f", "text": "how many kettles"})
-            wrong = await client.call_tool("find", {"scene": "f", "text": "kettle", "limit": "many"})
-            unknown = await client.call_tool("describe_thing", {"scene": "f", "thing": 99999})
+            said = []
+            for tool, arguments, _ in MISTAKES:
+                reply = await client.call_tool(tool, {"scene": "f", **arguments})
+                assert reply.is_error
+                said.append(reply.content[0].text)
             picture = await client.call_tool("render_view", {"scene": "f"})
-            return [names, found, wrong, unknown, picture]
+            return [names, found, said, picture]
 
-    names, found, wrong, unknown, picture = anyio.run(talk)
+    names, found, said, picture = anyio.run(talk)
     reading = ["describe_thing", "find", "list_cameras", "list_scenes", "list_things", "measure_distance"]
     assert names == [*reading, "render_view"]  # no exports without a folder
     expected = LanguageField.load(folder / "f.scoup").things("how many kettles")
     assert json.loads(found.content[0].text)["count"] == len(expected)
-    assert wrong.is_error
-    assert unknown.is_error
-    assert "list_things names those" in unknown.content[0].text
+    assert [text.removeprefix("Error executing tool ") for text in said] == [text for _, _, text in MISTAKES]
     image = Image.open(io.BytesIO(base64.b64decode(picture.content[0].data)))
     assert np.asarray(image).shape[2] == 3
 
@@ -153,4 +169,4 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
 def test_what_cannot_be_served_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(folder)
     assert "different names" in refused("mcp", "f.scoup", "f.scoup")
-    assert "no such folder" in refused("mcp", "f.scoup", "--out", "nowhere")
+    assert "f.scoup: is a file; name a folder" in refused("mcp", "f.scoup", "--out", "f.scoup")

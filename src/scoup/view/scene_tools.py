@@ -52,7 +52,7 @@ class SceneTools:
             {
                 "scene": name,
                 "gaussians": len(field),
-                "things": 0 if field.thing_table is None else len(field.thing_table),
+                "things": len(field.things()),
                 "levels": list(field.levels),
                 "cameras": len(field.cameras or ()),
             }
