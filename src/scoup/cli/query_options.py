@@ -262,9 +262,9 @@ def check_frame_rate(frames_per_second: float) -> None:
         raise InputError(f"--frames-per-second must be 0.1 to 100, got {frames_per_second}")
 
 
-def check_metres(metres_per_unit: float | None) -> None:
-    """Refuse a unit of no length."""
+def check_metres(length: float | None, option: str = "--metres-per-unit") -> None:
+    """Refuse a length of nothing."""
     from scoup.base.errors import InputError
 
-    if metres_per_unit is not None and not 0 < metres_per_unit < math.inf:
-        raise InputError(f"--metres-per-unit must be above 0, got {metres_per_unit}")
+    if length is not None and not 0 < length < math.inf:
+        raise InputError(f"{option} must be above 0, got {length}")
