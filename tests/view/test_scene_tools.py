@@ -50,6 +50,8 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     listed = tools.list_things("f", limit=200)
     assert listed["count"] == len(things) > 1
     assert {one["thing"] for one in listed["things"]} == {thing.number for thing in things}
+    assert (listed["more"], tools.list_things("f", limit=1)["more"]) == (0, len(things) - 1)
+    assert len(json.dumps(listed["things"])) < 160 * len(things)
     level = things[0].level
     assert {one["level"] for one in tools.list_things("f", level)["things"]} == {level}
     one, other = things[0], things[1]

@@ -58,7 +58,9 @@ def make_server(tools: SceneTools) -> Any:
                 reply = method(**arguments)
             except ScoupError as error:  # the model reads what is wrong and tries again
                 raise ToolError(_without_folders(str(error), tools)) from error
-            return Image(data=_png(reply), format="png") if isinstance(reply, np.ndarray) else reply
+            if isinstance(reply, np.ndarray):
+                return Image(data=_png(reply), format="png")
+            return json.dumps(reply, ensure_ascii=False, separators=(",", ":"))  # models read every character
 
         server.tool(structured_output=False)(tool)
 
