@@ -14,6 +14,8 @@ import torch
 import scoup
 from scoup.extract import extract, find_photographs, open_embedder, open_segmenter
 
+if len(sys.argv) < 6:
+    sys.exit(__doc__)
 scene, segmenter, embedder, text, out, *words = sys.argv[1:]
 gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)

@@ -10,6 +10,8 @@ import sys
 
 import scoup
 
+if len(sys.argv) < 4:
+    sys.exit(__doc__)
 scene, words, thing = sys.argv[1:4]
 
 gaussians = scoup.load_gaussians(scene)

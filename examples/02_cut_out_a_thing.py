@@ -7,6 +7,8 @@ import sys
 
 import scoup
 
+if len(sys.argv) < 6:
+    sys.exit(__doc__)
 path, words, thing, out, rest = sys.argv[1:6]
 
 field = scoup.LanguageField.load(path)

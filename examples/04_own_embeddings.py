@@ -26,17 +26,19 @@ def tiles(height: int, width: int, count: int) -> np.ndarray:
 
 
 def describe(rgb: np.ndarray) -> np.ndarray:
-    """[.., 4] of colours [.., 3] in 0..1: red, green and blue less their mean, and lightness."""
-    mean = rgb.mean(-1, keepdims=True)
-    return np.concatenate([rgb - mean, 0.3 * (mean - 0.5) + 0.01], -1)
+    """[.., 8] of colours [.., 3] in 0..1: how near each is to the corners of the cube of colours."""
+    corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), -1).reshape(8, 3)
+    return np.exp(-3 * np.square(rgb[..., None, :] - corners).sum(-1))
 
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 scene, word = sys.argv[1:3]
 gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)
 maps = {}
 for camera in cameras:
-    pixels = scoup.load_image(camera).numpy()
+    pixels = scoup.load_image(camera).numpy() / 255
     maps[camera.name] = {}
     for level, count in LEVELS.items():
         labels = tiles(camera.height, camera.width, count)

@@ -2,14 +2,16 @@
 
     python examples/06_robot.py demo/demo.scoup demo/scene/text.npz teapot 0.25
 
-The last argument is the length of the scene's unit in metres; measure something you know to find it. A robot should
-act only on what is present, with a score high enough for its purpose.
+The last argument is the length of the scene's unit in metres (`scoup query FIELD door --longest-side 2.0` measures it).
+A robot should act only on what is present, with a score high enough for its purpose.
 """
 
 import sys
 
 import scoup
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 path, words, thing, metres_per_unit = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
 field.text_encoder(words)

@@ -9,6 +9,8 @@ from pathlib import Path
 import scoup
 from scoup.query.label_files import save_label_views, save_labels
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 path, words, out, *names = sys.argv[1:]
 field = scoup.LanguageField.load(path)
 labels = field.label(field.question(names, encoder=words))

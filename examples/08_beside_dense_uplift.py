@@ -14,6 +14,8 @@ from scoup_lab.baselines.dense import dense_uplift
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 
+if len(sys.argv) < 4:
+    sys.exit(__doc__)
 scene, words, thing = sys.argv[1:4]
 gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)

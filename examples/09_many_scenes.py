@@ -7,6 +7,8 @@ import sys
 
 import scoup
 
+if len(sys.argv) < 4:
+    sys.exit(__doc__)
 words, thing, *paths = sys.argv[1:]
 encoder = scoup.TextEncoder.open(words)  # once for all
 found = []

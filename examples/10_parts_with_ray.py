@@ -13,6 +13,8 @@ from pathlib import Path
 
 import ray  # pyright: ignore[reportMissingImports]
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 scene, words, count, field = sys.argv[1], sys.argv[2], int(sys.argv[3]), Path(sys.argv[4]).absolute()
 scene, words = str(Path(scene).absolute()), str(Path(words).absolute()) if Path(words).exists() else words
 sums = f"{field}.sums"

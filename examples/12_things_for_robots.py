@@ -2,48 +2,55 @@
 
     python examples/12_things_for_robots.py FIELD TABLE METRES_PER_UNIT "how many mugs"
 
-For a map in another frame, replace ROTATION and TRANSLATION: map = METRES_PER_UNIT * ROTATION @ scene + TRANSLATION.
+The axes are those of REP 103: x forward (away from the camera that sees the most), y left, z up; the origin is that of
+the scene. For a map of your own, replace ROTATION and TRANSLATION: map = METRES_PER_UNIT * ROTATION @ scene +
+TRANSLATION. The covariance is that of a point anywhere in the box; zeros for the orientation mean not estimated.
 """
 
 import json
 import sys
+import time
 
 import torch
 from scipy.spatial.transform import Rotation
 
 import scoup
+from scoup.query.things import Thing
 
-ROTATION = torch.eye(3, dtype=torch.float64)
-TRANSLATION = torch.zeros(3, dtype=torch.float64)
-
-
-def quaternion(axes: torch.Tensor) -> dict[str, float]:
-    """The rotation whose columns are the axes [3, 3] of a box, one per row, as x, y, z, w."""
-    turn = Rotation.from_matrix(axes.T.numpy()).as_quat(canonical=True)
-    return dict(zip("xyzw", turn.tolist(), strict=True))
-
-
-def point(vector: torch.Tensor) -> dict[str, float]:
-    return dict(zip("xyz", vector.tolist(), strict=True))
-
-
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 path, table, metres_per_unit, phrase = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4]
 field = scoup.LanguageField.load(path)
 field.text_encoder(table)
-things = field.things(phrase)
-detections = [
-    {
-        "id": str(thing.number),
-        # None where presence was not judged, for lack of everyday words.
-        "results": [{"hypothesis": {"class_id": thing.text, "score": thing.score}}],
-        "bbox": {
-            "center": {
-                "position": point(metres_per_unit * ROTATION @ thing.box.centre + TRANSLATION),
-                "orientation": quaternion(thing.box.axes @ ROTATION.T),
-            },
-            "size": point(metres_per_unit * thing.box.extent),
-        },
+right, up, away = field.frame().axes
+ROTATION = torch.stack([away, -right, up])
+TRANSLATION = torch.zeros(3, dtype=torch.float64)
+seconds, nanoseconds = divmod(time.time_ns(), 10**9)
+HEADER = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": "map"}
+
+
+def named(vector: torch.Tensor, names: str = "xyz") -> dict[str, float]:
+    return dict(zip(names, vector.tolist(), strict=True))
+
+
+def detection(thing: Thing) -> dict:
+    axes = thing.box.axes @ ROTATION.T  # of the box in the map, one per row
+    size = metres_per_unit * thing.box.extent
+    quaternion = Rotation.from_matrix(axes.T.numpy()).as_quat(canonical=True)
+    pose = {
+        "position": named(metres_per_unit * ROTATION @ thing.box.centre + TRANSLATION),
+        "orientation": named(torch.from_numpy(quaternion), "xyzw"),
     }
-    for thing in things
-]
-print(json.dumps({"header": {"frame_id": "map"}, "detections": detections}, indent=1))
+    covariance = torch.zeros(6, 6, dtype=torch.float64)
+    covariance[:3, :3] = axes.T @ torch.diag(size**2 / 12) @ axes
+    # The score is None where presence was not judged, for lack of everyday words.
+    result = {
+        "hypothesis": {"class_id": thing.text, "score": thing.score},
+        "pose": {"pose": pose, "covariance": covariance.flatten().tolist()},
+    }
+    box = {"center": pose, "size": named(size)}
+    return {"header": HEADER, "id": str(thing.number), "results": [result], "bbox": box}
+
+
+detections = [detection(thing) for thing in field.things(phrase)]
+print(json.dumps({"header": HEADER, "detections": detections}, indent=1))

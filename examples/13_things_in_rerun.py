@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 import scoup
 from scoup.scene.gaussians import SH_C0
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 path, table, out, phrase = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
 field.text_encoder(table)

@@ -321,8 +321,8 @@ def test_several_models_of_colmap():
         "(scene/sparse/2, scene/sparse/10)"
     )
     assert run_json("info", "scene")["warnings"] == [said]
-    assert run_json(*BUILD)["warnings"] == [said]
-    assert "warnings" not in run_json("build", "scene/sparse/10", *QUICK, "--out", "b.scoup")
+    assert said in run_json(*BUILD)["warnings"]
+    assert said not in run_json("build", "scene/sparse/10", *QUICK, "--out", "b.scoup")["warnings"]
     shutil.rmtree("scene/sparse/0")
     shutil.rmtree("scene/sparse/10")
     assert run_json("info", "scene/sparse")["cameras_from"] == "scene/sparse/2"

@@ -27,7 +27,7 @@ def _scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_scene_that_fits_is_silent():
-    code, _, err = run(*BUILD)
+    code, _, err = run(*BUILD, "--model", "scene/words.npz")
     assert (code, err) == (0, "")
     fit = run_json("info", "scene")["fit"]
     assert (fit["verdict"], fit["views_tried"]) == ("fits", 4)
@@ -68,5 +68,6 @@ def test_cameras_follow_a_splat_into_the_frame_of_its_training():
     assert "does not fit the cameras" in refused(*trained)
     rows = [[float(row == column) for column in range(3)] + [shift[row]] for row in range(3)]
     Path("dataparser_transforms.json").write_text(json.dumps({"transform": rows, "scale": scale}))
-    code, _, err = run(*trained, "--dataparser-transforms", "dataparser_transforms.json")
+    words = ("--model", "scene/words.npz")
+    code, _, err = run(*trained, *words, "--dataparser-transforms", "dataparser_transforms.json")
     assert (code, err) == (0, "")

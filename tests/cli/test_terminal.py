@@ -94,7 +94,11 @@ def limited(limit: str, most: int, *arguments: object) -> CompletedProcess[str]:
 @pytest.mark.usefixtures("here")
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
 @pytest.mark.parametrize(
-    "verb", [BUILD, pytest.param(("query", "f.scoup", "kettle", "--out", "o"), marks=pytest.mark.slow)]
+    "verb",
+    [
+        (*BUILD, "--model", "scene/words.npz"),
+        pytest.param(("query", "f.scoup", "kettle", "--out", "o"), marks=pytest.mark.slow),
+    ],
 )
 def test_sixteen_open_files_are_enough(verb: tuple[str, ...]) -> None:
     done = limited("RLIMIT_NOFILE", 16, *verb)

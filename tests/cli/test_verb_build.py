@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import scoup
-from cli_support import QUICK, refused, run, run_json, snapshot, together
+from cli_support import BUILD, QUICK, refused, run, run_json, snapshot, together
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, save_png, write_colmap
 from scoup.models.word_table import load_table, save_table
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_the_main_path_says_what_it_did():
-    code, out, err = run("build", "scene", *QUICK)
+    code, out, err = run("build", "scene", *QUICK, "--model", "scene/words.npz")
     assert (code, err) == (0, "")
     assert "150 Gaussians, 4 views with regions of 4 cameras" in out
     assert "level m: 24 regions, mean cosine" in out
@@ -46,7 +46,7 @@ def test_the_usual_model_is_taken_for_embeddings_of_its_size():
 
 
 def test_the_record_for_machines():
-    record = run_json("build", "scene", *QUICK, "--out", "a.scoup")
+    record = run_json(*BUILD, "--model", "scene/words.npz")
     assert record["field"] == "a.scoup"
     assert record["bytes"] == Path("a.scoup").stat().st_size
     assert (record["gaussians"], record["views"]) == (150, 4)

@@ -13,7 +13,8 @@ from cli_support import RUN
 
 pytest.importorskip("mcp", reason="needs scoup[mcp]")
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
-CALL = '{"jsonrpc": "2.0", "id": ID, "method": "tools/call", "params": {"name": "find", "arguments": {"text": TEXT}}}'
+FIND = '{"name": "find", "arguments": {"scene": "f", "text": TEXT}}'
+CALL = '{"jsonrpc": "2.0", "id": ID, "method": "tools/call", "params": ' + FIND + "}"
 START = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}}
 FIRST = json.dumps({"jsonrpc": "2.0", "id": 0, "method": "initialize", "params": START})
 SECOND = '{"jsonrpc": "2.0", "method": "notifications/initialized"}'

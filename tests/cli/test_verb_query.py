@@ -152,6 +152,21 @@ def test_the_record_of_an_answer():
             assert picture.height > 30  # the strip with the text
 
 
+def test_the_unit_is_measured_by_a_side_that_is_known():
+    ask = ("query", "f.scoup", "kettle", "mug", *NO_PICTURES, "--longest-side")
+    record = run_json(*ask, 0.25)
+    kettle, mug = record["places"]
+    assert max(kettle["extent_metres"]) == pytest.approx(0.25, rel=1e-4)
+    assert mug["extent_metres"] == pytest.approx(
+        [side * record["metres_per_unit"] for side in mug["box"]["extent"]], rel=1e-4
+    )
+    assert f"--metres-per-unit {record['metres_per_unit']:.4g}" in run(*ask, 0.25)[1]
+    assert "not both" in refused(*ask, 0.25, "--metres-per-unit", 1)
+    assert "--longest-side must be above 0, got 0.0" in refused(*ask, 0)
+    absent = ("query", "f.scoup", "kettle", "--text", add_words(), "--presence", 1, *NO_PICTURES)
+    assert "kettle: is not in the scene; name a thing that is" in refused(*absent, "--longest-side", 1)
+
+
 def test_cameras_by_name_several_and_all():
     ask = ("query", "f.scoup", "kettle", *NO_PICTURES)
     cameras = lambda *options: [answer["camera"] for answer in run_json(*ask, *options)["answers"]]  # noqa: E731

@@ -15,7 +15,7 @@ from torch import Tensor
 from field_files import parts_of, write_whole
 from frozen_fields import small_field
 from scoup.base.errors import ScoupError
-from scoup.field.content import TENSORS
+from scoup.field.content import LEAST_GAUSSIANS, TENSORS
 from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.scene.names import NameTable
@@ -60,6 +60,7 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 def facts_of(field: LanguageField) -> dict[str, Any]:
     """The facts of a loaded field that do not depend on its file."""
+    table = field.thing_table
     geometry = None if field.geometry_path is None else f"{field.geometry_path} (not there)"
     return {
         "gaussians": len(field),
@@ -72,6 +73,7 @@ def facts_of(field: LanguageField) -> dict[str, Any]:
         "words": None if field.info.words is None else f"{field.info.words} (not there)",
         "raster_preset": field.raster_preset,
         "cameras": 0 if field.cameras is None else len(field.cameras),
+        "things": 0 if table is None else int((table.sums(torch.ones(len(field))) >= LEAST_GAUSSIANS).sum()),
         "geometry": "embedded" if field.has_geometry else geometry,
         "fingerprint": field.fingerprint,
         "provenance": field.info.provenance,

@@ -17,6 +17,7 @@ from PIL import Image
 from cli_support import RUN, refused, run, write_scene
 from scoup.archive.archive import Archive
 from scoup.base.errors import InputError, ScoupError
+from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
@@ -30,7 +31,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = ("--n-atoms", "8", "--effort", "fast", "--model", table)
     code, _, err = run("build", place / "scene", *options, "--out", place / "f.scoup")
     assert code == 0, err
-    (place / "out").mkdir()
     return place
 
 
@@ -39,10 +39,11 @@ def tools(folder: Path) -> SceneTools:
     return SceneTools({"f": LanguageField.load(folder / "f.scoup")}, folder / "out", 0.5)
 
 
-def test_replies_are_those_of_the_field(tools: SceneTools):
+def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     field = tools.fields["f"]
     scene = tools.list_scenes()[0]
     assert (scene["scene"], scene["gaussians"], scene["cameras"]) == ("f", 150, 4)
+    assert scene["things"] == tools.list_things("f")["count"] == read_facts(folder / "f.scoup")["things"]
     assert [each["camera"] for each in tools.list_cameras("f")] == [
         camera.name for camera in field.cameras or ()
     ]
@@ -50,6 +51,8 @@ def test_replies_are_those_of_the_field(tools: SceneTools):
     listed = tools.list_things("f", limit=200)
     assert listed["count"] == len(things) > 1
     assert {one["thing"] for one in listed["things"]} == {thing.number for thing in things}
+    assert (listed["more"], tools.list_things("f", limit=1)["more"]) == (0, len(things) - 1)
+    assert len(json.dumps(listed["things"])) < 160 * len(things)
     level = things[0].level
     assert {one["level"] for one in tools.list_things("f", level)["things"]} == {level}
     one, other = things[0], things[1]
@@ -109,7 +112,7 @@ def test_hostile_arguments_are_refused(tools: SceneTools, call: Any, said: str):
     with pytest.raises(ScoupError, match=said):
         call(tools)
     assert tools.export_folder is not None
-    assert not [path for path in tools.export_folder.iterdir() if path.suffix != ".ply"]
+    assert not [path for path in tools.export_folder.rglob("*") if path.suffix != ".ply"]
 
 
 def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
@@ -124,6 +127,20 @@ def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
         SceneTools(tools.fields).export_selection("f", "kettle", "a")
 
 
+MISTAKES: list[tuple[str, dict[str, Any], str]] = [
+    ("find", {"text": "mug", "limit": "many"}, "limit: expected int, got 'many'"),
+    ("find", {}, "text: expected str, got none"),
+    ("find", {"text": "mug", "most": 3}, "find: unknown argument 'most'; known: scene, text, seen_from, limit"),
+    (
+        "find", {"text": "ketle"},
+        "find: words.npz: no text embedding named 'ketle'; nearest names: 'kettle', 'texture', 'wooden table', "
+        "'object', 'stuff'",
+    ),
+    ("describe_thing", {"thing": 9999},
+     "describe_thing: there is no thing 9999; list_things names those of the scene"),
+]  # fmt: skip
+
+
 @pytest.mark.usefixtures("quick_python")
 def test_the_server_speaks_to_the_official_client(folder: Path):
     mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
@@ -135,14 +152,17 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
         async with mcp.Client(server) as client:
             names = sorted(tool.name for tool in (await client.list_tools()).tools)
             found = await client.call_tool("find", {"scene": "f", "text": "how many kettles"})
-            wrong = await client.call_tool("find", {"scene": "f", "text": "kettle", "limit": "many"})
-            unknown = await client.call_tool("describe_thing", {"scene": "f", "thing": 99999})
+            said = []
+            for tool, arguments, _ in MISTAKES:
+                reply = await client.call_tool(tool, {"scene": "f", **arguments})
+                assert reply.is_error
+                said.append(reply.content[0].text)
             asked = {"text": "kettle", "where": "floor = 2"}
             archived = await client.call_tool("find_in_archive", asked)
             picture = await client.call_tool("render_view", {"scene": "f"})
-            return [names, found, wrong, unknown, archived, picture]
+            return [names, found, said, archived, picture]
 
-    names, found, wrong, unknown, archived, picture = anyio.run(talk)
+    names, found, said, archived, picture = anyio.run(talk)
     reading = [
         "describe_thing",
         "find",
@@ -155,11 +175,9 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
     assert names == [*reading, "render_view"]  # no exports without a folder
     expected = LanguageField.load(folder / "f.scoup").things("how many kettles")
     assert json.loads(found.content[0].text)["count"] == len(expected)
-    assert wrong.is_error
-    assert unknown.is_error
+    assert [text.removeprefix("Error executing tool ") for text in said] == [text for _, _, text in MISTAKES]
     kettles = Archive(folder / "archive").find("kettle")
     assert json.loads(archived.content[0].text)["things"] == [each.to_dict() for each in kettles]
-    assert "list_things names those" in unknown.content[0].text
     image = Image.open(io.BytesIO(base64.b64decode(picture.content[0].data)))
     assert np.asarray(image).shape[2] == 3
 
@@ -167,4 +185,4 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
 def test_what_cannot_be_served_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(folder)
     assert "different names" in refused("mcp", "f.scoup", "f.scoup")
-    assert "no such folder" in refused("mcp", "f.scoup", "--out", "nowhere")
+    assert "f.scoup: is a file; name a folder" in refused("mcp", "f.scoup", "--out", "f.scoup")

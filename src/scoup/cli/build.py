@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -88,6 +89,7 @@ class Build(BuildOptions, ViewOptions):
     def run(self, console: Console) -> None:
         """Build, save and report."""
         from scoup.base.atomic import check_output, reserved_output
+        from scoup.base.errors import ScoupWarning
 
         if (scene := self._of_splat(console)) is not None:
             return scene.run(console)
@@ -101,6 +103,9 @@ class Build(BuildOptions, ViewOptions):
             sums = self._region_sums(loaded, work / "sums")
             field = self._build(console, loaded, sums)
             field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
+        if not (field.embedding_model or field.info.words):
+            remedy = "build with --model, or pass --text to each question"
+            warnings.warn(f"{out}: names nothing that can encode texts; {remedy}", ScoupWarning, stacklevel=2)
         kept_sums = None if self.keep_sums is None else sums
         report_field(console, field, out, kept_sums, self.device, time.perf_counter() - started)
         return None

@@ -30,7 +30,8 @@ class ServeAgents(Common):
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
     out: OptionalPath = None
-    """Folder into which selections may be exported; nothing in it is overwritten. Default: exports are refused."""
+    """Folder into which selections may be exported; it is made, and nothing in it is overwritten. Default: exports are
+    refused."""
     archive: OptionalPath = None
     """Archive in which things are found too, written by scoup archive."""
     metres_per_unit: OptionalNumber = None
@@ -40,7 +41,7 @@ class ServeAgents(Common):
         """Open the fields and serve them until the client leaves, or ends this process."""
         from scoup.archive.agent_tool import archive_tool
         from scoup.archive.archive import Archive
-        from scoup.base.errors import InputError, MissingFileError
+        from scoup.base.errors import InputError
         from scoup.field.language_field import LanguageField
         from scoup.view.mcp_server import make_server, serve
         from scoup.view.scene_tools import SceneTools
@@ -49,10 +50,8 @@ class ServeAgents(Common):
         names = [path.stem for path in self.fields]
         if not names or len(set(names)) < len(names):
             raise InputError(f"expected .scoup files with different names, got {', '.join(names) or 'none'}")
-        if self.out is not None and not self.out.is_dir():
-            raise MissingFileError(
-                self.out, "there is no such folder for exports", "create it, or omit --out"
-            )
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError(f"{self.out}: is a file; name a folder for exports with --out")
         fields = {}
         for name, path in zip(names, self.fields, strict=True):
             field = LanguageField.load(path).to(self.device)

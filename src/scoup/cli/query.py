@@ -55,7 +55,7 @@ class Query(AnswerOptions, CameraOptions):
     option_groups: ClassVar[OptionGroups] = {
         "answer": "level",
         "model with words": "refine keep",
-        "output": "out pictures npz coco metres_per_unit",
+        "output": "out pictures npz coco metres_per_unit longest_side",
         "video": "video frames frames_per_second",
     }
 
@@ -81,6 +81,8 @@ class Query(AnswerOptions, CameraOptions):
     """Write the masks of all views as coco.json: run lengths, boxes and scores."""
     metres_per_unit: OptionalNumber = None
     """Length of the scene's unit in metres, to give positions and sizes in metres, too."""
+    longest_side: OptionalNumber = None
+    """Measures that length: the longest side of the first text's thing, in metres, such as the height of a door."""
     video: Literal["path", "turntable", "none"] = "none"
     """path: an mp4 of each text's heat map on a way through the field's cameras, TEXT_path.mp4. turntable: on a circle
     around the thing. Needs scoup[video]."""
@@ -109,26 +111,30 @@ class Query(AnswerOptions, CameraOptions):
             records = self._write_views(field, question, views, files, hidden)
             files.finish(hidden)
             places = field.location(question)
+            metres_per_unit = self._metres_per_unit(places[0])
             videos = self._save_videos(field, question, places, hidden, progress)
             result: dict[str, Any] = {
                 "sheets": [(out / name).as_posix() for name in files.sheet_names],
                 "answers": records,
-                "places": [
-                    {"text": place.answer.text, **place.to_dict(self.metres_per_unit)} for place in places
-                ],
+                "places": [{"text": place.answer.text, **place.to_dict(metres_per_unit)} for place in places],
             }
+            if self.longest_side is not None:
+                result["metres_per_unit"] = metres_per_unit
             if refined is not None:
                 result["refined"] = refined.to_dict()
             if self.video != "none":
                 result["videos"] = [(out / name).as_posix() for name in videos]
             write_text(hidden / RECORD, json.dumps({"field": str(self.field), **result}, indent=2))
-        self._report(console, result, places)
+        self._report(console, result, places, metres_per_unit)
 
     def _check_options(self) -> None:
         from scoup.base.errors import InputError
         from scoup.pictures.video import check_video_writer
 
         check_metres(self.metres_per_unit)
+        check_metres(self.longest_side, "--longest-side")
+        if self.longest_side is not None and self.metres_per_unit is not None:
+            raise InputError("pass --metres-per-unit, or --longest-side to measure it, not both")
         if not 1 <= self.frames <= MOST_FRAMES:
             raise InputError(f"--frames must be 1 to {MOST_FRAMES:,}, got {self.frames}")
         check_frame_rate(self.frames_per_second)
@@ -155,6 +161,18 @@ class Query(AnswerOptions, CameraOptions):
         if self.keep and field.thing_table is not None and field.thing_table.names is not None:
             save_names(self.field, field.thing_table.names)
         return refined
+
+    def _metres_per_unit(self, place: Place) -> float | None:
+        """The length of the scene's unit, as given or from the longest side of a thing."""
+        from scoup.base.errors import InputError
+
+        if self.longest_side is None:
+            return self.metres_per_unit
+        if place.box is None:
+            raise InputError(
+                f"{place.answer.text}: is not in the scene; name a thing that is for --longest-side"
+            )
+        return self.longest_side / float(place.box.extent.max())
 
     def _out(self) -> Path:
         return self.output_folder(self.out, "queries")
@@ -221,6 +239,7 @@ class Query(AnswerOptions, CameraOptions):
         console: Console,
         result: dict[str, Any],
         places: list[Place],
+        metres_per_unit: float | None,
     ) -> None:
         """Report the answers and the files."""
         for record in result["answers"]:
@@ -228,7 +247,11 @@ class Query(AnswerOptions, CameraOptions):
                 console.say(_sentence(record))
         for place in places:
             at = "at " if place.presence else ""
-            console.say(f"in the scene  {place.answer.text}: {at}{place.describe(self.metres_per_unit)}")
+            console.say(f"in the scene  {place.answer.text}: {at}{place.describe(metres_per_unit)}")
+        if self.longest_side is not None:
+            console.say(
+                f"the scene's unit is {metres_per_unit:.4g} metres: --metres-per-unit {metres_per_unit:.4g}"
+            )
         for path in (*result["sheets"], *result.get("videos", ())):
             console.say(f"{path}: the answers as {'a video' if path.endswith('.mp4') else 'pictures'}")
         console.say(f"{self._out() / RECORD}: {counted(len(result['answers']), 'answer')}")

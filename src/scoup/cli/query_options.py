@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 Asked = TypeVar("Asked", bound="str | Several | Expression")
 LONGEST_SIDE = 16384  # of a picture, in pixels
 
+_SELECTS = "relations, orders, and, or, not are for scoup select"
 _SAME_FRAME = "check that cameras and splat are in the same frame"
 
 
@@ -207,8 +208,21 @@ class AnswerOptions(TextOptions):
 
     def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
         """The question, with these options."""
+        from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
+        from scoup.query.expression import parses_as_text
+
         rules = {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
-        return super().question(field, texts, **rules, **options)
+        plain = texts if isinstance(texts, (list, tuple)) else ()
+        odd = [text for text in plain if not parses_as_text(text)]
+        try:
+            question = super().question(field, texts, **rules, **options)
+        except UnknownNameError as error:
+            if error.name in odd:
+                raise InputError(f"{error}; {_SELECTS}") from error
+            raise
+        if odd and field.text_encoder().names is None:
+            warnings.warn(f"{listed(odd)}: read as one text each; {_SELECTS}", ScoupWarning, stacklevel=2)
+        return question
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,11 +244,14 @@ class FrameOptions(FieldOptions):
 
 
 def check_texts(texts: tuple[str, ...]) -> None:
-    """Refuse a call without any text."""
+    """Refuse a call without any text, or with a field for a text."""
     from scoup.base.errors import InputError
 
     if not texts:
         raise InputError('name at least one text to look for, for example "kettle"')
+    for text in texts:
+        if text.lower().endswith(".scoup"):
+            raise InputError(f"{text}: is a field, expected a text; ask one field at a time")
 
 
 def check_frame_rate(frames_per_second: float) -> None:
@@ -245,9 +262,9 @@ def check_frame_rate(frames_per_second: float) -> None:
         raise InputError(f"--frames-per-second must be 0.1 to 100, got {frames_per_second}")
 
 
-def check_metres(metres_per_unit: float | None) -> None:
-    """Refuse a unit of no length."""
+def check_metres(length: float | None, option: str = "--metres-per-unit") -> None:
+    """Refuse a length of nothing."""
     from scoup.base.errors import InputError
 
-    if metres_per_unit is not None and not 0 < metres_per_unit < math.inf:
-        raise InputError(f"--metres-per-unit must be above 0, got {metres_per_unit}")
+    if length is not None and not 0 < length < math.inf:
+        raise InputError(f"{option} must be above 0, got {length}")

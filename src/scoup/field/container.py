@@ -44,6 +44,9 @@ def read_content(path: Path) -> FieldContent:
 
     if not path.is_file():
         raise MissingFileError.of(path, _WHAT)
+    with safetensors_damage_named(path, _WHAT, REBUILD), open(path, "rb") as start:
+        if start.read(9)[8:] != b"{":  # of the header of any safetensors file
+            raise FileFormatError(path, f"is not {_WHAT}", "pass a .scoup file; scoup build writes one")
     with safetensors_damage_named(path, _WHAT, REBUILD), safe_open(path, framework="numpy") as stream:
         text = (stream.metadata() or {}).get(METADATA_KEY, "{}")
         header = json.loads(text)

@@ -19,6 +19,8 @@ Arrays = Mapping[str, NDArray[Any]]
 NO_NUMBER = 65535
 """In ``things.owners`` and ``things.parents``: no thing."""
 SH_BASES = (1, 4, 9, 16, 25)
+LEAST_GAUSSIANS = 10
+"""Fewer are a stray, not a thing."""
 
 TENSORS: Mapping[str, tuple[str, str]] = {
     "code_indices": ("uint8 uint16", "N S K"),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scoup.field.container import place_of, read_content
-from scoup.field.content import weight_bits
+from scoup.field.content import LEAST_GAUSSIANS, weight_bits
 from scoup.field.part_sizes import PartSizes
 
 
@@ -35,10 +37,19 @@ def read_facts(path: Path) -> dict[str, Any]:
         "bytes_of_codes_a_gaussian": round(sizes.codes_a_gaussian, 1),
         "bytes_of_codebook": sizes.codebook,
         "cameras": len(header["cameras"] or ()),
+        "things": _count_things(arrays),
         "geometry": "embedded" if "geometry.means" in arrays else _where(place_of(path, geometry["path"])),
         "fingerprint": geometry["fingerprint"],
         "provenance": header["provenance"],
     }
+
+
+def _count_things(arrays: Mapping[str, NDArray[Any]]) -> int:
+    """Return how many things ``field.things()`` has."""
+    if "things.owners" not in arrays:
+        return 0
+    counts = np.bincount(arrays["things.owners"].ravel())
+    return int(np.count_nonzero(counts[: len(arrays["things.levels"])] >= LEAST_GAUSSIANS))
 
 
 def _where(place: Path | None) -> str | None:

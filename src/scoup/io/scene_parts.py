@@ -34,7 +34,9 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
     folder = usual_features(scene)
     if not folder.is_dir():
         problem = "there is no such folder (the region features were expected here)"
-        raise MissingFileError(folder, problem, "name their folder with `features`")
+        raise MissingFileError(
+            folder, problem, f"make them with scoup extract {scene}, or name their folder with `features`"
+        )
     return folder
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ Encode = Callable[[list[str]], Tensor]
 Texts = tuple[Encode, ModelIdentity]
 """The text half of an embedder, and what its vectors depend on."""
 Device = torch.device | str
+_HUB_ID = re.compile(r"[\w.-]+/[\w.-]+")
 
 
 @dataclass(frozen=True)
@@ -58,4 +60,4 @@ class HubEntry(ModelEntry):
     """Any model by its folder, file or hub id."""
 
     def answers_to(self, name: str) -> bool:
-        return "/" in name or name.endswith(".pt") or Path(name).exists()
+        return bool(_HUB_ID.fullmatch(name)) or name.endswith(".pt") or Path(name).exists()

@@ -20,7 +20,7 @@ from scoup.base.html import card
 from scoup.models import words
 from scoup.models.entry import Encode
 from scoup.models.hub import ModelIdentity
-from scoup.models.text_models import open_text_model
+from scoup.models.text_models import TEXT_MODELS, open_text_model
 from scoup.models.word_cache import PROBE, everyday_vectors
 from scoup.models.word_table import WordTable, is_table, load_table, refuse_other_file
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
@@ -222,6 +222,13 @@ class TextEncoder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def check_model(name: str) -> None:
+    """Raise InputError or FileFormatError for a name that no text model can have; none is opened."""
+    if name != COLORS:
+        refuse_other_file(name)
+        TEXT_MODELS.find(name)
 
 
 def _encoded(encode: Encode, phrases: Sequence[str]) -> Tensor:

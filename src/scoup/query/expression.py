@@ -131,6 +131,7 @@ class _Reader:
 
     def __init__(self, tokens: list[str], source: str) -> None:
         self.rest, self.source, self.depth = tokens, source, 0
+        self.before = ""  # the operator in front of the text that comes next
 
     def refusal(self, problem: str) -> InputError:
         return InputError(f"{self.source}: {problem}; {_GRAMMAR}")
@@ -138,7 +139,7 @@ class _Reader:
     def union(self) -> Node:
         left, before = self.intersection(), self.depth
         while self.rest and self.rest[0] in ("or", "+", "-"):
-            operator = self.rest.pop(0)
+            operator = self.before = self.rest.pop(0)
             right = self.intersection()
             if operator == "-":
                 left = self.combine("and", left, Operation("not", (right,)))
@@ -150,7 +151,7 @@ class _Reader:
     def intersection(self) -> Node:
         left = self.factor()
         while self.rest and self.rest[0] == "and":
-            self.rest.pop(0)
+            self.before = self.rest.pop(0)
             left = self.combine("and", left, self.factor())
         return left
 
@@ -166,9 +167,10 @@ class _Reader:
             raise self.refusal("operators are nested too deeply")
 
     def factor(self) -> Node:
-        if not self.rest:
-            raise self.refusal("a text is missing at the end")
-        token = self.rest.pop(0)
+        token = self.rest.pop(0) if self.rest else ""
+        if not token or (token in OPERATORS and token not in ("not", "(")):
+            where = f" after {self.before!r}" if self.before else f" before {token!r}" if token != ")" else ""
+            raise self.refusal(f"a text is missing{where}")
         if token[0] == '"':
             return token[1:]
         if token[0] == "=":
@@ -181,9 +183,7 @@ class _Reader:
                 token += f" and {self.rest[1][1:]}"
                 self.rest = self.rest[2:]
             return parse_phrase(token[1:])
-        if token not in ("not", "("):
-            raise self.refusal(f"a text is missing before {token!r}")
-        before = self.depth
+        before, self.before = self.depth, token if token == "not" else ""
         self.deeper()
         inner: Node = Operation("not", (self.factor(),)) if token == "not" else self.union()
         if token == "(" and (not self.rest or self.rest.pop(0) != ")"):

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
+from scoup.field.content import LEAST_GAUSSIANS
 from scoup.models.words import LEAST_WORDS
 
 Certainty = Literal["sure", "likely", "doubtful", "not here"]
@@ -30,8 +31,6 @@ LIKELY, SURE = 0.6, 0.9
 SIMILAR, SAME = 3.0, 0.99
 """A word is another name of a query from so many standard deviations of words above their mean, and the query itself
 from this cosine."""
-LEAST_GAUSSIANS = 10
-"""Fewer are a stray, not a thing."""
 
 
 def certainty(score: float | None, presence: bool) -> Certainty | None:

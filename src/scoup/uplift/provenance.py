@@ -14,6 +14,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.base.version import VERSION
 from scoup.io.regions.manifest import read_manifest
+from scoup.models.text import check_model
 from scoup.models.word_table import is_table, load_table
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
@@ -33,12 +34,16 @@ def embedding_source(features: Path, regions: Regions, named: str | None = None)
         features: folder of the regions, whose manifest names the model.
         regions: those of the folder.
         named: a model that takes precedence over the manifest, or a word table.
+
+    Raises:
+        FileFormatError, InputError: what is named is neither, or a table of vectors of another size.
     """
     manifest = read_manifest(features)
     made_by = manifest.embedding_model if manifest else ""
     if named is None:
         return made_by, None
     if not is_table(named):
+        check_model(named)
         return named, None
     table = load_table(named)
     dim = table.vectors.shape[1]

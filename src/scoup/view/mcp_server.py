@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import inspect
 import io
 import itertools
 import json
 import os
 import sys
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,16 +45,22 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
             "serving agents needs the package mcp, 2 or newer: pip install 'scoup[mcp]'"
         ) from error
 
-    server = MCPServer("scoup", instructions=INSTRUCTIONS, version=VERSION, log_level="WARNING")
+    parameters: dict[str, Mapping[str, inspect.Parameter]] = {}  # of each tool
+    kind = _strict(MCPServer, ToolError, parameters)
+    server = kind("scoup", instructions=INSTRUCTIONS, version=VERSION, log_level="WARNING")
 
     def add(method: Callable[..., Any]) -> None:
+        parameters[method.__name__] = inspect.signature(method).parameters
+
         @functools.wraps(method)
         def tool(**arguments: Any) -> Any:
             try:
                 reply = method(**arguments)
             except ScoupError as error:  # the model reads what is wrong and tries again
-                raise ToolError(str(error)) from error
-            return Image(data=_png(reply), format="png") if isinstance(reply, np.ndarray) else reply
+                raise ToolError(_without_folders(str(error), tools)) from error
+            if isinstance(reply, np.ndarray):
+                return Image(data=_png(reply), format="png")
+            return json.dumps(reply, ensure_ascii=False, separators=(",", ":"))  # models read every character
 
         server.tool(structured_output=False)(tool)
 
@@ -142,6 +150,49 @@ def _split(file: int) -> Iterator[bytes]:
             kept = b""
         kept = (kept + last)[: MOST_BYTES + 1]
     yield kept
+
+
+def _strict(kind: Any, refusal: Any, parameters: Mapping[str, Mapping[str, inspect.Parameter]]) -> Any:
+    """Return a kind of server that refuses unknown arguments, and names wrong ones in one sentence.
+
+    Args:
+        kind: ``mcp.server.mcpserver.MCPServer``.
+        refusal: ``mcp.server.mcpserver.exceptions.ToolError``.
+        parameters: of each tool.
+    """
+    from pydantic import ValidationError
+
+    class Strict(kind):
+        async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:
+            known = parameters.get(name)
+            if known is not None and (unknown := sorted(arguments.keys() - known)):
+                named = ", ".join(known) or "none"
+                raise refusal(f"{name}: unknown argument {unknown[0][:80]!r}; known: {named}")
+            try:
+                return await super().call_tool(name, arguments, context)
+            except refusal as error:
+                if known is None or not isinstance(error.__cause__, ValidationError):
+                    raise
+                raise refusal(_problem(known, error.__cause__.errors()[0])) from None
+
+    return Strict
+
+
+def _problem(parameters: Mapping[str, inspect.Parameter], error: Mapping[str, Any]) -> str:
+    """Return what is wrong with an argument, in one sentence."""
+    name, *_ = error["loc"]
+    kind = parameters[name].annotation
+    found = "none" if error["type"] == "missing" else repr(error["input"])[:80]
+    return f"{name}: expected {kind}, got {found}"
+
+
+def _without_folders(message: str, tools: SceneTools) -> str:
+    """Take out of a message in which folders of this machine the files of the fields are."""
+    for field in tools.fields.values():
+        for place in (field.path, field.geometry_path, field.encoder_name):
+            if place:
+                message = message.replace(str(place), Path(place).name)
+    return message
 
 
 def _png(picture: Picture) -> bytes:

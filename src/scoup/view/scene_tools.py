@@ -52,7 +52,7 @@ class SceneTools:
             {
                 "scene": name,
                 "gaussians": len(field),
-                "things": 0 if field.thing_table is None else len(field.thing_table),
+                "things": len(field.things()),
                 "levels": list(field.levels),
                 "cameras": len(field.cameras or ()),
             }
@@ -72,13 +72,26 @@ class SceneTools:
         ]
 
     def list_things(self, scene: str, level: str | None = None, limit: int = 50) -> dict[str, Any]:
-        """List the things of a scene, the largest first; `level` keeps those of one level of detail."""
+        """List the things of a scene in short, the largest first; `level` keeps those of one level of detail.
+
+        `more` is how many are not listed; `describe_thing` tells the rest of one.
+        """
         field = self._field(scene)
         if level is not None:
             field.level_index(level)
         things = [thing for thing in field.things() if level in (None, thing.level)]
         things.sort(key=lambda thing: -thing.n_gaussians)
-        return self._reply(things, limit)
+        reply = self._reply(things, limit)
+        metres = "" if self.metres_per_unit is None else "_metres"
+        rows = [
+            {
+                **{name: record[name] for name in ("thing", "text", "level")},
+                f"position{metres}": record[f"position{metres}"],
+                f"extent{metres}": record["extent_metres"] if metres else record["box"]["extent"],
+            }
+            for record in reply["things"]
+        ]
+        return {"count": reply["count"], "more": reply["count"] - len(rows), "things": rows}
 
     def find(self, scene: str, text: str, seen_from: str | None = None, limit: int = 50) -> dict[str, Any]:
         """Find every thing that a text or phrase names, the best first.

@@ -1,0 +1,63 @@
+"""What users type by mistake: one sentence says what is wrong and what to do."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cli_support import ASK, BUILD, refused, run, run_json
+from scoup.models.text import TextEncoder
+
+pytestmark = pytest.mark.usefixtures("here")
+
+TABLE = "scene/words.npz"
+SELECT = ("--out", "a.ply")
+SELECTS = "relations, orders, and, or, not are for scoup select"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((*BUILD, "--model", "scene/README.txt"), "scene/README.txt: is not a table of text embeddings; pass a table"),
+        ((*BUILD, "--model", "no model"), "no text model or table file named 'no model'; nearest names: 'FOLDER or h"),
+        ((*BUILD, "--model", "a/b/c"), "no text model or table file named 'a/b/c'; nearest names: "),
+        ((*ASK["query"], "--text", "no such/model x"), "no text model or table file named 'no such/model x'"),
+        (("extract", "scene", "--segmenter", "no such/x"), "no segmenter named 'no such/x'; nearest names: "),
+        (("build", "bare", "--out", "a.scoup"), "make them with scoup extract bare, or name their folder with --featu"),
+        (("query", "f.scoup", "g.scoup"), "g.scoup: is a field, expected a text; ask one field at a time"),
+        (("query", "f.scoup", "mug left of the kettle"), SELECTS),
+        (("label", "f.scoup", "mug and kettle"), SELECTS),
+        (("query", "scene/README.txt", "mug"), "scene/README.txt: is not a SCOUP language field; pass a .scoup file"),
+        (("query", TABLE, "mug"), "words.npz: is not a SCOUP language field; pass a .scoup file; scoup build writes"),
+        (("select", "f.scoup", "mug and", *SELECT), "mug and: a text is missing after 'and'; write texts joined by"),
+        (("select", "f.scoup", "mug", "and", *SELECT), "mug and: a text is missing after 'and'"),
+        (("select", "f.scoup", "(mug or not)", *SELECT), "(mug or not): a text is missing after 'not'"),
+        (("select", "f.scoup", "and mug", *SELECT), "and mug: a text is missing before 'and'"),
+        (("select", "f.scoup", "()", *SELECT), "(): a text is missing; write texts"),
+    ],
+)  # fmt: skip
+def test_mistakes(arguments, said):
+    Path("scene/README.txt").write_text("A scene of a kettle and a mug.\n")
+    shutil.copytree("scene", "bare", ignore=shutil.ignore_patterns("language_features"))
+    assert said in refused(*arguments)
+
+
+def test_relations_are_one_text_for_a_model(monkeypatch):
+    table = TextEncoder.open(TABLE)
+    model = TextEncoder("", table.dim, lambda texts: table.encode(["mug"] * len(texts)))
+    monkeypatch.setattr(TextEncoder, "open", lambda *_, **__: model)
+    ask = ("query", "f.scoup", "mug on the table", "kettle", "--text", "any/model", "--always")
+    (said,) = run_json(*ask)["warnings"]
+    assert said == f"mug on the table: read as one text each; {SELECTS}"
+
+
+def test_a_field_that_names_nothing_to_encode_texts_is_warned_of():
+    assert "a.scoup: names nothing that can encode texts; build with --model" in run(*BUILD)[2]
+    assert "encode texts" not in run(*BUILD, "--model", TABLE, "--overwrite")[2]
+
+
+def test_a_list_of_words_in_utf_16():
+    Path("words.txt").write_text("mug\nkettle\n", "utf-16")
+    assert run("catalog", "f.scoup", "--words", "words.txt")[0] == 0
