@@ -15,7 +15,7 @@ from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, check_format_version
 from scoup.base.locks import WAIT
 from scoup.io.reading import read_json
-from scoup.io.regions.views import stem_of
+from scoup.io.regions.compact import stem_of
 from scoup.scene.names import Detections
 
 FOLDER_NAME = "concepts"
