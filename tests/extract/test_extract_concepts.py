@@ -39,19 +39,19 @@ class Corner:
 @pytest.fixture
 def photographs(tmp_path: Path) -> Path:
     folder = tmp_path / "photographs"
-    folder.mkdir()
-    for number in range(2):
-        Image.fromarray(smooth_image(20, 30, number)).save(folder / f"{number}.png")
+    (folder / "cam").mkdir(parents=True)
+    for number, name in enumerate(("0.png", "cam/0.png")):
+        Image.fromarray(smooth_image(20, 30, number)).save(folder / name)
     return folder
 
 
 def test_detections_are_stored_and_resumed(photographs: Path, tmp_path: Path) -> None:
     found, folder, model = find_photographs(photographs), tmp_path / "concepts", Corner()
     report = extract_concepts(found, folder, model, ["mug", "cup", "mug"])
-    assert (report.made, report.kept, model.calls) == (["0.png", "1.png"], 0, 2)
+    assert (report.made, report.kept, model.calls) == (["0.png", "cam/0.png"], 0, 2)
     store = DetectionStore.open(folder)
     assert (store.texts, store.settings) == (("mug", "cup"), {"corner": 1, "max_height": 1080})
-    read = store.read("1.png")
+    read = store.read("cam/0.png")
     assert read is not None
     assert (read.texts.tolist(), read.scores.tolist(), read.boxes.tolist()) == ([0], [0.5], [[0, 0, 15, 5]])
     assert (read.size, store.read("2.png")) == ((30, 20), None)

@@ -79,6 +79,7 @@ def test_a_format_of_a_package(tmp_path, monkeypatch):
     with pytest.raises(MissingFileError, match=r"sparse/0, cameras.json, transforms.json, .*, own.rig"):
         find_cameras(tmp_path)
     (tmp_path / "own.rig").touch()
+    save_images(cameras, tmp_path / "images")
     for path in (tmp_path, tmp_path / "own.rig"):
         assert load_cameras(path).names == cameras.names
 

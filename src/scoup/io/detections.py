@@ -95,7 +95,9 @@ class DetectionStore:
                 [text, round(score, 4), *(round(side, 1) for side in box)] for text, score, box in numbers
             ],
         }
-        write_text(self._file(name), json.dumps(record, separators=(",", ":")) + "\n", True)
+        path = self._file(name)
+        path.parent.mkdir(parents=True, exist_ok=True)  # names may have folders
+        write_text(path, json.dumps(record, separators=(",", ":")) + "\n", True)
 
     def read(self, name: str) -> Detections | None:
         """Return the detections of a photograph; None if it was not looked at with these texts and this model."""
