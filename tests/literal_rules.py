@@ -157,9 +157,7 @@ class Generator:
         """Level -> (mask, predicted IoU, stability)."""
         height, width = image.shape[:2]
         crops = self.crops(height, width)
-        lists: dict[str, list[tuple[np.ndarray, float, float, int]]] = {
-            name: [] for name in ("default", "s", "m", "l")
-        }
+        lists: dict[str, list[tuple[np.ndarray, float, float, int]]] = {name: [] for name in ("s", "m", "l")}
         for crop in crops:
             x0, y0, x1, y1 = crop
             for level, items in self.candidates(image, crop, answer).items():
@@ -201,7 +199,7 @@ class Generator:
             for row in range(self.points_per_side)
             for column in range(self.points_per_side)
         ]
-        found: dict[str, list[Item]] = {name: [] for name in ("default", "s", "m", "l")}
+        found: dict[str, list[Item]] = {name: [] for name in ("s", "m", "l")}
         for start in range(0, len(places), self.batch):
             logits, iou = answer(image[y0:y1, x0:x1], np.array(places[start : start + self.batch]))
             for point in range(len(logits)):
@@ -209,7 +207,6 @@ class Generator:
                     item = self.judged(logits[point, channel], float(iou[point, channel]))
                     if item is not None and not cut_off(item[3], crop, image.shape[1], image.shape[0]):
                         found[level].append(item)
-                        found["default"].append(item)
         return found
 
     def judged(self, values: Tensor, iou: float) -> Item | None:

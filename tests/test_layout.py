@@ -178,18 +178,12 @@ def test_what_the_laboratory_needs_of_the_product() -> None:
     assert inner == {f"{room}.{name}" for room, names in INNER.items() for name in names.split()}
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "from scoup.uplift.build import build",
-        "import scoup.uplift.vote",
-        "from scoup import uplift",
-        "from scoup import build",
-        "import scoup",
-        "def f():\n    from scoup.models.text import TextEncoder",
-        'BACKENDS = {"native": "scoup.uplift.vote_backends.native"}',
-    ],
-)
+@pytest.mark.parametrize("source", [
+    "from scoup.uplift.build import build",
+    "import scoup.uplift.vote", "from scoup import uplift", "from scoup import build", "import scoup",
+    "def f():\n    from scoup.models.text import TextEncoder",
+    'BACKENDS = {"native": "scoup.uplift.vote_backends.native"}',
+])  # fmt: skip
 def test_a_climbing_import_is_found(source: str) -> None:
     assert climbs("raster", source, floors())
     assert not climbs(

@@ -23,6 +23,17 @@ def of_transformers(name: str) -> Any:
     return getattr(transformers, name)
 
 
+TINY = {"num_hidden_layers": 1, "num_attention_heads": 2}
+TEXT = {**TINY, "hidden_size": 16, "intermediate_size": 8, "vocab_size": 50}
+VISION = {**TINY, "hidden_size": 16, "intermediate_size": 16, "patch_size": 8}
+SIZES = [[16, 16], [8, 8], [4, 4]]
+SAM3_BACKBONE = {
+    "model_type": "sam3_vit_model", "hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 2,
+    "num_attention_heads": 2, "image_size": 56, "patch_size": 14, "window_size": 2,
+    "global_attn_indexes": [1], "pretrain_image_size": 28,
+}  # fmt: skip
+
+
 def tiny_sam(seed: int = 0) -> Any:
     torch.manual_seed(seed)
     vision = {
@@ -54,29 +65,22 @@ def tiny_sam2(seed: int = 0) -> Any:
     config = of_transformers("Sam2Config")(
         vision_config=vision,
         prompt_encoder_config={"hidden_size": 32, "image_size": 64, "mask_input_channels": 4},
-        mask_decoder_config={"hidden_size": 32, "mlp_dim": 16, "num_hidden_layers": 1,
-                             "num_attention_heads": 2, "iou_head_hidden_dim": 16},
-    )  # fmt: skip
+        mask_decoder_config={**TINY, "hidden_size": 32, "mlp_dim": 16, "iou_head_hidden_dim": 16},
+    )
     return lively(transformers.Sam2Model(config).eval())
 
 
 def tiny_sam3(seed: int = 0) -> Any:
     torch.manual_seed(seed)
-    backbone = {
-        "model_type": "sam3_vit_model", "hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 2,
-        "num_attention_heads": 2, "image_size": 56, "patch_size": 14, "window_size": 2,
-        "global_attn_indexes": [1], "pretrain_image_size": 28,
-    }  # fmt: skip
     vision = {
-        "model_type": "sam3_vision_model", "backbone_config": backbone, "fpn_hidden_size": 32,
-        "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]],
+        "model_type": "sam3_vision_model", "backbone_config": SAM3_BACKBONE, "fpn_hidden_size": 32,
+        "backbone_feature_sizes": SIZES,
     }  # fmt: skip
     config = of_transformers("Sam3TrackerConfig")(
         vision_config=vision,
         prompt_encoder_config={"hidden_size": 32, "image_size": 56, "mask_input_channels": 4},
-        mask_decoder_config={"hidden_size": 32, "mlp_dim": 16, "num_hidden_layers": 1,
-                             "num_attention_heads": 2, "iou_head_hidden_dim": 16},
-    )  # fmt: skip
+        mask_decoder_config={**TINY, "hidden_size": 32, "mlp_dim": 16, "iou_head_hidden_dim": 16},
+    )
     return lively(transformers.Sam3TrackerModel(config).eval())
 
 
@@ -112,43 +116,30 @@ TINY_SAMS = {"sam": tiny_sam, "sam2": tiny_sam2, "sam3": tiny_sam3}
 def tiny_clip(seed: int = 0, side: int = 32) -> Any:
     torch.manual_seed(seed)
     config = transformers.CLIPConfig(
-        text_config={"hidden_size": 8, "intermediate_size": 8, "num_hidden_layers": 1,
-                     "num_attention_heads": 2, "vocab_size": 50, "projection_dim": 12},
-        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
-                       "num_attention_heads": 2, "image_size": side, "patch_size": 8, "projection_dim": 12},
+        text_config={**TEXT, "hidden_size": 8, "projection_dim": 12},
+        vision_config={**VISION, "image_size": side, "projection_dim": 12},
         projection_dim=12,
-    )  # fmt: skip
+    )
     return lively(transformers.CLIPModel(config).eval())
 
 
 def tiny_siglip(seed: int = 0, side: int = 32) -> Any:
     torch.manual_seed(seed)
-    config = transformers.SiglipConfig(
-        text_config={"hidden_size": 16, "intermediate_size": 8, "num_hidden_layers": 1,
-                     "num_attention_heads": 2, "vocab_size": 50},
-        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
-                       "num_attention_heads": 2, "image_size": side, "patch_size": 8},
-    )  # fmt: skip
+    config = transformers.SiglipConfig(text_config=TEXT, vision_config={**VISION, "image_size": side})
     return lively(transformers.SiglipModel(config).eval())
 
 
 def tiny_siglip2(seed: int = 0) -> Any:
     """The variant for images of any shape, NaFlex."""
     torch.manual_seed(seed)
-    config = of_transformers("Siglip2Config")(
-        text_config={"hidden_size": 16, "intermediate_size": 8, "num_hidden_layers": 1,
-                     "num_attention_heads": 2, "vocab_size": 50},
-        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
-                       "num_attention_heads": 2, "num_patches": 16, "patch_size": 8},
-    )  # fmt: skip
+    config = of_transformers("Siglip2Config")(text_config=TEXT, vision_config={**VISION, "num_patches": 16})
     return lively(of_transformers("Siglip2Model")(config).eval())
 
 
 def tiny_tips(seed: int = 0, **text: Any) -> Any:
     torch.manual_seed(seed)
     config = of_transformers("Tipsv2Config")(
-        text_config={"hidden_size": 16, "intermediate_size": 8, "num_hidden_layers": 1, "num_attention_heads": 2,
-                     "vocab_size": 50, **text},
+        text_config={**TEXT, **text},
         vision_config={"hidden_size": 16, "num_hidden_layers": 2, "num_attention_heads": 2, "image_size": 32,
                        "patch_size": 8, "layerscale_value": 0.7, "num_register_tokens": 2},
     )  # fmt: skip
@@ -191,8 +182,7 @@ TINY_TEXT = {
 def save_text_clip(folder: Path, seed: int = 0) -> Path:
     """A CLIP model with a tokenizer of ``WORDS``."""
     torch.manual_seed(seed)
-    vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
-              "image_size": 8, "patch_size": 4}  # fmt: skip
+    vision = {**VISION, "intermediate_size": 32, "image_size": 8, "patch_size": 4}
     config = transformers.CLIPConfig(text_config=TINY_TEXT, vision_config=vision, projection_dim=12)
     transformers.CLIPModel(config).save_pretrained(folder)
     tiny_tokenizer(folder, WORDS)
@@ -206,11 +196,9 @@ def save_owl(folder: Path, seed: int = 0) -> Any:
     """An OWLv2 with a tokenizer of ``TINY_WORDS``."""
     torch.manual_seed(seed)
     config = of_transformers("Owlv2Config")(
-        text_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
-                     "vocab_size": 7, "max_position_embeddings": 16, "bos_token_id": 1, "eos_token_id": 6,
+        text_config={**TINY_TEXT, "intermediate_size": 16, "num_hidden_layers": 1, "max_position_embeddings": 16,
                      "pad_token_id": 0},
-        vision_config={"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1,
-                       "num_attention_heads": 2, "image_size": 48, "patch_size": 16},
+        vision_config={**VISION, "image_size": 48, "patch_size": 16},
         projection_dim=16,
     )  # fmt: skip
     model = lively(transformers.Owlv2ForObjectDetection(config).eval())
@@ -229,8 +217,7 @@ def save_grounding_dino(folder: Path, seed: int = 0) -> Any:
     config = of_transformers("GroundingDinoConfig")(
         backbone_config={"model_type": "swin", "embed_dim": 8, "depths": [1, 1, 1, 1], "num_heads": [1, 1, 2, 2],
                          "window_size": 2, "image_size": 32, "out_features": ["stage2", "stage3", "stage4"]},
-        text_config={"model_type": "bert", "vocab_size": 1013, "hidden_size": 16, "intermediate_size": 16,
-                     "num_hidden_layers": 1, "num_attention_heads": 2},
+        text_config={**TINY, "model_type": "bert", "vocab_size": 1013, "hidden_size": 16, "intermediate_size": 16},
         d_model=32, encoder_layers=1, decoder_layers=2, encoder_attention_heads=2, decoder_attention_heads=2,
         encoder_ffn_dim=16, decoder_ffn_dim=16, num_queries=9, max_text_len=12, disable_custom_kernels=True,
     )  # fmt: skip
@@ -249,18 +236,11 @@ def save_grounding_dino(folder: Path, seed: int = 0) -> Any:
 def save_sam3_concepts(folder: Path, seed: int = 0) -> Any:
     """A SAM 3 that takes texts, with a tokenizer of ``TINY_WORDS``."""
     torch.manual_seed(seed)
-    backbone = {
-        "model_type": "sam3_vit_model", "hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 2,
-        "num_attention_heads": 2, "image_size": 56, "patch_size": 14, "window_size": 2,
-        "global_attn_indexes": [1], "pretrain_image_size": 28,
-    }  # fmt: skip
     detr = {"hidden_size": 32, "num_layers": 1, "num_attention_heads": 2, "intermediate_size": 16}
     config = of_transformers("Sam3Config")(
-        vision_config={"backbone_config": backbone, "fpn_hidden_size": 32,
-                       "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]]},
-        text_config={"model_type": "clip_text_model", "vocab_size": 7, "hidden_size": 16, "intermediate_size": 16,
-                     "projection_dim": 16, "num_hidden_layers": 1, "num_attention_heads": 2,
-                     "max_position_embeddings": 32, "bos_token_id": 1, "eos_token_id": 6, "pad_token_id": 6},
+        vision_config={"backbone_config": SAM3_BACKBONE, "fpn_hidden_size": 32, "backbone_feature_sizes": SIZES},
+        text_config={**TINY_TEXT, "model_type": "clip_text_model", "intermediate_size": 16, "projection_dim": 16,
+                     "num_hidden_layers": 1, "max_position_embeddings": 32},
         geometry_encoder_config={"hidden_size": 32, "num_layers": 1, "num_attention_heads": 2,
                                  "intermediate_size": 16},
         detr_encoder_config=detr, detr_decoder_config={**detr, "num_queries": 6},

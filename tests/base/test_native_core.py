@@ -71,15 +71,11 @@ def test_a_core_that_was_built(core):
 
 
 @pytest.mark.usefixtures("no_core")
-@pytest.mark.parametrize(
-    ("platform", "remedy"),
-    [
-        ("linux", "apt install g++"),
-        ("darwin", "xcode-select --install"),
-        ("win32", "clang-cl"),
-        ("sunos5", "a C++ compiler, then"),
-    ],
-)
+@pytest.mark.parametrize(("platform", "remedy"), [
+    ("linux", "apt install g++"),
+    ("darwin", "xcode-select --install"),
+    ("win32", "clang-cl"), ("sunos5", "a C++ compiler, then"),
+])  # fmt: skip
 def test_a_core_that_was_not_built(monkeypatch, platform, remedy):
     monkeypatch.setattr(sys, "platform", platform)
     assert native.native_core() is None

@@ -216,15 +216,10 @@ def test_sums_alone_are_refused(scene: RasterisedScene) -> None:
         learn_joint_codes(UpliftInputs(inputs.sums, inputs.embeddings), MethodSettings(joint=SMALL))
 
 
-@pytest.mark.parametrize(
-    ("changes", "problem"),
-    [
-        ({"iterations": -1}, "negative"),
-        ({"k": 0}, "1 to 8 atoms, got 0"),
-        ({"k": 9}, "1 to 8 atoms, got 9"),
-        ({"learning_rate": 0.0}, "positive"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "problem"), [
+    ({"iterations": -1}, "negative"), ({"k": 0}, "1 to 8 atoms, got 0"), ({"k": 9}, "1 to 8 atoms, got 9"),
+    ({"learning_rate": 0.0}, "positive"),
+])  # fmt: skip
 def test_bad_settings_are_refused(changes: dict[str, Any], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         fit_joint_codes([], [unit(torch.randn(3, 4))], [{}], 5, replace(SMALL, **changes))

@@ -56,21 +56,17 @@ def test_a_field_without_cameras_or_geometry():
     )
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--k", "9"), "k (9) and keep (4) must not exceed the 8 atoms"),
-        (("--k", "0"), "k must be at least 1"),
-        (("--n-atoms", "0"), "atoms"),
-        (("--n-atoms", "70000"), "70000"),
-        (("--epochs", "-1"), "epochs must not be negative"),
-        (("--tolerance", "nan"), "tolerance"),
-        (("--seed", "-1"), "seed"),
-        (("--solver", "magic"), "there is no solver 'magic'; solvers: 'adam'"),
-        (("--out", "a.ply"), "a.ply: expected a name that ends in .scoup"),
-        (("--out", "scene"), "scene: expected a name that ends in .scoup"),
-    ],
-)
+@pytest.mark.parametrize(("options", "said"), [
+    (("--k", "9"), "k (9) and keep (4) must not exceed the 8 atoms"),
+    (("--k", "0"), "k must be at least 1"),
+    (("--n-atoms", "0"), "atoms"), (("--n-atoms", "70000"), "70000"),
+    (("--epochs", "-1"), "epochs must not be negative"),
+    (("--tolerance", "nan"), "tolerance"),
+    (("--seed", "-1"), "seed"),
+    (("--solver", "magic"), "there is no solver 'magic'; solvers: 'adam'"),
+    (("--out", "a.ply"), "a.ply: expected a name that ends in .scoup"),
+    (("--out", "scene"), "scene: expected a name that ends in .scoup"),
+])  # fmt: skip
 def test_settings_out_of_range(options, said):
     assert said in refused(*BUILD, *options)
 

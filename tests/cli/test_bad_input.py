@@ -53,17 +53,9 @@ def a_folder(file: str) -> None:
 # ---- files that are damaged
 
 
-@pytest.mark.parametrize(
-    ("verb", "damage"),
-    [
-        ("query", cut),
-        ("query", emptied),
-        ("query", text),
-        ("query", a_folder),
-        ("select", cut),
-        ("render", text),
-    ],
-)
+@pytest.mark.parametrize(("verb", "damage"), [
+    ("query", cut), ("query", emptied), ("query", text), ("query", a_folder), ("select", cut), ("render", text),
+])  # fmt: skip
 def test_damaged_inputs_of_verbs_that_ask(verb, damage):
     for file in (TABLE, PLY, FIELD):
         damage(file)
@@ -241,56 +233,26 @@ def test_a_file_where_a_model_belongs():
     assert "it is a file; pass a folder with config.json" in refused(*extract, "--embedder", PLY)
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        (
-            "a.lcc",
-            "splats in .lcc files are not read; convert it with splat-transform (splat-transform a.lcc a.ply), or open "
-            "it in the SuperSplat editor",
-        ),
-        (
-            "a.usdz",
-            ".usdz files are not read, whether they hold a splat or a mesh; export the trained splat as PLY",
-        ),
-        (
-            "a.las",
-            "a .las file contains a mesh or a point cloud, not a trained splat; use the splat that training",
-        ),
-        ("a.ply.gz", "is an archive; unpack it"),
-    ],
-)
+@pytest.mark.parametrize(("name", "said"), [
+    ("a.lcc", "splats in .lcc files are not read; convert it with splat-transform (splat-transform a.lcc a.ply), or "
+              "open it in the SuperSplat editor"),
+    ("a.usdz", ".usdz files are not read, whether they hold a splat or a mesh; export the trained splat as PLY"),
+    ("a.las", "a .las file contains a mesh or a point cloud, not a trained splat; use the splat that training"),
+    ("a.ply.gz", "is an archive; unpack it"),
+])  # fmt: skip
 def test_formats_that_are_not_read(name, said):
     Path(name).write_bytes(b"x")
     for arguments in (("info", name), (*BUILD, "--gaussians", name)):
         assert f"{name}: {said}" in refused(*arguments)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        (
-            "transforms.json",
-            '[{"file_path": "a.png"}]',
-            "[0].img_name is missing, expected a text; a JSON list is read as cameras of",
-        ),
-        (
-            "transforms.json",
-            "[1,",
-            "is not valid JSON (line 1); the file should contain cameras of nerfstudio (an object",
-        ),
-        (
-            "cameras.json",
-            '{"a": 1}',
-            "frames is missing, expected a list; a JSON object is read as nerfstudio's",
-        ),
-        (
-            "other.json",
-            '{"frames": [{}]}',
-            "frames[0].file_path is missing, expected a text; a JSON object is read as",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("name", "content", "said"), [
+    ("transforms.json", '[{"file_path": "a.png"}]',
+     "[0].img_name is missing, expected a text; a JSON list is read as cameras of"),
+    ("transforms.json", "[1,", "is not valid JSON (line 1); the file should contain cameras of nerfstudio (an object"),
+    ("cameras.json", '{"a": 1}', "frames is missing, expected a list; a JSON object is read as nerfstudio's"),
+    ("other.json", '{"frames": [{}]}', "frames[0].file_path is missing, expected a text; a JSON object is read as"),
+])  # fmt: skip
 def test_json_of_another_kind_than_its_name_says(name, content, said):
     Path(name).write_text(content)
     for arguments in (
@@ -378,26 +340,11 @@ def test_an_extraction_that_fails_at_once_leaves_nothing():
     assert not Path("regions").exists()
 
 
-@pytest.mark.parametrize(
-    ("source", "target", "said"),
-    [
-        (
-            "scene",
-            "scene",
-            "source and target are one folder; use a new folder, such as scene/language_features_",
-        ),
-        (
-            "scene/language_features",
-            "scene",
-            "scene: contains other files than region features (images, point_cloud",
-        ),
-        (
-            "scene",
-            "scene/images",
-            "scene/images: contains other files than region features (view_00.png, view_01.png",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("source", "target", "said"), [
+    ("scene", "scene", "source and target are one folder; use a new folder, such as scene/language_features_"),
+    ("scene/language_features", "scene", "scene: contains other files than region features (images, point_cloud"),
+    ("scene", "scene/images", "scene/images: contains other files than region features (view_00.png, view_01.png"),
+])  # fmt: skip
 def test_regions_converted_into_a_folder_of_other_things(source, target, said):
     for options in ((), ("--to", "compact"), ("--overwrite",)):
         assert said in refused("convert", source, target, *options)

@@ -111,20 +111,13 @@ def test_messages_name_options_in_place_of_arguments(capsys, message: str, said:
     assert capsys.readouterr().err == f"warning: {said}\nerror: {said}\n"
 
 
-@pytest.mark.parametrize(
-    ("error", "code", "said"),
-    [
-        (InputError("a.ply: is\nodd"), 2, "a.ply: is odd"),
-        (KeyboardInterrupt(), 130, "interrupted"),
-        (MemoryError(), 2, "not enough memory"),
-        (RuntimeError("DefaultCPUAllocator: can't allocate memory"), 2, "not enough memory"),
-        (
-            OSError(28, "No space left on device", "a.png"),
-            2,
-            "a.png: the system refused (No space left on device)",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("error", "code", "said"), [
+    (InputError("a.ply: is\nodd"), 2, "a.ply: is odd"),
+    (KeyboardInterrupt(), 130, "interrupted"),
+    (MemoryError(), 2, "not enough memory"),
+    (RuntimeError("DefaultCPUAllocator: can't allocate memory"), 2, "not enough memory"),
+    (OSError(28, "No space left on device", "a.png"), 2, "a.png: the system refused (No space left on device)"),
+])  # fmt: skip
 def test_errors_are_one_line_and_one_object(capsys, error, code, said):
     def verb(console: Console) -> None:
         raise error

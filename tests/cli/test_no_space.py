@@ -66,7 +66,7 @@ VERBS = {
               "project", "--out", "a.json"),
 }  # fmt: skip
 # Of these, what is complete stays for the same command to continue.
-RESUMED = (".safetensors", ".regions", "_s.npy", "_f.npy", "_made.json", "regions.json")
+RESUMED = (".safetensors", ".regions", "_s.npy", "_f.npy", "regions.json")
 
 
 @pytest.fixture(scope="session")

@@ -83,7 +83,6 @@ def test_what_extract_refuses(here) -> None:
     assert "colors" in refused(
         "extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "./no-such-model"
     )
-    assert "no level default" in refused("extract", "scene", *FREE, "--with-default")
     run_json("extract", "scene", *FREE)
     assert "max_height: 10, not 1080" in refused("extract", "scene", *FREE, "--max-height", "10")
     Path("file").write_text("")

@@ -269,26 +269,20 @@ def test_long_sums_keep_their_precision(core: ModuleType) -> None:
     np.testing.assert_allclose(toward, count * float(np.float32(0.1)), rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"rows": np.zeros((4, 3))},
-            r"rows must be a contiguous float32 array \[any, any\]; it has another dtype",
-        ),
-        ({"rows": np.zeros(3, np.float32)}, "rows must be .* it has 1 dimensions"),
-        ({"rows": np.zeros((4, 6), np.float32)[:, ::2]}, "rows must be .* it is not contiguous"),
-        ({"rows": np.asfortranarray(np.zeros((4, 3), np.float32))}, "rows must be .* it is not contiguous"),
-        ({"atoms": np.zeros((5, 2), np.float32)}, "atoms must be .* its axis 1 has 2 entries"),
-        ({"atoms": np.zeros((5, 3), np.int32)}, "atoms must be .* another dtype"),
-        ({"slots": 0}, "slots must be 1 to 64, got 0"),
-        ({"slots": 65}, "slots must be"),
-        ({"swap_passes": -1}, "swap_passes"),
-        ({"warm": np.zeros((4, 2), np.int64)}, "warm must be a contiguous int32"),
-        ({"warm": np.zeros((3, 2), np.int32)}, r"warm must be .*\[4, 2\]; its axis 0 has 3 entries"),
-        ({"warm": np.full((4, 2), 5, np.int32)}, "warm holds atom 5 of 5"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"rows": np.zeros((4, 3))}, r"rows must be a contiguous float32 array \[any, any\]; it has another dtype"),
+    ({"rows": np.zeros(3, np.float32)}, "rows must be .* it has 1 dimensions"),
+    ({"rows": np.zeros((4, 6), np.float32)[:, ::2]}, "rows must be .* it is not contiguous"),
+    ({"rows": np.asfortranarray(np.zeros((4, 3), np.float32))}, "rows must be .* it is not contiguous"),
+    ({"atoms": np.zeros((5, 2), np.float32)}, "atoms must be .* its axis 1 has 2 entries"),
+    ({"atoms": np.zeros((5, 3), np.int32)}, "atoms must be .* another dtype"),
+    ({"slots": 0}, "slots must be 1 to 64, got 0"),
+    ({"slots": 65}, "slots must be"),
+    ({"swap_passes": -1}, "swap_passes"),
+    ({"warm": np.zeros((4, 2), np.int64)}, "warm must be a contiguous int32"),
+    ({"warm": np.zeros((3, 2), np.int32)}, r"warm must be .*\[4, 2\]; its axis 0 has 3 entries"),
+    ({"warm": np.full((4, 2), 5, np.int32)}, "warm holds atom 5 of 5"),
+])  # fmt: skip
 def test_hostile_arrays_are_refused(core: ModuleType, change: dict[str, Any], message: str) -> None:
     good: dict[str, Any] = {
         "rows": np.zeros((4, 3), np.float32),

@@ -99,19 +99,14 @@ def test_many_atoms_take_sixteen_bits() -> None:
     assert_valid(book.codes, random_rows(20))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"embeddings": torch.tensor([[1.0, float("nan")]])}, "row 0"),
-        ({"embeddings": torch.tensor([[1.0, float("inf")]])}, "not finite"),
-        ({"embeddings": torch.zeros(3)}, r"\[R, D\]"),
-        ({"embeddings": torch.zeros(3, 4, dtype=torch.int32)}, "floating"),
-        ({"solver": "newton"}, "solvers: 'adam', 'exact'"),
-        ({"k": 0}, "k must be"),
-        ({"n_atoms": 0}, "1 to 65536"),
-        ({"epochs": -1}, "epochs"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"embeddings": torch.tensor([[1.0, float("nan")]])}, "row 0"),
+    ({"embeddings": torch.tensor([[1.0, float("inf")]])}, "not finite"),
+    ({"embeddings": torch.zeros(3)}, r"\[R, D\]"),
+    ({"embeddings": torch.zeros(3, 4, dtype=torch.int32)}, "floating"),
+    ({"solver": "newton"}, "solvers: 'adam', 'exact'"),
+    ({"k": 0}, "k must be"), ({"n_atoms": 0}, "1 to 65536"), ({"epochs": -1}, "epochs"),
+])  # fmt: skip
 def test_refusals(change: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         fit_codes(**{"embeddings": random_rows(5), "solver": "adam", "epochs": 1, **change})

@@ -32,16 +32,11 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import SH_C0
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        *(f"comment {text}".encode() for text in ("by Ångström lab", "/全景/光学.jpg", "Συντάκτης", "хлеб")),
-        b"comment scan\x85 final",
-        "obj_info Ångström".encode(),
-        "comment 部屋".encode("shift_jis"),
-        "property float scalar_voilà".encode(),
-    ],
-)
+@pytest.mark.parametrize("line", [
+    *(f"comment {text}".encode() for text in ("by Ångström lab", "/全景/光学.jpg", "Συντάκτης", "хлеб")),
+    b"comment scan\x85 final", "obj_info Ångström".encode(), "comment 部屋".encode("shift_jis"),
+    "property float scalar_voilà".encode(),
+])  # fmt: skip
 def test_ply_headers_of_any_text(tmp_path: Path, line: bytes) -> None:
     given = some_gaussians(3, 0)
     save_gaussians(given, tmp_path / "a.ply")
@@ -196,20 +191,13 @@ def changed_columns(path: Path, gone: str, **added: np.ndarray) -> None:
     write_ply_table(table, path, overwrite=True)
 
 
-@pytest.mark.parametrize(
-    ("gone", "added", "change"),
-    [
-        (
-            "scale_2",
-            {},
-            {"scales": lambda given: torch.cat([given.scales[:, :2], torch.full((5, 1), 1e-6)], 1)},
-        ),
-        ("scale_[12]", {}, {"scales": lambda given: given.scales[:, :1].expand(-1, 3)}),
-        ("f_dc_.", {"red": 255, "green": 0, "blue": 51}, {}),
-        ("f_dc_.", {"red": 1.0, "green": 0.0, "blue": 0.2}, {}),
-        ("f_dc_.", {"red": 65535, "green": 0, "blue": 13107}, {}),
-    ],
-)
+@pytest.mark.parametrize(("gone", "added", "change"), [
+    ("scale_2", {}, {"scales": lambda given: torch.cat([given.scales[:, :2], torch.full((5, 1), 1e-6)], 1)}),
+    ("scale_[12]", {}, {"scales": lambda given: given.scales[:, :1].expand(-1, 3)}),
+    ("f_dc_.", {"red": 255, "green": 0, "blue": 51}, {}),
+    ("f_dc_.", {"red": 1.0, "green": 0.0, "blue": 0.2}, {}),
+    ("f_dc_.", {"red": 65535, "green": 0, "blue": 13107}, {}),
+])  # fmt: skip
 def test_splats_with_other_properties(tmp_path: Path, gone: str, added: Any, change: Any) -> None:
     given = some_gaussians(5, 1)
     save_gaussians(given, tmp_path / "a.ply")

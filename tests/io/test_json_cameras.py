@@ -107,36 +107,30 @@ def test_image_gives_size_and_extension(tmp_path):
         assert len(read_transforms(path)) == 1
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"camera_model": "OPENCV_FISHEYE"}, "'OPENCV_FISHEYE'.*not supported"),
-        ({"is_fisheye": True}, "is_fisheye 'True', a lens that is not supported"),
-        ({"frame": {"is_fisheye": True}}, "is_fisheye"),
-        ({"latlong": True}, "latlong"),
-        ({"equirectangular": 1}, "equirectangular"),
-        ({"ftheta_p0": 0.0, "ftheta_p1": 0.02}, "ftheta_p1"),
-        ({"camera_type": "spherical"}, "camera_type 'spherical'"),
-        ({"k3": 0.1}, "k3"),
-        ({"k6": 0.1}, "k6"),
-        ({"distortion_params": [0.1, 0, 0.2, 0, 0, 0]}, "k3"),
-        ({"distortion_params": [0.1, 0.2]}, "distortion_params"),
-        ({"fl_x": None}, "neither fl_x nor camera_angle_x"),
-        ({"w": 0}, "w is .*, expected a whole number from 1"),
-        ({"w": 10**12}, "w is .*, expected a whole number from 1"),
-        ({"w": 2.5}, "w is .*, expected a whole number from 1"),
-        ({"fl_x": "wide"}, "fl_x"),
-        ({"fl_x": -3}, "focal"),
-        ({"cx": float("nan")}, "cx"),
-        ({"h": None}, "has no image size"),
-        ({"frame": {"transform_matrix": [[1, 2], [3, 4]]}}, "expected 4 x 4 numbers"),
-        ({"frame": {"transform_matrix": np.diag([2.0, 2, 2, 1]).tolist()}}, "not a rotation"),
-        ({"frame": {"transform_matrix": None}}, "transform_matrix"),
-        ({"frame": {"file_path": 3}}, r"frames\[0\]\.file_path is 3, expected a text"),
-        ({"frames": []}, "contains no cameras"),
-        ({"frames": None}, "frames is missing, expected a list"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"camera_model": "OPENCV_FISHEYE"}, "'OPENCV_FISHEYE'.*not supported"),
+    ({"is_fisheye": True}, "is_fisheye 'True', a lens that is not supported"),
+    ({"frame": {"is_fisheye": True}}, "is_fisheye"),
+    ({"latlong": True}, "latlong"),
+    ({"equirectangular": 1}, "equirectangular"),
+    ({"ftheta_p0": 0.0, "ftheta_p1": 0.02}, "ftheta_p1"),
+    ({"camera_type": "spherical"}, "camera_type 'spherical'"),
+    ({"k3": 0.1}, "k3"), ({"k6": 0.1}, "k6"),
+    ({"distortion_params": [0.1, 0, 0.2, 0, 0, 0]}, "k3"),
+    ({"distortion_params": [0.1, 0.2]}, "distortion_params"),
+    ({"fl_x": None}, "neither fl_x nor camera_angle_x"),
+    ({"w": 0}, "w is .*, expected a whole number from 1"),
+    ({"w": 10**12}, "w is .*, expected a whole number from 1"),
+    ({"w": 2.5}, "w is .*, expected a whole number from 1"),
+    ({"fl_x": "wide"}, "fl_x"), ({"fl_x": -3}, "focal"), ({"cx": float("nan")}, "cx"),
+    ({"h": None}, "has no image size"),
+    ({"frame": {"transform_matrix": [[1, 2], [3, 4]]}}, "expected 4 x 4 numbers"),
+    ({"frame": {"transform_matrix": np.diag([2.0, 2, 2, 1]).tolist()}}, "not a rotation"),
+    ({"frame": {"transform_matrix": None}}, "transform_matrix"),
+    ({"frame": {"file_path": 3}}, r"frames\[0\]\.file_path is 3, expected a text"),
+    ({"frames": []}, "contains no cameras"),
+    ({"frames": None}, "frames is missing, expected a list"),
+])  # fmt: skip
 def test_bad_transforms(tmp_path, changes, message):
     path = transforms(tmp_path, **changes)
     with pytest.raises(FileFormatError, match=message):

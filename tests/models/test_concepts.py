@@ -14,6 +14,7 @@ from mask_samples import smooth_image
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, UnknownNameError
 from scoup.models.concepts import LEAST_SCORE, MOST_BOXES, SAME_BOX, best_boxes, open_concepts
 from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
+from scoup.uplift.naming import box_ious
 from tiny_models import (
     TINY_WORDS,
     save_grounding_dino,
@@ -126,13 +127,7 @@ def test_of_overlapping_boxes_the_best_stays() -> None:
         assert bool((values >= LEAST_SCORE).all())
         assert values.tolist() == sorted(values.tolist(), reverse=True)
         assert float(values[0]) == float(scores[:, text].max())
-        low, high = (
-            torch.maximum(mine[:, None, :2], mine[:, :2]),
-            torch.minimum(mine[:, None, 2:], mine[:, 2:]),
-        )
-        both, areas = (high - low).clamp(min=0).prod(2), (mine[:, 2:] - mine[:, :2]).prod(1)
-        ious = both / (areas[:, None] + areas - both)
-        assert float((ious - torch.eye(len(mine))).max()) <= SAME_BOX + 1e-6
+        assert float((box_ious(mine, mine) - torch.eye(len(mine))).max()) <= SAME_BOX + 1e-6
     assert float(found.boxes.max()) <= 80
 
 
@@ -172,25 +167,15 @@ def save_onnx_pair(folder: Path, side: int = 24, dim: int = 4) -> np.ndarray:
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
         onnx.save(model, folder / f"{name}.onnx")
 
-    save(
-        "image",
-        nodes,
-        constants,
-        helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, side, side]),
-        names,
-    )
+    pixels = helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, side, side])
+    save("image", nodes, constants, pixels, names)
     table = rng.normal(size=(7, dim)).astype(np.float32)
     sums = [
         helper.make_node("Gather", ["table", "ids"], ["each"]),
         helper.make_node("ReduceMean", ["each"], ["vectors"], axes=[1], keepdims=0),
     ]
-    save(
-        "text",
-        sums,
-        {"table": table},
-        helper.make_tensor_value_info("ids", TensorProto.INT64, ["Q", 5]),
-        ("vectors",),
-    )
+    ids = helper.make_tensor_value_info("ids", TensorProto.INT64, ["Q", 5])
+    save("text", sums, {"table": table}, ids, ("vectors",))
     tiny_tokenizer(folder, TINY_WORDS)
     vectors = [table[ids_of(text, 5, 0)[0]].mean(0) for text in TEXTS]
     cosines = np.array(

@@ -118,23 +118,17 @@ def test_absent_tables_and_those_that_are_no_tables(tmp_path: Path) -> None:
                 TextEncoder.open(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    "arrays",
-    [
-        {"names": np.array(NAMES), "vectors": VECTORS[:2]},
-        {"names": np.array(NAMES), "vectors": VECTORS[0]},
-        {"names": np.array([1, 2, 3]), "vectors": VECTORS},
-        {"names": np.array(NAMES), "vectors": np.array(NAMES)},
-        {"names": np.array(NAMES), "vectors": np.full((3, 3), np.nan)},
-        {"names": np.array(NAMES), "vectors": np.zeros((3, 3))},
-        {"names": np.array(NAMES), "vectors": np.zeros((3, 0))},
-        {"names": np.array(NAMES, dtype=object), "vectors": VECTORS},
-        {"a": np.ones(2), "b": np.ones(3)},
-        {"a": np.ones((2, 2))},
-        {"a": np.float32(3)},
-        {},
-    ],
-)
+@pytest.mark.parametrize("arrays", [
+    {"names": np.array(NAMES), "vectors": VECTORS[:2]},
+    {"names": np.array(NAMES), "vectors": VECTORS[0]},
+    {"names": np.array([1, 2, 3]), "vectors": VECTORS},
+    {"names": np.array(NAMES), "vectors": np.array(NAMES)},
+    {"names": np.array(NAMES), "vectors": np.full((3, 3), np.nan)},
+    {"names": np.array(NAMES), "vectors": np.zeros((3, 3))},
+    {"names": np.array(NAMES), "vectors": np.zeros((3, 0))},
+    {"names": np.array(NAMES, dtype=object), "vectors": VECTORS},
+    {"a": np.ones(2), "b": np.ones(3)}, {"a": np.ones((2, 2))}, {"a": np.float32(3)}, {},
+])  # fmt: skip
 def test_bad_arrays(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     path = tmp_path / "bad.npz"
     np.savez(path, **arrays)  # pyright: ignore

@@ -15,16 +15,11 @@ from scoup.scene.regions import RegionMap, Regions, resize_labels
 from support import make_camera, random_gaussians, small_scene, unit
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("means", torch.zeros(3, 2)),
-        ("quats", torch.zeros(4, 4)),
-        ("opacities", torch.zeros(3, 1)),
-        ("sh", torch.zeros(3, 5, 3)),
-        ("scales", torch.zeros(3, 3, dtype=torch.float64)),
-    ],
-)
+@pytest.mark.parametrize(("field", "value"), [
+    ("means", torch.zeros(3, 2)), ("quats", torch.zeros(4, 4)), ("opacities", torch.zeros(3, 1)),
+    ("sh", torch.zeros(3, 5, 3)),
+    ("scales", torch.zeros(3, 3, dtype=torch.float64)),
+])  # fmt: skip
 def test_gaussians_refuse_wrong_parts(field, value):
     with pytest.raises(InputError, match=field):
         dataclasses.replace(random_gaussians(3, 0), **{field: value})

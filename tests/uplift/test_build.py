@@ -219,15 +219,10 @@ def test_a_codebook_of_other_regions_is_refused(scene):
         build(gaussians, cameras, one, settings=QUICK, codebook=field)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"n_atoms": 5, "k": 2, "keep": 2, "seed": 4},
-        {"rounds": 1},
-        {"rounds": 3, "keep": 0},
-        {"solver": "adam", "epochs": 20},
-    ],
-)
+@pytest.mark.parametrize("change", [
+    {"n_atoms": 5, "k": 2, "keep": 2, "seed": 4},
+    {"rounds": 1}, {"rounds": 3, "keep": 0}, {"solver": "adam", "epochs": 20},
+])  # fmt: skip
 def test_other_settings_from_kept_sums_equal_a_whole_build(scene, tmp_path, change):
     gaussians, cameras, regions = scene
     region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")

@@ -104,21 +104,12 @@ def test_a_renamed_source_is_another(viewer: Path):
     assert build_viewer.fingerprint(viewer) != before
 
 
-@pytest.mark.parametrize(
-    ("environment", "message"),
-    [
-        (
-            {"NPM_FAILS": "ci", "NPM_SAYS": "npm error code X\nnpm error network no way"},
-            "npm ci failed: no way",
-        ),
-        (
-            {"NPM_FAILS": "build", "NPM_SAYS": "> esbuild\nmain.ts:1: nonsense"},
-            "npm run build failed: main.ts:1",
-        ),
-        ({"NPM_FAILS": "build"}, "npm run build failed: it did not say why"),
-        ({"NPM_WRITES": "index.html viewer.js viewer.css"}, "npm run build wrote no licences.txt"),
-    ],
-)
+@pytest.mark.parametrize(("environment", "message"), [
+    ({"NPM_FAILS": "ci", "NPM_SAYS": "npm error code X\nnpm error network no way"}, "npm ci failed: no way"),
+    ({"NPM_FAILS": "build", "NPM_SAYS": "> esbuild\nmain.ts:1: nonsense"}, "npm run build failed: main.ts:1"),
+    ({"NPM_FAILS": "build"}, "npm run build failed: it did not say why"),
+    ({"NPM_WRITES": "index.html viewer.js viewer.css"}, "npm run build wrote no licences.txt"),
+])  # fmt: skip
 @pytest.mark.parametrize("earlier", [False, True])
 def test_no_half_a_page(
     npm: Npm, viewer: Path, page: Path, monkeypatch: pytest.MonkeyPatch, environment: dict[str, str],

@@ -15,7 +15,6 @@ from scoup.base.counts import counted
 from scoup.cli.console import Console, kept
 from scoup.cli.options import (
     CLIP_MODEL,
-    Flag,
     OptionalInteger,
     OptionalPath,
     OptionalText,
@@ -42,7 +41,7 @@ class Extract(WritesCommon):
         "photograph": "images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
         "words": "concepts concept_model",
-        "mask": "preset points_per_side with_default",
+        "mask": "preset points_per_side",
         "output": "out part",
     }
 
@@ -81,8 +80,6 @@ class Extract(WritesCommon):
     early filters, 16 bits on a GPU. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
-    with_default: Flag = False
-    """Also make LangSplat's level "default", which contains all masks in one list; SCOUP does not use it."""
     max_height: int = 1080
     """Reduce taller photographs to this height first; 0: never."""
     part: OptionalText = None
@@ -121,7 +118,6 @@ class Extract(WritesCommon):
             (self.segmenter_revision, self.embedder_revision),
             self.device,
             None if self.overwrite else out,
-            self.with_default,
         )
         height = self.max_height or None
         with _extracting(console, out, part) as progress:

@@ -44,15 +44,11 @@ class _Coarse:
 
 
 class SamSegmenter:
-    """A segmenter over a model that predicts masks from points.
+    """A segmenter over a model that predicts masks from points."""
 
-    ``with_default`` also makes LangSplat's level "default": all three masks of each point in one list.
-    """
-
-    def __init__(self, model: PointModel, settings: MaskSettings, with_default: bool = False) -> None:
+    def __init__(self, model: PointModel, settings: MaskSettings) -> None:
         self.model = model
         self.settings = settings
-        self.with_default = with_default
 
     @property
     def cut_last(self) -> bool:
@@ -63,34 +59,24 @@ class SamSegmenter:
         return self.settings.drop_hidden
 
     def to_dict(self) -> dict[str, Any]:
-        extra = {"with_default": True} if self.with_default else {}
-        return {**self.model.to_dict(), **self.settings.to_dict(), **extra}
+        return {**self.model.to_dict(), **self.settings.to_dict()}
 
     def segment(self, image: NDArray[np.uint8]) -> dict[str, Masks]:
-        return automatic_masks(image, self.model, self.settings, self.with_default)
+        return automatic_masks(image, self.model, self.settings)
 
 
-def automatic_masks(
-    image: NDArray[np.uint8], model: PointModel, settings: MaskSettings, with_default: bool = False
-) -> dict[str, Masks]:
+def automatic_masks(image: NDArray[np.uint8], model: PointModel, settings: MaskSettings) -> dict[str, Masks]:
     """Return level -> masks of an image [H, W, 3], in painting order, by the rules of docs/extract.md."""
     size = (image.shape[0], image.shape[1])
     boxes = crop_boxes(*size, settings.crop_layers, settings.crop_share)
-    names = (*(("default",) if with_default else ()), *LEVELS)
-    found: dict[str, list[Masks]] = {name: [] for name in names}
+    found: dict[str, list[Masks]] = {name: [] for name in LEVELS}
     for box in boxes:
         candidates = _candidates(image, box, model, settings)
-        for name in names:
-            masks = _channel(candidates, name)
+        for channel, name in enumerate(LEVELS):
+            masks = candidates.masks.select(candidates.channels == channel)
             keep = keep_by_boxes(masks.corners(), masks.predicted_iou, settings.box_overlap)
             found[name].append(masks.select(keep).translate(box[0], box[1], size))
     return {name: _suppress(parts, boxes, size, settings) for name, parts in found.items()}
-
-
-def _channel(candidates: Candidates, name: str) -> Masks:
-    if name == "default":
-        return candidates.masks
-    return candidates.masks.select(candidates.channels == LEVELS.index(name))
 
 
 def _suppress(parts: list[Masks], boxes: list[Box], size: tuple[int, int], settings: MaskSettings) -> Masks:

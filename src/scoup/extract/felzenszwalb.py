@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import InputError, ScoupError
+from scoup.base.errors import ScoupError
 from scoup.extract.masks import Masks
 from scoup.models.entry import ModelEntry
 from scoup.scene.regions import LEVELS
@@ -48,18 +48,7 @@ class Felzenszwalb:
         return result
 
 
-def _open(
-    name: str, revision: str | None, device: object, settings: object, with_default: bool
-) -> Felzenszwalb:
-    if with_default:
-        raise InputError(f"{name} has no level default: it does not predict masks from points")
-    return Felzenszwalb()
-
-
 ENTRY = ModelEntry(
-    NAME,
-    _open,
+    NAME, lambda *_: Felzenszwalb(), licence="BSD-3-Clause", extra="segment",
     help="no model: regions of even colour at three scales",
-    licence="BSD-3-Clause",
-    extra="segment",
-)
+)  # fmt: skip

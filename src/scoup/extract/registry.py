@@ -21,13 +21,11 @@ from scoup.models.image import open_image_model
 from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 
 
-def _open_sam(
-    name: str, revision: str | None, device: Device, settings: MaskSettings, with_default: bool
-) -> Segmenter:
+def _open_sam(name: str, revision: str | None, device: Device, settings: MaskSettings) -> Segmenter:
     if name.startswith(ONNX):
-        return SamSegmenter(onnx_sam.open_onnx_sam(name), settings, with_default)
+        return SamSegmenter(onnx_sam.open_onnx_sam(name), settings)
     model = sam.open_sam(name, revision, device, settings.half, _hub_id(SEGMENTERS, name))
-    return SamSegmenter(model, settings, with_default)
+    return SamSegmenter(model, settings)
 
 
 def _hub_id(table: Registry[ModelEntry], name: str) -> str:
@@ -113,7 +111,6 @@ def open_segmenter(
     settings: MaskSettings | None = None,
     revision: str | None = None,
     device: torch.device | str = "cpu",
-    with_default: bool = False,
 ) -> Segmenter:
     """Open a segmenter by name.
 
@@ -121,9 +118,8 @@ def open_segmenter(
         name: of ``SEGMENTERS``, or the path of MobileSAM's checkpoint (.pt).
         settings: of the masks, for models.
         revision: branch, tag or commit of a hub model.
-        with_default: also make LangSplat's level "default" (models only).
     """
-    return SEGMENTERS.find(name).open(name, revision, device, settings or MaskSettings(), with_default)
+    return SEGMENTERS.find(name).open(name, revision, device, settings or MaskSettings())
 
 
 def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:
@@ -143,7 +139,6 @@ def open_pair(
     revisions: tuple[str | None, str | None] = (None, None),
     device: torch.device | str = "cpu",
     resumed: Path | None = None,
-    with_default: bool = False,
 ) -> tuple[Segmenter, Embedder]:
     """Open a segmenter and an embedder; in a folder that is resumed, of the commits it was begun with.
 
@@ -163,7 +158,4 @@ def open_pair(
 
     first = revision_of(SEGMENTERS, segmenter, revisions[0])
     second = revision_of(EMBEDDERS, embedder, revisions[1])
-    return (
-        open_segmenter(segmenter, settings, first, device, with_default),
-        open_embedder(embedder, second, device),
-    )
+    return open_segmenter(segmenter, settings, first, device), open_embedder(embedder, second, device)

@@ -36,12 +36,9 @@ class ImageFolder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._exact: dict[str, Path] = {}
-        self._stems: dict[tuple[str, str], list[Path]] = defaultdict(
-            list
-        )  # by (sub-folder, name without ending)
-        self._starts: dict[tuple[str, str], list[Path]] = defaultdict(
-            list
-        )  # (sub-folder, name to its first dot)
+        # By sub-folder, and name without its ending, or to its first dot.
+        self._stems: dict[tuple[str, str], list[Path]] = defaultdict(list)
+        self._starts: dict[tuple[str, str], list[Path]] = defaultdict(list)
         for root, folders, files in os.walk(folder, followlinks=True):
             folders[:] = sorted(name for name in folders if not _leads_above(root, name))
             within = "" if Path(root) == folder else _composed(Path(root).relative_to(folder).as_posix())

@@ -23,10 +23,8 @@ from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 _WHAT = "a checkpoint of LangSplat or LangSplatV2 (chkpnt<step>.pth, trained with features)"
 _WITHOUT_OBJECTS = "use the chkpnt<step>.pth that the training wrote"
-_PLAIN, _V2 = (
-    12,
-    14,
-)  # entries of what is captured without features, and of LangSplatV2; between them one of features
+# Entries of what is captured without features, and of LangSplatV2; between them one of features.
+_PLAIN, _V2 = 12, 14
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +46,14 @@ def read_langsplat(path: str | Path) -> LangSplatLevel:
     if len(captured) == _PLAIN:
         problem = "was saved without language features (12 entries)"
         raise FileFormatError(path, problem, "use a checkpoint of the training with --include_feature")
+    gaussians, kept = _gaussians(path, captured)
     if len(captured) < _V2:
         # Feature 3DGS has them last, [N, 1, D].
         place = 7 if isinstance(captured[7], Tensor) and captured[7].dim() > 1 else _PLAIN
         value = captured[place]
         features = value.flatten(1) if isinstance(value, Tensor) and value.dim() == 3 else value
-        gaussians, kept = _gaussians(path, captured)
         rows = _floats(path, features, (len(kept), -1), "language_feature")[kept]
         return LangSplatLevel(gaussians, rows, None)
-    gaussians, kept = _gaussians(path, captured)
     count = len(kept)
     logits = _floats(path, captured[7], (count, -1), "language_feature_logits")
     codebooks = _floats(path, captured[8], (-1, -1, -1), "language_feature_codebooks")

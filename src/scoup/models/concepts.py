@@ -89,9 +89,8 @@ class OwlConcepts(_Transformer):
             rows = features.flatten(1, 2)
             boxes = self.model.box_predictor(rows, features)[0]
             logits = self.model.class_predictor(rows, queries[None])[0][0]
-        return best_boxes(
-            corners(boxes.cpu().float()) * whole, logits.sigmoid().cpu().float(), (width, height)
-        )
+        scores = logits.sigmoid().cpu().float()
+        return best_boxes(corners(boxes.cpu().float()) * whole, scores, (width, height))
 
     def _queries(self, texts: Sequence[str]) -> Tensor:
         return self.model.owlv2.get_text_features(**self.tokens(texts, OWL_TOKENS)).pooler_output
@@ -108,12 +107,11 @@ class DinoConcepts(_Transformer):
         for first, ids, spans in self._captions(texts):
             tokens = torch.tensor([ids], device=pixels.device)
             with torch.inference_mode():
-                output = self.model(
-                    pixel_values=pixels,
-                    input_ids=tokens,
-                    token_type_ids=torch.zeros_like(tokens),
-                    attention_mask=torch.ones_like(tokens),
-                )
+                masks = {
+                    "token_type_ids": torch.zeros_like(tokens),
+                    "attention_mask": torch.ones_like(tokens),
+                }
+                output = self.model(pixel_values=pixels, input_ids=tokens, **masks)
             of_tokens = output.logits[0].sigmoid().cpu().float()
             scores = torch.stack([of_tokens[:, start:end].amax(1) for start, end in spans], 1)
             boxes = corners(output.pred_boxes[0].cpu().float()) * torch.tensor([width, height] * 2)

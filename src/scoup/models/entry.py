@@ -27,7 +27,7 @@ class ModelEntry(Entry):
     """A segmenter or an embedder."""
 
     open: Callable[..., Any]
-    """Takes name, revision and device; a segmenter also takes ``MaskSettings`` and whether to make the level default.
+    """Takes name, revision and device; a segmenter also takes ``MaskSettings``.
     Returns an object with the methods of ``scoup.extract.interfaces``."""
     texts: Callable[[str, str | None, Device], Texts] | None = None
     """Takes name, revision and device, and returns the text half of an embedder; None if it has none."""

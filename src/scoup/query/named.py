@@ -156,7 +156,6 @@ def voted_names(
 
 def best_words(cosines: Tensor) -> Tensor:
     """Return the up to ``NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
-    hubs = cosines.topk(min(HUB_THINGS, len(cosines)), dim=0).values.sum(0) / max(
-        1, min(HUB_THINGS, len(cosines))
-    )
+    count = min(HUB_THINGS, len(cosines))
+    hubs = cosines.topk(count, dim=0).values.sum(0) / max(1, count)
     return (cosines - HUB_SHARE * hubs).topk(min(NAMES, cosines.shape[1]), dim=1).indices

@@ -115,7 +115,7 @@ def photographed_cameras(field: LanguageField) -> Cameras:
     if field.geometry_path is None or any(camera.image_path is not None for camera in cameras):
         return cameras
     return attach_images(
-        cameras, field.geometry_path, tuple(field.geometry_path.parents[:4]), None, None, "keep"
+        cameras, field.geometry_path, tuple(field.geometry_path.parents[:4]), None, None, "keep", warn=False
     )
 
 

@@ -33,9 +33,8 @@ class Detections:
     def masks_at(self, width: int, height: int) -> Tensor:
         """Return masks [M, height, width] float32 at another size of the picture; boxes are filled."""
         if self.masks is not None:
-            return torch.nn.functional.interpolate(self.masks[:, None].float(), (height, width), mode="area")[
-                :, 0
-            ]
+            masks = self.masks[:, None].float()
+            return torch.nn.functional.interpolate(masks, (height, width), mode="area")[:, 0]
         x = (torch.arange(width) + 0.5) * self.size[0] / width
         y = (torch.arange(height) + 0.5) * self.size[1] / height
         left, top, right, bottom = self.boxes.T[:, :, None]
@@ -51,23 +50,21 @@ class NameTable:
     presence: Tensor  # [M] float32, 0 to 1: how sure it is that the photographs show them
     rows: Tensor  # [E] int32, position of the text of each vote
     things: Tensor  # [E] int32, number of the thing
-    votes: (
-        Tensor  # [E] float32, 0 to 1: mean over views of the score times the overlap of thing and detection
-    )
+    votes: Tensor  # [E] float32, 0 to 1: mean over views of score times overlap of thing and detection
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
+        whole, real, count = torch.int32, torch.float32, len(self.votes)
         kinds = {
-            "presence": torch.float32,
-            "rows": torch.int32,
-            "things": torch.int32,
-            "votes": torch.float32,
+            "presence": (real, len(self)),
+            "rows": (whole, count),
+            "things": (whole, count),
+            "votes": (real, count),
         }
-        counts = {"presence": len(self.texts)}
-        for name, dtype in kinds.items():
+        for name, (dtype, length) in kinds.items():
             part = getattr(self, name)
-            if part.dtype != dtype or part.shape != (counts.get(name, len(self.votes)),):
+            if part.dtype != dtype or part.shape != (length,):
                 raise InputError(f"{name} of names is {part.dtype} {list(part.shape)}")
         if len(set(self.texts)) < len(self.texts):
             raise InputError("two names of things are one text")
@@ -103,21 +100,15 @@ class NameTable:
         place[kept] = torch.arange(len(kept), dtype=torch.int32)
         rows = place[self.rows.long()]
         mine = rows >= 0
-        return NameTable(
-            tuple(self.texts[number] for number in kept),
-            self.presence[kept],
-            rows[mine],
-            self.things[mine],
-            self.votes[mine],
-        )
+        texts = tuple(self.texts[number] for number in kept)
+        return NameTable(texts, self.presence[kept], rows[mine], self.things[mine], self.votes[mine])
 
     def joined(self, newer: NameTable) -> NameTable:
         """Return both tables as one; texts of both are those of the newer one."""
         older = self.without(newer.texts)
-        return NameTable(
-            (*older.texts, *newer.texts),
-            torch.cat([older.presence, newer.presence]),
-            torch.cat([older.rows, newer.rows + len(older)]),
-            torch.cat([older.things, newer.things]),
-            torch.cat([older.votes, newer.votes]),
-        )
+        parts = {
+            name: torch.cat([getattr(older, name), getattr(newer, name)])
+            for name in ("presence", "things", "votes")
+        }
+        rows = torch.cat([older.rows, newer.rows + len(older)])
+        return NameTable((*older.texts, *newer.texts), rows=rows, **parts)

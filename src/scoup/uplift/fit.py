@@ -35,9 +35,7 @@ MOST_VIEWS = 8  # rendered
 BLIND = 0.0004  # share of covered pixels below which a camera sees nothing
 # Tuned on kitchen, desk and table of the real data: the medians of right scenes are 0.51 (of 5 % of the Gaussians) and
 # more, of wrong ones 0.37 (focal lengths of 110 %) and less. Held out: 0.47 and 0.39 on shelves, hall and yard.
-LIKE = (
-    0.4  # correlation from which a render looks like a photograph, and median below which a scene is hopeless
-)
+LIKE = 0.4  # correlation from which a render looks like a photograph; below this median a scene is hopeless
 SURE = 0.8  # median correlation from which no other explanation is tried
 BETTER = 0.1  # difference from which one correlation is clearly higher
 FEW = 0.25  # share of the views that may be wrong in a scene that fits
@@ -187,10 +185,9 @@ def check_fit(
 def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
     """Return what is wrong with a fit of cameras, or that it was not judged, with remedies; "" where nothing is."""
     where = "the splat " if splat is None else f"{splat}: "
-    if fit.verdict is Verdict.HOPELESS:
-        return f"{where}does not fit the cameras: {fit.reason()}; {fit.remedies()}"
-    if fit.verdict is Verdict.DOUBTFUL:
-        return f"{where}may not fit the cameras: {fit.reason()}; {fit.remedies()}"
+    said = {Verdict.HOPELESS: "does not fit", Verdict.DOUBTFUL: "may not fit"}.get(fit.verdict)
+    if said:
+        return f"{where}{said} the cameras: {fit.reason()}; {fit.remedies()}"
     if fit.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
         return (
             f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "
@@ -231,11 +228,8 @@ def _changes(
     """What may be true instead: other focal lengths, or a mirrored splat."""
     for factor in FOCAL_LENGTHS:
         scale = views[0].K.new_tensor([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
-        yield (
-            f"focal lengths of {factor:.0%}",
-            gaussians,
-            [replace(view, K=view.K * scale) for view in views],
-        )
+        changed = [replace(view, K=view.K * scale) for view in views]
+        yield f"focal lengths of {factor:.0%}", gaussians, changed
     for axis, name in enumerate("xyz"):
         signs = gaussians.means.new_ones(3)
         signs[axis] = -1

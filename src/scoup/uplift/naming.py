@@ -59,9 +59,8 @@ def things_in_view(
         shares = raster.render_values(projection, values).permute(2, 0, 1).cpu()
         masks.append(shares > 0.5 * alpha.clamp(min=0.05))
     together = torch.cat(masks) if masks else torch.zeros(0, small.height, small.width, dtype=torch.bool)
-    return ThingsInView(
-        together, torch.stack([*_ends(together.sum(1)), *_ends(together.sum(2))], 1)[:, [0, 2, 1, 3]]
-    )
+    ends = torch.stack([*_ends(together.sum(1)), *_ends(together.sum(2))], 1)
+    return ThingsInView(together, ends[:, [0, 2, 1, 3]])
 
 
 def _ends(counts: Tensor) -> tuple[Tensor, Tensor]:

@@ -31,9 +31,7 @@ from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError, SupersededError, Work
 
 Answer = Callable[[Message, str], Awaitable[Response]]
-_MOST_PACKED = (
-    64 << 20
-)  # bytes of parts and thumbnails: those of a million Gaussians are packed once for all visitors
+_MOST_PACKED = 64 << 20  # bytes of parts and thumbnails: those of a million Gaussians are packed once
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
@@ -49,8 +47,8 @@ def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool
     routes = [
         Route("/", desk.index),
         Route("/viewer.js", desk.program),
-        Route("/viewer.css", desk.style),
-        Route("/licences.txt", desk.licences),
+        Route("/viewer.css", partial(_text, page.style, "text/css")),
+        Route("/licences.txt", partial(_text, page.licences, "text/plain")),
         Route("/scene.bin", desk.scene),
         Route("/part/{number}-of-{count}", desk.part),
         Route("/api/scene", desk.metadata),
@@ -63,9 +61,7 @@ def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool
             for name, answer in desk.by_name().items()
         ),
     ]
-    handlers: Any = {HTTPException: _refusal, ScoupError: _user_error}
-    handlers |= {BusyError: _busy, SupersededError: _superseded, 500: _fault}
-    inner = Starlette(routes=[Mount(guard.prefix, routes=routes)], exception_handlers=handlers)
+    inner = Starlette(routes=[Mount(guard.prefix, routes=routes)], exception_handlers=_HANDLERS)
     return _Guarded(inner, guard)
 
 
@@ -94,12 +90,6 @@ class _Answers:
             return Response(self.page.program, media_type="text/javascript")
         headers = {"content-encoding": "gzip", "vary": "accept-encoding"}
         return Response(self.page.packed_program, media_type="text/javascript", headers=headers)
-
-    async def style(self, request: Request) -> Response:
-        return Response(self.page.style, media_type="text/css")
-
-    async def licences(self, request: Request) -> Response:
-        return Response(self.page.licences, media_type="text/plain")
 
     async def alive(self, request: Request) -> Response:
         return Response(status_code=204, headers={"x-scoup-field": self.viewed.identity})
@@ -160,17 +150,9 @@ class _Answers:
 
     async def render(self, message: Message, visitor: str) -> Response:
         mode: Any = message.fields.get("mode", "color")
-        what = (
-            message.camera(),
-            mode,
-            message.texts(least=0),
-            message.colors(),
-            message.opacity(),
-            message.level(self._n_levels),
-            message.threshold(),
-            message.flag("always"),
-        )
-        quality = message.quality()
+        shown = message.texts(least=0), message.colors(), message.opacity()
+        level, threshold, always = message.level(self._n_levels), message.threshold(), message.flag("always")
+        what, quality = (message.camera(), mode, *shown, level, threshold, always), message.quality()
         picture = await self.work.run_newest(visitor, lambda: jpeg(self.viewed.picture(*what), quality))
         return Response(picture, media_type="image/jpeg")
 
@@ -203,6 +185,10 @@ class _Answers:
     @property
     def _n_levels(self) -> int:
         return len(self.viewed.field.levels)
+
+
+async def _text(content: Any, media_type: str, request: Request) -> Response:
+    return Response(content, media_type=media_type)
 
 
 def _number(request: Request, count: int) -> int:
@@ -288,15 +274,15 @@ def _user_error(request: Request, error: Exception) -> Response:
     return _error(400, str(error))
 
 
-def _busy(request: Request, error: Exception) -> Response:
-    return _error(503, "the server is busy; try again in a moment")
-
-
-def _superseded(request: Request, error: Exception) -> Response:
-    return _error(409, "a newer picture was asked for")
-
-
 def _fault(request: Request, error: Exception) -> Response:
-    return _error(
-        500, f"a fault of the program ({type(error).__name__}); the terminal of scoup view says more"
-    )
+    kind = type(error).__name__
+    return _error(500, f"a fault of the program ({kind}); the terminal of scoup view says more")
+
+
+_HANDLERS: dict[Any, Any] = {
+    HTTPException: _refusal,
+    ScoupError: _user_error,
+    BusyError: lambda *_: _error(503, "the server is busy; try again in a moment"),
+    SupersededError: lambda *_: _error(409, "a newer picture was asked for"),
+    500: _fault,
+}

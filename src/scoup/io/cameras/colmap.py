@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.staging import staged
 from scoup.io.cameras import colmap_binary, colmap_text
 from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
@@ -109,7 +111,11 @@ def write_colmap(
     positions, colors = points if points is not None else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
     writer = colmap_text if text else colmap_binary
     numbered = {identifier: lens for lens, identifier in lenses.items()}
-    writer.write_model(Path(folder), numbered, shots, positions, colors, overwrite)
+    contents = writer.model_files(numbered, shots, positions, colors)
+    with staged(Path(folder), list(contents), overwrite) as hidden:
+        for name, content in contents.items():
+            with atomic_file(hidden / name) as stream:
+                stream.write(content)
 
 
 def _pinhole(

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
-from scoup.base.staging import staged
 from scoup.io.cameras.colmap_model import MODEL_NAMES, MODELS, PARAMETER_COUNTS, Lens, Shot
 from scoup.io.reading import decoded, existing_file, read_bytes
 
@@ -131,15 +129,10 @@ def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]
     return positions, tracks
 
 
-def write_model(
-    folder: Path,
-    lenses: dict[int, Lens],
-    shots: Sequence[Shot],
-    positions: np.ndarray,
-    colors: np.ndarray,
-    overwrite: bool,
-) -> None:
-    """Write cameras.bin, images.bin and points3D.bin, all or none."""
+def model_files(
+    lenses: dict[int, Lens], shots: Sequence[Shot], positions: np.ndarray, colors: np.ndarray
+) -> dict[str, bytes]:
+    """Return the contents of cameras.bin, images.bin and points3D.bin."""
     numbers = {name: number for number, name, _ in MODELS}
     cameras = [struct.pack("<Q", len(lenses))]
     for identifier, lens in lenses.items():
@@ -150,12 +143,8 @@ def write_model(
         images.append(_SHOT.pack(identifier, *shot.quaternion, *shot.translation, shot.lens))
         images.append(shot.name.encode("utf-8") + b"\0" + struct.pack("<Q", 0))
     points = [struct.pack("<Q", len(positions))]
-    for identifier, (position, color) in enumerate(
-        zip(positions.tolist(), colors.tolist(), strict=True), start=1
-    ):
+    numbered = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)
+    for identifier, (position, color) in numbered:
         points.append(_POINT.pack(identifier, *position, *color, 0.0, 0))
     contents = {"cameras.bin": cameras, "images.bin": images, "points3D.bin": points}
-    with staged(folder, list(contents), overwrite) as hidden:
-        for name, parts in contents.items():
-            with atomic_file(hidden / name) as stream:
-                stream.write(b"".join(parts))
+    return {name: b"".join(parts) for name, parts in contents.items()}

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError
-from scoup.base.staging import staged
 from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Shot
 from scoup.io.reading import existing_file, read_text
 
@@ -89,33 +87,23 @@ def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]
     return np.array(positions).reshape(-1, 3), tracks
 
 
-def write_model(
-    folder: Path,
-    lenses: dict[int, Lens],
-    shots: Sequence[Shot],
-    positions: np.ndarray,
-    colors: np.ndarray,
-    overwrite: bool,
-) -> None:
-    """Write cameras.txt, images.txt and points3D.txt, all or none."""
+def model_files(
+    lenses: dict[int, Lens], shots: Sequence[Shot], positions: np.ndarray, colors: np.ndarray
+) -> dict[str, bytes]:
+    """Return the contents of cameras.txt, images.txt and points3D.txt."""
     cameras = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     for identifier, lens in lenses.items():
         cameras.append(f"{identifier} {lens.model} {lens.width} {lens.height} {_joined(lens.parameters)}")
     images = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
     for identifier, shot in enumerate(shots, start=1):
-        images += [
-            f"{identifier} {_joined((*shot.quaternion, *shot.translation))} {shot.lens} {shot.name}",
-            "",
-        ]
+        pose = _joined((*shot.quaternion, *shot.translation))
+        images += [f"{identifier} {pose} {shot.lens} {shot.name}", ""]
     points = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
-    for identifier, (position, color) in enumerate(
-        zip(positions.tolist(), colors.tolist(), strict=True), start=1
-    ):
+    numbered = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)
+    for identifier, (position, color) in numbered:
         points.append(f"{identifier} {_joined(position)} {color[0]} {color[1]} {color[2]} 0")
     contents = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": points}
-    with staged(folder, list(contents), overwrite) as hidden:
-        for name, lines in contents.items():
-            write_text(hidden / name, "\n".join(lines) + "\n")
+    return {name: ("\n".join(lines) + "\n").encode() for name, lines in contents.items()}
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

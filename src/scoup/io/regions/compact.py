@@ -151,12 +151,6 @@ def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, ove
         stream.write(save(tensors, {_KEY: sealed(header)}))
 
 
-def origin(folder: Path, stem: str) -> tuple[str, str]:
-    """Return the fingerprint of the manifest and the SHA-256 of the photograph; see ``views.RegionLayout``."""
-    view = open_view(folder, stem)
-    return view.manifest, view.photograph
-
-
 def _shape_of_level(path: Path, stream: Any, level: str, size: tuple[int, int]) -> tuple[int, int]:
     """Return number and dimension of a level's embeddings; refuses data too short for labels of that size."""
     table = stream.get_slice(f"embeddings.{level}")

@@ -95,14 +95,9 @@ def convert_regions(
             if decode is not None:
                 rows = {level: decode(stored) for level, stored in regions.embeddings.items()}
                 regions = replace(regions, embeddings=rows)
-            if to_layout == "langsplat":  # the files of LangSplat alone
-                regions = replace(regions, photograph="")
             after += out.write(regions, targets[stem])
             before += store.size_of(stem)
             progress("convert", done + 1, len(stems))
-        langsplat.forget_origins(
-            target, targets.values()
-        )  # what is replaced was made from photographs, by extract
     return ConvertReport(store.folder, target, to_layout, len(stems), before, after)
 
 
@@ -114,7 +109,7 @@ def _check_target(target: Path, manifest: RegionManifest, stems: Iterable[str], 
     """Refuse what would be mixed up or replaced, before anything is written."""
     if not target.is_dir():
         return
-    endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS, langsplat.RECORD_ENDING)
+    endings = (MANIFEST, *compact.ENDINGS, *langsplat.ENDINGS)
     places = (path.relative_to(target) for path in target.rglob("*") if not path.is_dir())
     others = (place for place in places if not place.name.endswith(endings))
     shown = (place.parts[0] for place in others if not any(part.startswith(".") for part in place.parts))

@@ -1,29 +1,24 @@
-"""Region features in the LangSplat layout: ``<stem>_s.npy`` (labels) and ``<stem>_f.npy`` (embeddings) per image.
-
-``<stem>_made.json`` beside them, written by SCOUP alone, records what a view was made from.
-"""
+"""Region features in the LangSplat layout: ``<stem>_s.npy`` (labels) and ``<stem>_f.npy`` (embeddings) per image."""
 
 from __future__ import annotations
 
-import json
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.atomic import atomic_file, write_text
+from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
 from scoup.base.staging import staged
 from scoup.io.npy import open_npy
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_file, read_json
+from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.langsplat_rows import FILE_LEVELS, copy_labels, level_blocks
 from scoup.io.regions.views import REMEDY, ViewRegions
 
 ENDINGS = ("_s.npy", "_f.npy")
-RECORD_ENDING = "_made.json"  # written after the two arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +38,7 @@ class LangSplatView:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     levels = FILE_LEVELS
-    manifest = None
+    manifest, photograph = None, ""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -104,36 +99,13 @@ def open_view(folder: Path, stem: str) -> LangSplatView:
 
 
 def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False) -> None:
-    """Write a view; levels that are missing stay empty; see ``views.RegionLayout``.
-
-    Where the photograph is known, a record of what the view was made from follows the arrays.
-    """
-    names, record = [f"{stem}_f.npy", f"{stem}_s.npy"], f"{stem}{RECORD_ENDING}"
+    """Write a view; levels that are missing stay empty; see ``views.RegionLayout``."""
+    names = [f"{stem}_f.npy", f"{stem}_s.npy"]
     planes, rows = _joined(regions)
     with staged(folder, names, overwrite) as hidden:
         for name, array in zip(names, (rows, planes), strict=True):
             with atomic_file(hidden / name) as stream:
                 np.save(stream, array, allow_pickle=False)
-        if regions.photograph:
-            made = {"view": regions.name, "manifest": manifest, "photograph": regions.photograph}
-            write_text(hidden / record, json.dumps(made, indent=2, sort_keys=True) + "\n")
-        # The pair does not count until the record, the last to move, is there again.
-        forget_origins(folder, [stem])
-
-
-def forget_origins(folder: Path, stems: Iterable[str]) -> None:
-    """Remove the records of what views were made from."""
-    for stem in stems:
-        (folder / f"{stem}{RECORD_ENDING}").unlink(missing_ok=True)
-
-
-def origin(folder: Path, stem: str) -> tuple[str, str]:
-    """Return the fingerprint of the manifest and the SHA-256 of the photograph; see ``views.RegionLayout``."""
-    for ending in ENDINGS:
-        existing_file(folder / f"{stem}{ending}", "region features")
-    path = folder / f"{stem}{RECORD_ENDING}"
-    record = read_json(path, "a record of region features", REMEDY).object()
-    return str(record.get("manifest", "")), str(record.get("photograph", ""))
 
 
 def _joined(regions: ViewRegions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -169,10 +169,10 @@ class RegionStore:
     def has(self, name: str, photograph: str) -> bool:
         """Return whether the view was made under this manifest from this photograph (its SHA-256)."""
         try:
-            origin = _LAYOUTS[self.layout].origin(self.folder, self.stem_of(name))
+            view = self.open_view(self.stem_of(name))
         except ScoupError:  # not there, or damaged: made again
             return False
-        return origin == (self.fingerprint, photograph)
+        return (view.manifest, view.photograph) == (self.fingerprint, photograph)
 
     def check_free(self, stems: Iterable[str], overwrite: bool) -> None:
         """Check that these views may be written."""

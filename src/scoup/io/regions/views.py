@@ -40,6 +40,7 @@ class StoredView(Protocol):
         dim: D of the embeddings.
         counts: level -> number of regions; one entry "all" where the headers do not tell the levels apart.
         manifest: fingerprint of the manifest it was made under; None where the view does not tell.
+        photograph: SHA-256 of the photograph's file; "" where the view does not tell.
         labels_path, embeddings_path: of the files, for messages.
     """
 
@@ -57,6 +58,8 @@ class StoredView(Protocol):
     def counts(self) -> dict[str, int]: ...
     @property
     def manifest(self) -> str | None: ...
+    @property
+    def photograph(self) -> str: ...
     @property
     def labels_path(self) -> Path: ...
     @property
@@ -99,10 +102,6 @@ class RegionLayout(Protocol):
         Args:
             manifest: fingerprint of the folder's manifest, "" if there is none.
         """
-        ...
-
-    def origin(self, folder: Path, stem: str) -> tuple[str, str]:
-        """Return the fingerprint of the manifest and the SHA-256 of the photograph; "" if not known."""
         ...
 
 
