@@ -7,13 +7,12 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.scene.things import LEAST_SPREAD, MOST_THINGS, NO_THING, SURE_REGIONS, TENSORS, ThingTable
 
 
-def parts(**changes: Any) -> dict[str, Tensor]:
+def parts(**changes: Any) -> dict[str, Any]:
     """Five things: 0 to 2 of level 0, 3 and 4 of level 1; six Gaussians."""
     owners = [[0, 3], [0, 3], [1, 3], [2, NO_THING], [NO_THING, 4], [NO_THING, NO_THING]]
     good = {
