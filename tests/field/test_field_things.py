@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -99,7 +100,8 @@ def test_the_last_number_of_a_thing_is_not_taken_for_none(field: LanguageField, 
 
     owners = things.owners.clone()
     owners[5, 1] = MOST_THINGS - 1
-    many = ThingTable(owners, *(filled(getattr(things, name)) for name in PARTS if name != "owners"))
+    parts: dict[str, Any] = {name: filled(getattr(things, name)) for name in PARTS if name != "owners"}
+    many = ThingTable(owners, **parts)
     with_things(field, many).save(tmp_path / "f.scoup")
     back = things_of(LanguageField.load(tmp_path / "f.scoup", field.gaussians))
     assert_same(back, many)
