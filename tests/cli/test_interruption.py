@@ -46,7 +46,7 @@ def slow(*view):
 raster.region_sums, RegionSums.append = slow, counted
 entry()
 """
-KEEP = (*BUILD, "--keep-sums", "sums")
+KEEP = (*BUILD, "--model", "scene/words.npz", "--keep-sums", "sums")
 
 
 def names() -> set[str]:
@@ -69,7 +69,7 @@ def stuck(*arguments: object) -> Iterator[Popen[str]]:
     ("number", "word", "code"), [(signal.SIGINT, "interrupted", 130), (signal.SIGTERM, "terminated", 143)]
 )
 def test_a_build_that_is_stopped_says_how_to_go_on(number: signal.Signals, word: str, code: int) -> None:
-    run_json("build", "scene", *QUICK, "--out", "whole.scoup")
+    run_json("build", "scene", *QUICK, "--model", "scene/words.npz", "--out", "whole.scoup")
     before = names()
     with stuck(*KEEP) as build:
         assert refused(*KEEP).startswith("a.scoup: is being written by another process; wait for it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -62,7 +63,7 @@ class ServeAgents(Common):
         server = make_server(SceneTools(fields, self.out, self.metres_per_unit), more)
         try:
             console.warn(f"serving {', '.join(names)} over standard input and output")
-            serve(server)
+            stopped = serve(server)
         except KeyboardInterrupt as stop:
             return 143 if isinstance(stop, Terminated) else 0
-        return 0
+        return 143 if stopped == signal.SIGTERM else 0

@@ -185,9 +185,9 @@ def check_fit(
 def fit_problem(fit: Fit, cameras: Sequence[Camera], splat: str | Path | None = None) -> str:
     """Return what is wrong with a fit of cameras, or that it was not judged, with remedies; "" where nothing is."""
     where = "the splat " if splat is None else f"{splat}: "
-    said = {Verdict.HOPELESS: "does not fit", Verdict.DOUBTFUL: "may not fit"}.get(fit.verdict)
-    if said:
-        return f"{where}{said} the cameras: {fit.reason()}; {fit.remedies()}"
+    verdicts = {Verdict.HOPELESS: "does not fit the cameras: ", Verdict.DOUBTFUL: "may not fit the cameras: "}
+    if said := verdicts.get(fit.verdict):
+        return f"{where}{said}{fit.reason()}; {fit.remedies()}"
     if fit.verdict is Verdict.NOT_JUDGED and any(camera.image_path for camera in cameras):
         return (
             f"{where}whether the cameras fit was not judged: no render tried can be compared with its photograph "

@@ -9,6 +9,7 @@ import io
 import itertools
 import json
 import os
+import signal
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
@@ -80,14 +81,28 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
     return server
 
 
-def serve(server: Any) -> None:
-    """Serve over standard input and output until the input ends, or the process is interrupted."""
-    asyncio.run(_serve(server))
+def serve(server: Any) -> int | None:
+    """Serve over standard input and output until the input ends (None), or a signal ends it: return its number."""
+    stopped: list[int] = []
+    with suppress(asyncio.CancelledError):
+        asyncio.run(_serve(server, stopped))
+    return stopped[0] if stopped else None
 
 
-async def _serve(server: Any) -> None:
+async def _serve(server: Any, stopped: list[int]) -> None:
     from mcp.server.stdio import stdio_server
 
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    assert task is not None
+
+    def stop(number: int) -> None:
+        stopped.append(number)
+        task.cancel()
+
+    # An exception of a signal would be raised wherever the loop is, and be reported as a fault.
+    with suppress(NotImplementedError):  # on Windows
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, stop, number)
     lines: Any = _Lines()
     async with stdio_server(stdin=lines) as (messages, replies):
         lines.replies = replies
