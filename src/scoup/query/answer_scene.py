@@ -60,7 +60,7 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
         return
     fits = known.fits(question.queries.float().cpu())
     scores, names = null_scores(question, known.best_fits), named_texts(field, question)
-    for number, choice in enumerate(choose(field, known, fits, question, question.level)):
+    for number, choice in enumerate(choose(known, fits, names, question.level)):
         text, score, named = question.texts[number], scores[number], names[number]
         if choice is None:
             nothing, level = torch.zeros(len(field), dtype=torch.bool), field.levels[question.level or 0]

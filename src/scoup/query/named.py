@@ -8,7 +8,7 @@ docs/answers.md.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -76,20 +76,18 @@ def named_texts(field: LanguageField, question: Question) -> list[Named | None]:
 
 
 def choose(
-    field: LanguageField, known: ComparedTable, fits: Tensor, question: Question, level: int | None = None
+    known: ComparedTable, fits: Tensor, named: Sequence[Named | None], level: int | None = None
 ) -> list[Choice | None]:
     """Return the things that answer each text of a question, by the field's choice and by names.
 
     Args:
         known, fits: of the field and the question (``choose_things``).
+        named: of the question (``named_texts``).
         level: the one that answers; None: the best.
     """
-    choices = choose_things(known, fits, level)
     return [
-        choice
-        if choice is None or named is None
-        else joined(known, choice, fits[:, number], named.votes, level)
-        for number, (choice, named) in enumerate(zip(choices, named_texts(field, question), strict=True))
+        choice if choice is None or own is None else joined(known, choice, fits[:, number], own.votes, level)
+        for number, (choice, own) in enumerate(zip(choose_things(known, fits, level), named, strict=True))
     ]
 
 

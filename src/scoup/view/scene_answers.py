@@ -13,7 +13,7 @@ from torch import Tensor
 from scoup.field.language_field import LanguageField
 from scoup.query.answer_scene import answers_of
 from scoup.query.matching import compare_things
-from scoup.query.named import choose
+from scoup.query.named import choose, named_texts
 from scoup.query.question import Question
 from scoup.query.votes import level_thresholds
 from scoup.view.unit_codes import atom_scores
@@ -89,7 +89,8 @@ def _things_of_levels(field: LanguageField, question: Question) -> list[list[lis
     known = compare_things(field, question)
     assert known is not None
     fits = known.fits(question.queries.float().cpu())
-    chosen = [choose(field, known, fits, question, level) for level in (None, *range(len(field.levels)))]
+    named = named_texts(field, question)
+    chosen = [choose(known, fits, named, level) for level in (None, *range(len(field.levels)))]
     return [
         [[] if choice is None else choice.things.tolist() for choice in of_text]
         for of_text in zip(*chosen, strict=True)
