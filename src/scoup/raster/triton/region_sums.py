@@ -41,24 +41,22 @@ def region_sums(
     projection: TritonProjection, combinations: Tensor, n_combinations: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``; ``combinations`` is the map [H, W] of ``CombinedLabels``."""
-    device, n_combinations = projection.device, max(1, n_combinations)
+    n_combinations = max(1, n_combinations)
     small = projection.n_gaussians * n_combinations < 2**31  # sorted in half the passes
-    keys = torch.zeros(0, dtype=torch.int32 if small else torch.int64, device=device)
-    weights = torch.zeros(0, dtype=torch.int64, device=device)
-    if combinations.numel():
-        columns = columns_of(projection, combinations)
-        # A pixel has weights of 1 at the most, and they are known to 2^-40 (``halves_of_weights``).
-        scale = 2.0 ** min(40, 62 - combinations.numel().bit_length())
-        ends = torch.cumsum(columns.room, 0)
-        for lot in lots(ends, int(ends[-1])):
-            some = _entries_of(projection, columns, ends, n_combinations, scale, lot, keys.dtype)
-            # Most views are one lot.
-            keys, weights = (
-                torch.cat(pair) if len(keys) else pair[1] for pair in zip((keys, weights), some, strict=True)
-            )
-        if len(keys):
-            return _merge(keys, weights, n_combinations, scale)
-    return keys.int(), keys.int(), weights.float()
+    dtype = torch.int32 if small else torch.int64
+    columns = columns_of(projection, combinations)
+    # A pixel has weights of 1 at the most, and they are known to 2^-40 (``halves_of_weights``).
+    scale = 2.0 ** min(40, 62 - combinations.numel().bit_length())
+    ends = torch.cumsum(columns.room, 0)
+    found = [
+        _entries_of(projection, columns, ends, n_combinations, scale, lot, dtype)
+        for lot in lots(ends, int(ends[-1]))
+    ]
+    if not any(len(keys) for keys, _ in found):
+        none = torch.zeros(0, dtype=torch.int32, device=projection.device)
+        return none, none, none.float()
+    keys, weights = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return _merge(keys, weights, n_combinations, scale)
 
 
 def columns_of(projection: TritonProjection, combinations: Tensor) -> Columns:
