@@ -40,8 +40,6 @@ class ServeAgents(Common):
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
-        from scoup.archive.agent_tool import archive_tool
-        from scoup.archive.archive import Archive
         from scoup.base.errors import InputError
         from scoup.field.language_field import LanguageField
         from scoup.view.mcp_server import make_server, serve
@@ -59,7 +57,12 @@ class ServeAgents(Common):
             field.text_encoder(self.text)
             len(field.gaussians)  # a geometry that is missing is said now, not to the model
             fields[name] = field
-        more = [] if self.archive is None else [archive_tool(Archive(self.archive, self.text))]
+        more = []
+        if self.archive is not None:
+            from scoup.archive.agent_tool import archive_tool
+            from scoup.archive.archive import Archive
+
+            more = [archive_tool(Archive(self.archive, self.text))]
         server = make_server(SceneTools(fields, self.out, self.metres_per_unit), more)
         try:
             console.warn(f"serving {', '.join(names)} over standard input and output")
