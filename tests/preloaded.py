@@ -4,7 +4,8 @@
 
 ``PYTHON`` is what such programs find as ``sys.executable``: ``preloaded_client.py`` behind a shell script. It hands on
 arguments, environment, folder and streams, passes signals on, and ends as the program does. If it is killed, the
-program is killed, too. Nothing is preloaded that reads the environment when imported.
+program is killed, too. A program is a session of its own: one that kills its group, as Ray does, ends nobody else.
+Nothing is preloaded that reads the environment when imported.
 """
 
 from __future__ import annotations
@@ -89,6 +90,7 @@ def serve(address: str) -> Request:
     request = received(connection)
     program = os.fork()
     if program == 0:
+        os.setsid()
         connection.close()
         return request
     watch(connection, program)
