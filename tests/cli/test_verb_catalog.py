@@ -21,12 +21,12 @@ def test_the_main_path():
     things = field.things()
     folder = Path("f_catalog")
     graph = json.loads((folder / "catalog.json").read_text())
-    assert graph == field.catalog(field.question(WORDS, always=True)).to_dict()
+    assert graph == field.catalog(field.question(WORDS)).to_dict()
     assert [one["thing"] for one in graph["things"]] == [thing.number for thing in things]
     assert f"{len(things)} things" in out
     rows = list(csv.reader((folder / "catalog.csv").read_text().splitlines()))
     assert len(rows) == len(things) + 1
-    assert {row[1] for row in rows[1:]} <= set(WORDS)
+    assert {"mug"} < {row[1] for row in rows[1:]} <= {"", *WORDS}
     page = (folder / "index.html").read_text()
     pictures = sorted(path.name for path in (folder / "pictures").iterdir())
     assert pictures
@@ -38,8 +38,10 @@ def test_words_of_a_list_metres_and_directions():
     Path("words.txt").write_text("mug\n")
     options = ("--words", "words.txt", "--out", "c", "--metres-per-unit", "2", "--up", "0", "0", "1")
     record = run_json("catalog", "f.scoup", *options)
-    assert {one["text"] for one in record["things"]} == {"mug"}
-    one = record["things"][0]
+    named = [one for one in record["things"] if one["text"]]
+    assert {one["text"] for one in named} == {"mug"}
+    assert set(record["objects"]) >= {one["thing"] for one in named}
+    one = named[0]
     assert one["position_metres"] == pytest.approx([2 * part for part in one["position"]], rel=1e-4)
     assert record["frame"]["up"] == [0, 0, 1]
     assert "not all 0" in refused("catalog", "f.scoup", "--out", "d", "--up", "0", "0", "0")
@@ -56,7 +58,7 @@ def test_names_out_of_a_list_are_escaped(monkeypatch: pytest.MonkeyPatch):
     assert code == 0, err
     assert "<script>alert" not in Path("odd/index.html").read_text()
     rows = list(csv.DictReader(Path("odd/catalog.csv").read_text().splitlines()))
-    assert {row["name"] for row in rows} <= {"<script>alert(1)</script>", "'=1+1", "'@SUM(1)"}
+    assert {row["name"] for row in rows} <= {"", "<script>alert(1)</script>", "'=1+1", "'@SUM(1)"}
     assert all(not row["other names"].startswith(("=", "@")) for row in rows)
     assert any(float(row["x"]) < 0 for row in rows)  # a number stays one
 

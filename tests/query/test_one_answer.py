@@ -111,14 +111,14 @@ def check_words(field: LanguageField, words: Sequence[str]) -> list[Answer]:
 
 
 def check_catalog(field: LanguageField, answers: Sequence[Answer]) -> None:
-    of_text, found = {answer.text: answer for answer in answers}, 0
-    for thing in field.catalog(list(of_text)).things:
-        answer = of_text[thing.text]
-        if thing.number in answer.things:
-            scores = {each.number: each.score for each in field.things(answer.asked[0].question)}
-            assert scores[thing.number] == thing.score
-            found += 1
-    assert found
+    of_text = {answer.text: answer for answer in answers}
+    catalog = field.catalog(list(of_text))
+    named = [thing for thing in catalog.things if thing.text]
+    assert named
+    assert set(catalog.objects) <= {thing.number for thing in catalog.things}
+    for thing in named:  # whoever asks for a name finds its thing
+        scores = {each.number: each.score for each in field.things(of_text[thing.text].asked[0].question)}
+        assert scores[thing.number] == thing.score
 
 
 def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequence[Camera]) -> None:

@@ -16,8 +16,8 @@ SHOWN = 12  # things printed; the files contain all
 
 @dataclass(frozen=True, kw_only=True)
 class MakeCatalog(TextOptions, FrameOptions):
-    """Name every thing in a scene with the best of a list of words, and write a scene graph (catalog.json), a table
-    (catalog.csv) and a page with pictures (index.html)."""
+    """Name the things in a scene with words, and write a scene graph (catalog.json), a table (catalog.csv) and a page
+    with pictures (index.html)."""
 
     option_groups: ClassVar[OptionGroups] = {"words": "words", "output": "out metres_per_unit"}
 
@@ -37,15 +37,18 @@ class MakeCatalog(TextOptions, FrameOptions):
         out = self.output_folder(self.out, "catalog")
         field = self.open_field()
         words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
-        catalog = field.catalog(self.question(field, words, always=True), self.open_frame(field))
+        catalog = field.catalog(self.question(field, words), self.open_frame(field))
         cameras = list(field.cameras or ())
         files = catalog_files(catalog, cameras)
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
             save_catalog(field, catalog, hidden, cameras, self.metres_per_unit, progress)
         largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]
         for thing in largest:
-            console.say(f"{thing.text}: thing {thing.number}, level {thing.level}, {thing.describe()}")
+            console.say(
+                f"{thing.text or 'unnamed'}: thing {thing.number}, level {thing.level}, {thing.describe()}"
+            )
         shown = f" (the {SHOWN} largest are listed above)" if len(catalog.things) > SHOWN else ""
         relations = counted(len(catalog.relations), "relation")
-        console.say(f"{out}: {counted(len(catalog.things), 'thing')}{shown}, {relations}")
+        objects, things = counted(len(catalog.objects), "object"), counted(len(catalog.things), "thing")
+        console.say(f"{out}: {things}{shown}, {objects}, {relations}")
         console.result({"out": out, "files": files, **catalog.to_dict(self.metres_per_unit)})

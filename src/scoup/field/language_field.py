@@ -452,7 +452,7 @@ class LanguageField:
         return relations(self, frame)
 
     def catalog(self, question: Question | str | Several, frame: Frame | None = None) -> Catalog:
-        """Name every thing of the scene with the best of several words: an object map, or scene graph.
+        """Name the things of the scene with several words: an object map, or scene graph. Some have no name.
 
         ``frame`` says what up means. A field without things raises InputError.
 

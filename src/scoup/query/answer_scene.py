@@ -41,16 +41,19 @@ def answer_scene(field: LanguageField, question: Question[Any]) -> list[Answer]:
         InputError: the vectors do not fit the field, or the threshold is not 0 to 1.
     """
     check_arguments("answer_scene", field=(field, LanguageField), question=(question, Question))
+    return list(each_answer(field, question))
+
+
+def each_answer(field: LanguageField, question: Question[Any]) -> Iterator[Answer]:
+    """Yield the answers of ``answer_scene`` one by one, for many texts about many Gaussians."""
     answers = _by_things if question.threshold is None and field.thing_table is not None else _by_votes
-    judged = []
     for number, answer in enumerate(answers(field, question)):
         presence = is_present(answer.score, int(answer.mask.sum()), question.present_from)
         asked = (AskedText(question.one(number), field.level_index(answer.level)),)
         answer = replace(answer, presence=presence, asked=asked, field=field)
         if not presence:
             answer = replace(answer, mask=torch.zeros_like(answer.mask), things=(), instances=())
-        judged.append(answer)
-    return judged
+        yield answer
 
 
 def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer]:

@@ -11,12 +11,10 @@ import numpy as np
 from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.field.language_field import LanguageField
-from scoup.query.answer_scene import null_scores
 from scoup.query.frame import Frame, scene_frame
-from scoup.query.matching import compare_things
-from scoup.query.named import NAMES, best_words, voted_names
 from scoup.query.question import Question, Several, as_question
 from scoup.query.relations import relations, things
+from scoup.query.thing_names import find_objects, thing_names
 from scoup.query.things import Thing
 
 SCHEMA = "scoup scene graph"
@@ -33,16 +31,19 @@ class Catalog:
     """
 
     things: tuple[Thing, ...]
-    """Every thing with its best name as ``text`` and the score of this name, finer levels first."""
+    """Every thing with its best name as ``text`` and the score of this name, or "" and None; finer levels first."""
     names: tuple[tuple[str, ...], ...]
     """Up to three names per thing, best first."""
+    objects: tuple[int, ...]
+    """Numbers of the things that are one object each (``scoup.query.thing_names``); others are their parts, groups of
+    them, or fragments."""
     relations: tuple[tuple[int, str, int], ...]
     """(number of a thing, "on" or "inside", number of another of its level)."""
     frame: Frame
     """What up means."""
 
     def __repr__(self) -> str:
-        return f"Catalog({len(self.things)} things, {len(self.relations)} relations)"
+        return f"Catalog({len(self.objects)} objects, {len(self.things)} things, {len(self.relations)} relations)"
 
     def _repr_html_(self) -> str:
         return card(f"{len(self.things)} things", {str(thing.number): thing.text for thing in self.things})
@@ -59,6 +60,7 @@ class Catalog:
             "version": 1,
             "frame": self.frame.to_dict(),
             "things": things,
+            "objects": list(self.objects),
             "relations": relations,
         }
 
@@ -66,30 +68,21 @@ class Catalog:
 def make_catalog(
     field: LanguageField, words: Question[Any] | str | Several, frame: Frame | None = None
 ) -> Catalog:
-    """Return every thing of a field with the best of several words; ``field.catalog`` documents it."""
+    """Return every thing of a field, named by several words; ``field.catalog`` documents it."""
     question, table = as_question(field, words), field.thing_table
     if table is None:
         raise InputError(
             f"{field.path or 'this field'}: contains no things; build it again with things, from its photographs"
         )
     frame = scene_frame(field) if frame is None else frame
-    every, known = things(field, None, None), compare_things(field, question)
-    if known is None:  # of no things
-        return Catalog((), (), (), frame)
-    numbers = [thing.number or 0 for thing in every]
-    queries = question.queries.float().cpu()
-    best = best_words(known.embeddings[numbers] @ queries.T)
-    fits = known.fits(queries)[numbers]
-    used = {word: question.one(word) for word in best[:, 0].tolist()}
-    scores = {word: null_scores(one, known.best_fits)[0] for word, one in used.items()}
-    sure = [scores[word](float(fits[row, word])) for row, word in enumerate(best[:, 0].tolist())]
-    named, names, voted = [], [], voted_names(field, question.texts)
-    for thing, row, score in zip(every, best.tolist(), sure, strict=True):
-        first, sure_of_first = voted.get(thing.number or 0, ((), score))
-        words = tuple(dict.fromkeys([*first, *(question.texts[word] for word in row)]))[:NAMES]
-        named.append(replace(thing, text=words[0], score=sure_of_first))
-        names.append(words)
-    return Catalog(tuple(named), tuple(names), tuple(relations(field, frame)), frame)
+    every, names = things(field, None, None), thing_names(field, question)
+    named = []
+    for thing in every:
+        name = names.get(thing.number or 0)
+        named.append(replace(thing, text=name.texts[0] if name else "", score=name.score if name else None))
+    texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in every)
+    objects = tuple(every[place].number or 0 for place in find_objects(named))
+    return Catalog(tuple(named), texts, objects, tuple(relations(field, frame)), frame)
 
 
 def catalog_rows(catalog: Catalog, metres_per_unit: float | None = None) -> list[list[Any]]:

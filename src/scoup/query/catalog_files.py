@@ -22,6 +22,7 @@ from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog import Catalog, catalog_rows
 from scoup.query.field_view import FieldView
+from scoup.query.presence import certainty
 from scoup.query.things import Thing
 from scoup.scene.cameras import Camera
 
@@ -63,7 +64,8 @@ def save_catalog(
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_text(folder / TABLE, text.getvalue())
     drawn = _save_pictures(field, catalog, folder, cameras, progress) if cameras else set()
-    write_text(folder / PAGE, _page(catalog, drawn, field.path.name if field.path else "scene"))
+    title = field.path.name if field.path else "scene"
+    write_text(folder / PAGE, _page(catalog, drawn, title, metres_per_unit))
 
 
 def _disarmed(cell: Any) -> Any:
@@ -78,24 +80,40 @@ def _picture_name(thing: Thing) -> str:
 def _save_pictures(
     field: LanguageField, catalog: Catalog, folder: Path, cameras: Sequence[Camera], progress: Progress
 ) -> set[int | None]:
-    """Draw each thing in the view that shows it largest, one render per view; return the numbers of those drawn."""
+    """Draw each thing in the view that shows it largest, one render per view, else in a view of its own; return the
+    numbers of those drawn."""
     (folder / PICTURES).mkdir()
-    best = [_best_view(thing, cameras) for thing in catalog.things]
-    drawn: set[int | None] = set()
+    best, drawn = [_best_view(thing, cameras) for thing in catalog.things], set[int | None]()
+    progress("pictures", 0, len(catalog.things))
+
+    def draw(view: FieldView, colors: Picture, thing: Thing) -> None:
+        picture = _crop(thing_mask(view, thing), colors)
+        if picture is not None:
+            Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
+            drawn.add(thing.number)
+            progress("pictures", len(drawn), len(catalog.things))
+
     for number, camera in enumerate(cameras):
-        progress("pictures", number, len(cameras))
         largest_here = [thing for thing, view in zip(catalog.things, best, strict=True) if view == number]
-        if not largest_here:
-            continue
-        view = field.at(camera)
-        colors = as_picture(view.renders.colors().cpu())
-        for thing in largest_here:
-            picture = _crop(thing_mask(view, thing), colors)
-            if picture is not None:
-                Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
-                drawn.add(thing.number)
-    progress("pictures", len(cameras), len(cameras))
+        if largest_here:
+            view = field.at(camera)
+            colors = as_picture(view.renders.colors().cpu())
+            for thing in largest_here:
+                draw(view, colors, thing)
+    for thing in catalog.things:
+        if thing.number not in drawn:
+            view = field.at(_own_view(thing, cameras))
+            draw(view, as_picture(view.renders.colors().cpu()), thing)
+    progress("pictures", len(catalog.things), len(catalog.things))
     return drawn
+
+
+def _own_view(thing: Thing, cameras: Sequence[Camera]) -> Camera:
+    """Return a camera that looks at a thing from the side of the nearest one, and from so near that it fills half."""
+    near = min(cameras, key=lambda each: float((each.position - thing.position).norm()))
+    ahead = torch.nn.functional.normalize(thing.position - near.position, dim=0)
+    eye = thing.position - ahead * max(thing.size, 1e-3) * near.fx / min(near.width, near.height)
+    return Camera.look_at(eye, thing.position, "", near.width, near.height, near.fx, up=-near.viewmat[1, :3])
 
 
 def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
@@ -138,41 +156,76 @@ def _crop(mask: torch.Tensor, colors: Picture) -> Picture | None:
 
 
 _STYLE = """body{font:14px/1.4 system-ui,sans-serif;margin:1.5rem;color-scheme:light dark}
-input{font:inherit;padding:.4rem .6rem;width:min(26rem,100%)}
+input,select{font:inherit;padding:.4rem .6rem}input{width:min(26rem,100%)}summary{margin:1rem 0;cursor:pointer}
 ul{display:grid;grid-template-columns:repeat(auto-fill,minmax(14rem,1fr));gap:1rem;list-style:none;padding:0}
 li{border:1px solid #8886;border-radius:.5rem;padding:.6rem}img{width:100%;height:11rem;object-fit:contain}
 b{font-size:1.05rem}small{opacity:.75}[hidden]{display:none}"""
-_FILTER = """const box=document.querySelector("input"),items=[...document.querySelectorAll("li")];
+_SCRIPT = """const box=document.querySelector("input"),sort=document.querySelector("select");
+const lists=[...document.querySelectorAll("ul")],items=[...document.querySelectorAll("li")];
 box.addEventListener("input",()=>{const wanted=box.value.toLowerCase();let count=0;
 for(const item of items){item.hidden=!item.textContent.toLowerCase().includes(wanted);count+=!item.hidden}
-document.querySelector("output").textContent=`${count} of ${items.length} things`});"""
+if(wanted)document.querySelector("details").open=true;
+document.querySelector("output").textContent=`${count} of ${items.length} things`});
+sort.addEventListener("change",()=>{for(const list of lists)list.append(...[...list.children].sort((a,b)=>
+sort.value==="name"?(a.dataset.name||"\\uffff").localeCompare(b.dataset.name||"\\uffff"):
+b.dataset[sort.value]-a.dataset[sort.value]))});"""
 
 
 def _shown(text: str) -> str:
     return html.escape(printable(text))
 
 
-def _page(catalog: Catalog, drawn: set[int | None], title: str) -> str:
-    """A page of all things with a box that filters them; it loads nothing but its pictures."""
-    items = []
-    for thing, names in zip(catalog.things, catalog.names, strict=True):
-        alternatives = ", ".join(names[1:])
-        position = ", ".join(f"{value:.3g}" for value in thing.position.tolist())
-        extent = " x ".join(f"{value:.3g}" for value in thing.box.extent.tolist())
-        image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
-        score = "" if thing.score is None else f"score {thing.score:.2f}"
-        items.append(
-            f"<li>{image}<b>{_shown(thing.text)}</b> <small>{score}</small><br>"
-            f"<small>or {_shown(alternatives)}<br>thing {thing.number}, level {_shown(thing.level)}<br>"
-            f"at {position}<br>size {extent}</small></li>"
-        )
+def size_in_words(thing: Thing, metres_per_unit: float | None) -> str:
+    """Return length, width and height for people: "about 12 x 8 x 8 cm"; in units of the scene without metres."""
+    sides = thing.box.extent.tolist()
+    if metres_per_unit is None:
+        return f"{' x '.join(f'{side:.2g}' for side in sides)} units"
+    metres = [side * metres_per_unit for side in sides]
+    scale, unit = (1, "m") if max(metres) >= 1 else (100, "cm")
+    return f"about {' x '.join(f'{side * scale:.2g}' for side in metres)} {unit}"
+
+
+def _card(
+    thing: Thing, names: Sequence[str], related: str, drawn: set[int | None], metres_per_unit: float | None
+) -> str:
+    image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
+    alternatives = f"or {_shown(', '.join(names[1:]))}<br>" if names[1:] else ""
+    sure = certainty(thing.score, True) or ""
+    data = (
+        f'data-name="{_shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{thing.score or 0:.4f}"'
+    )
+    return (
+        f"<li {data}>{image}<b>{_shown(thing.text) or 'unnamed'}</b> <small>{sure}</small><br><small>{alternatives}"
+        f"{_shown(size_in_words(thing, metres_per_unit))}<br>thing {thing.number}{related}</small></li>"
+    )
+
+
+def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit: float | None) -> str:
+    """A page of the objects, and folded, of all other things, with a box that filters them; it loads nothing but its
+    pictures."""
+    by_number = {thing.number: thing for thing in catalog.things}
+
+    def named(number: int | None) -> str:
+        return by_number[number].text if number in by_number else ""
+
+    cards: tuple[list[str], list[str]] = [], []
+    ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda each: -(each[0].score or 0))
+    for thing, names in ordered:
+        inside = {each.text for each in catalog.things if each.parent == thing.number} - {"", thing.text}
+        related = f", with {_shown(', '.join(sorted(inside)))}" if inside else ""
+        related += f", in {_shown(whole)}" if (whole := named(thing.parent)) not in ("", thing.text) else ""
+        is_object = thing.number in catalog.objects
+        cards[not is_object].append(_card(thing, names, related, drawn, metres_per_unit))
+    objects, others = ("\n".join(each) for each in cards)
     heading = _shown(title)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Things of {heading}</title>\n'
         f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style>\n'
         f"<h1>Things of {heading}</h1>\n"
-        f'<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
-        f"<output>{len(items)} things</output></p>\n<ul>\n"
-        + "\n".join(items)
-        + f"\n</ul><script>{_FILTER}</script>\n"
+        '<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
+        '<select aria-label="Sort by"><option value="score">sort by certainty<option value="name">by name'
+        '<option value="size">by size</select> '
+        f"<output>{len(catalog.things)} things</output></p>\n<ul>\n{objects}\n</ul>\n"
+        f"<details><summary>Parts, groups and fragments ({len(cards[1])})</summary><ul>\n{others}\n</ul></details>\n"
+        f"<script>{_SCRIPT}</script>\n"
     )

@@ -154,6 +154,10 @@ def voted_names(
 
 def best_words(cosines: Tensor) -> Tensor:
     """Return the up to ``NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
+    return less_common(cosines).topk(min(NAMES, cosines.shape[1]), dim=1).indices
+
+
+def less_common(cosines: Tensor) -> Tensor:
+    """Return cosines [T, Q] of things and words, lowered for words that are near to many things."""
     count = min(HUB_THINGS, len(cosines))
-    hubs = cosines.topk(count, dim=0).values.sum(0) / max(1, count)
-    return (cosines - HUB_SHARE * hubs).topk(min(NAMES, cosines.shape[1]), dim=1).indices
+    return cosines - HUB_SHARE * cosines.topk(count, dim=0).values.sum(0) / max(1, count)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from scoup.base.errors import InputError, looked_up
+from scoup.base.errors import InputError, ScoupError, looked_up
 from scoup.field.language_field import LanguageField
 from scoup.io import save_gaussians
 from scoup.models.text import LONGEST
@@ -19,8 +19,10 @@ from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
 from scoup.query.relations import text_to_count
+from scoup.query.thing_names import ThingName, thing_names
 from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
+from scoup.view.vocabulary import everyday_vocabulary
 
 MOST_LISTED = 200
 """Things in one reply."""
@@ -76,10 +78,14 @@ class SceneTools:
 
         `more` is how many are not listed; `describe_thing` tells the rest of one.
         """
-        field = self._field(scene)
+        field, names = self._field(scene), self._names(scene)
         if level is not None:
             field.level_index(level)
-        things = [thing for thing in field.things() if level in (None, thing.level)]
+        things = [
+            replace(thing, text=names[thing.number].texts[0]) if thing.number in names else thing
+            for thing in field.things()
+            if level in (None, thing.level)
+        ]
         things.sort(key=lambda thing: -thing.n_gaussians)
         reply = self._reply(things, limit)
         metres = "" if self.metres_per_unit is None else "_metres"
@@ -185,6 +191,19 @@ class SceneTools:
 
     def _field(self, scene: str) -> LanguageField:
         return looked_up("scene", scene, self.fields)
+
+    def _names(self, scene: str) -> dict[int, ThingName]:
+        """Return the names of things, of the words that a page has; none without an encoder."""
+        field = self._field(scene)
+
+        def made() -> dict[int, ThingName]:
+            try:
+                words = everyday_vocabulary(field.text_encoder())
+                return thing_names(field, field.question(words))
+            except ScoupError:
+                return {}
+
+        return field.kept((ThingName,), made)
 
     def _things(self, scene: str) -> dict[int | None, Thing]:
         return {thing.number: thing for thing in self._field(scene).things()}

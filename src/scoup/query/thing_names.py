@@ -1,0 +1,97 @@
+"""Which name each thing of a scene has, and which things are one object each.
+
+Every thing has a word that fits it best, so this alone names walls "fire extinguisher". A thing and a word have to
+choose each other: the scene's answer to the word contains the thing, and hardly any everyday word is nearer to the
+thing. So whoever asks for a name finds its thing. Everything else is unnamed.
+
+Things of several levels nest: a part in an object in a group. Of each such tree, those things are the objects whose
+names fit best, each weighed by its share of what it is a part of. Ours; measured in docs/things.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from scoup.field.language_field import LanguageField
+from scoup.query.answer_scene import each_answer, null_scores
+from scoup.query.matching import compare_things, compared_words
+from scoup.query.named import NAMES, less_common, voted_names
+from scoup.query.question import Question
+from scoup.query.things import Thing
+
+NEARER_WORDS = 0.02
+"""At most this share of the everyday words may be nearer to a thing than its name."""
+UNNAMED = 0.6
+"""How well nothing names a thing, beside the scores of names."""
+LEAST_REGIONS = 5
+"""Unnamed things of fewer regions are fragments, not objects."""
+
+
+class ThingName(NamedTuple):
+    """The name of a thing."""
+
+    texts: tuple[str, ...]
+    """Up to three, the best first."""
+    score: float | None
+    """Of the best, for this thing (``Answer.score``)."""
+
+
+def thing_names(field: LanguageField, question: Question[Any]) -> dict[int, ThingName]:
+    """Return the names of the things that have one, by their numbers.
+
+    Args:
+        field: with or without things.
+        question: of the words that may be names; a word counts as a name only where it is present.
+    """
+    known = compare_things(field, question)
+    if known is None:
+        return {}
+    queries, everyday = question.queries.float().cpu(), compared_words(question)
+    near = less_common(known.embeddings @ queries.T)
+    words = less_common(known.embeddings @ everyday.T)
+    found: dict[int, list[tuple[float, int]]] = {}
+    for number, answer in enumerate(each_answer(field, question)):
+        for thing in answer.things:
+            fit = near[thing, number]
+            if int((words[thing] > fit + 1e-6).sum()) <= NEARER_WORDS * len(everyday):
+                found.setdefault(thing, []).append((-float(fit), number))
+    fits, names = known.fits(queries), {}
+    for thing, numbers in found.items():
+        best = [number for _, number in sorted(numbers)[:NAMES]]
+        (score,) = null_scores(question.one(best[0]), known.best_fits)
+        texts = tuple(question.texts[number] for number in best)
+        names[thing] = ThingName(texts, score(float(fits[thing, best[0]])))
+    for thing, (texts, voted_score) in voted_names(field, question.texts).items():
+        others = names[thing].texts if thing in names else ()
+        names[thing] = ThingName(tuple(dict.fromkeys([*texts, *others]))[:NAMES], voted_score)
+    return names
+
+
+def find_objects(things: Sequence[Thing]) -> list[int]:
+    """Return the places of the named things that are one object each.
+
+    Args:
+        things: with their names as ``text`` and the scores of these.
+    """
+    place = {thing.number: number for number, thing in enumerate(things)}
+    parts: list[list[int]] = [[] for _ in things]
+    roots = []
+    for number, thing in enumerate(things):
+        (parts[place[thing.parent]] if thing.parent in place else roots).append(number)
+
+    def best(number: int) -> tuple[float, list[int]]:
+        """Return how well a thing, or the objects in it, are named."""
+        thing = things[number]
+        own = (1.0 if thing.score is None else thing.score) if thing.text else UNNAMED
+        below = [best(part) for part in parts[number]]
+        sizes = [things[part].n_gaussians / thing.n_gaussians for part in parts[number]]
+        together = sum(score * size for (score, _), size in zip(below, sizes, strict=True))
+        if together / max(1.0, sum(sizes)) > own:
+            return together / max(1.0, sum(sizes)), [each for _, objects in below for each in objects]
+        return own, [number]
+
+    objects = [each for root in roots for each in best(root)[1]]
+    return sorted(
+        each for each in objects if things[each].text or (things[each].n_regions or 0) >= LEAST_REGIONS
+    )
