@@ -57,6 +57,7 @@ def test_tables_of_every_form(tmp_path: Path, form: str) -> None:
         assert vectors.dtype == torch.float32
         torch.testing.assert_close(vectors, UNIT[[2, 0, 1, 2]], atol=1e-6, rtol=0)
         torch.testing.assert_close(encoder.encode([" dark cup"]), UNIT[[1]])
+        torch.testing.assert_close(encoder.encode(["the Dark Cups"]), UNIT[[1]])
         assert encoder.encode([]).shape == (0, 3)
     with pytest.raises(InputError, match="closed"):
         encoder.encode(["apple"])

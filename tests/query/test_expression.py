@@ -16,6 +16,18 @@ NAMES = ("mug", "wooden table", "cup")
 
 
 @pytest.mark.parametrize(
+    ("words", "texts"),
+    [
+        (["Power plugs and sockets"], ("Power plugs and sockets",)),
+        (["power plugs and sockets", "mug"], ("power plugs and sockets", "mug")),
+        (["power plugs and mug"], ("power plugs", "mug")),
+    ],
+)
+def test_names_of_a_table_are_taken_whole(words: list[str], texts: tuple[str, ...]) -> None:
+    assert parse_expression(words, ["mug", "power plugs and sockets"]).texts == texts
+
+
+@pytest.mark.parametrize(
     ("words", "said", "texts", "wanted"),
     [
         (["kettle"], "kettle", ("kettle",), ("kettle",)),

@@ -64,7 +64,7 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     assert found["count"] == len(field.things("kettle"))
     for text, asked in (
         ("kettle", ["kettle"]),
-        ("how many kettles", ["kettle"]),
+        ("how many kettles", ["kettles"]),
         ("kettle on the mug", ["kettle", "mug"]),
     ):
         records = [field.answer(each).to_dict() for each in asked]

@@ -43,8 +43,8 @@ from scoup.field.language_field import Encoder, LanguageField
 from scoup.models.text import TextEncoder
 from scoup.query.boxes import OrientedBox
 from scoup.query.matching import compare_things
+from scoup.query.phrases import counted_text
 from scoup.query.question import encode_texts, warn_of_another_model
-from scoup.query.relations import text_to_count
 from scoup.query.things import things_of_table
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
@@ -212,7 +212,7 @@ class Archive:
         if top < 1 or (at_least is not None and at_least < 1):
             raise InputError(f"`top` and `at_least` must be 1 or more, got {top} and {at_least}")
         encoder = self.text_encoder()
-        text = text_to_count(encoder, question)
+        text = counted_text(question)
         is_counted = text is not None or at_least is not None
         search = Search.of(question if text is None else text, encoder, is_counted, present_from)
         wanted = None if where is None else self._wanted(where)

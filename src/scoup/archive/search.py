@@ -49,7 +49,7 @@ class Search:
     @classmethod
     def of(cls, text: str, encoder: TextEncoder, counted: bool, present_from: float | None) -> Search:
         """Parse and encode a text; errors are those of ``LanguageField.things``."""
-        expression, source = parse_expression([text]), encoder.name or "the word table"
+        expression, source = parse_expression([text], encoder.names), encoder.name or "the word table"
         assert expression.targets  # it raises for what selects Gaussians only
         vectors = text_vectors(encoder, expression.texts, source)
         least = presence_threshold(len(vectors.everyday), source, present_from)

@@ -23,6 +23,7 @@ from scoup.cli.query_options import (
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import Answer
+    from scoup.query.frame import Frame
     from scoup.query.place import Place
     from scoup.scene.gaussians import Gaussians
 
@@ -83,16 +84,17 @@ class Select(AnswerOptions, CameraOptions, FrameOptions):
         from scoup.query.select import Reshaping
 
         check_texts(self.texts)
-        expression = parse_expression(self.texts)
         shape = Reshaping(self.largest, self.shrink, self.grow, self.within)
         self._check_options()
+        field = self.open_field()
+        expression = parse_expression(self.texts, self.text_encoder(field).names)
         if self.edit == "ids" and (shape.changes or not expression.is_plain):
             raise InputError("--edit ids numbers texts: pass them without and, or, not, and without a shape")
-        field = self.open_field()
         self._check_out(field)
         question = self.question(field, expression, level=self.level)
-        whole = field.select(question, shape, self.open_frame(field))
-        self._check_found(whole)
+        frame = self.open_frame(field) or (field.frame() if expression.phrases else None)
+        whole = field.select(question, shape, frame)
+        self._check_found(whole, frame)
         written = self._write(field, whole)
         self._report(console, whole, written, field.location(whole))
 
@@ -140,7 +142,7 @@ class Select(AnswerOptions, CameraOptions, FrameOptions):
             if source and self.out.exists() and source.exists() and self.out.samefile(source):
                 raise InputError(f"{self.out}: is the {what}; use another name with --out")
 
-    def _check_found(self, answer: Answer) -> None:
+    def _check_found(self, answer: Answer, frame: Frame | None) -> None:
         """Refuse to write nothing, or the scene as it was.
 
         Raises:
@@ -155,6 +157,9 @@ class Select(AnswerOptions, CameraOptions, FrameOptions):
         absent = [f"{part.text}: {part.remark()}" for part in answer.parts if not part.presence]
         if absent and not found:
             advice = f"{'; '.join(absent)}; --always chooses something anyway"
+        elif frame is not None and not found:
+            there = ", ".join(f"{part.text}: {len(part.things)}" for part in answer.parts)
+            advice = f"found {there}, but none that is so; {frame.describe()}"
         raise InputError(
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )

@@ -31,6 +31,7 @@ NO_WORDS_FOR_COLORS = (
     "extract them with a CLIP model as embedder and build the field again"
 )
 _BATCH = 64
+ARTICLES = ("the", "a", "an")
 LONGEST = 1000  # characters of a phrase; models read a few hundred at most
 _SHOWN = 50  # names in the picture of a notebook
 
@@ -145,7 +146,9 @@ class TextEncoder:
         def encode(phrases: list[str]) -> Tensor:
             rows = []
             for phrase in phrases:
-                row = exact.get(phrase, folded.get(phrase.strip().casefold()))
+                row = exact.get(phrase)
+                forms = (folded[form] for form in word_forms(phrase) if form in folded)
+                row = next(forms, None) if row is None else row
                 if row is None:
                     raise UnknownNameError("text embedding", phrase, table.names, str(table.path))
                 rows.append(row)
@@ -159,8 +162,8 @@ class TextEncoder:
         """Return [Q, D] float32 unit vectors of the phrases, on the CPU.
 
         Raises:
-            UnknownNameError: a table lacks a phrase (case and outer blanks are ignored if need be); the
-                message lists the nearest names.
+            UnknownNameError: a table lacks a phrase in all of its forms (``word_forms``); the message lists the nearest
+                names.
             InputError: the encoder is closed, or a phrase is not text, blank, or longer than ``LONGEST``.
         """
         if self._encode is None:
@@ -222,6 +225,27 @@ class TextEncoder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def word_forms(phrase: str) -> list[str]:
+    """Return the forms of a phrase that a table may have: without capitals and outer blanks, without an article, and in
+    the singular.
+
+    Example:
+        >>> from scoup.models.text import word_forms
+        >>> word_forms("The coffee mugs")
+        ['the coffee mugs', 'coffee mugs', 'coffee mug']
+    """
+    folded = phrase.strip().casefold()
+    article, _, rest = folded.partition(" ")
+    bare = rest.strip() if article in ARTICLES and rest.strip() else folded
+    endings = (("ies", "y"), ("es", ""), ("s", ""))
+    singular = [
+        bare.removesuffix(ending) + instead
+        for ending, instead in reversed(endings)
+        if bare.endswith(ending) and len(bare) > len(ending) + 1
+    ]
+    return list(dict.fromkeys([folded, bare, *singular]))
 
 
 def check_model(name: str) -> None:

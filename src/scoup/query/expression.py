@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import TypeAlias
@@ -77,7 +77,7 @@ class Expression:
         return _combined(self.root, masks)
 
 
-def parse_expression(words: Iterable[str]) -> Expression:
+def parse_expression(words: Iterable[str], names: Collection[str] | None = None) -> Expression:
     """Parse the words of a command line.
 
     ``not`` binds closest, then ``and``, then ``or``, ``+`` (the same) and ``-`` (and not), which are operators only
@@ -88,6 +88,7 @@ def parse_expression(words: Iterable[str]) -> Expression:
 
     Args:
         words: texts, operators, or expressions.
+        names: of a word table: a text that is one of them, as "power plugs and sockets" may be, stands for itself.
 
     Raises:
         InputError: it is not an expression.
@@ -96,10 +97,12 @@ def parse_expression(words: Iterable[str]) -> Expression:
         >>> scoup.parse_expression(["mug and not handle", "plate"]).texts
         ('mug', 'handle', 'plate')
     """
-    given = list(words)
+    given, known = list(words), {name.casefold() for name in names or ()}
     tokens: list[str] = []
     for word in given:
         part = [word.lower()] if word.lower() in OPERATORS else ["(", *_tokens(word), ")"]
+        if word.strip().casefold() in known:
+            part = ["(", f'"{word.strip()}', ")"]
         if tokens and tokens[-1] == ")" and part[0] == "(":
             tokens.append("or")
         tokens += part

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from scoup.base.errors import InputError
+from scoup.models.text import ARTICLES
 
 RELATIONS: dict[str, tuple[str, ...]] = {
     "left of": ("to the left of", "on the left of", "left of"),
@@ -34,7 +35,6 @@ _UNKNOWN = frozenset(
         "toward towards",
     )
 )
-_ARTICLES = ("the", "a", "an")
 _COUNTING = re.compile(
     r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE
 )
@@ -150,7 +150,7 @@ def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
 def _ordered(words: Sequence[str], source: str) -> tuple[Sequence[str], str, int]:
     """The words without what says an order; the order, and the rank in it."""
     lowered = [word.lower() for word in words]
-    first = 1 if lowered[:1] and lowered[0] in _ARTICLES else 0
+    first = 1 if lowered[:1] and lowered[0] in ARTICLES else 0
     rank = _rank(lowered[first]) if len(lowered) > first else None
     after = first + (rank is not None)
     if len(lowered) > after and lowered[after] in SIZES:
@@ -173,7 +173,7 @@ def _rank(word: str) -> int | None:
 
 
 def _noun(words: Sequence[str], source: str) -> str:
-    words = words[1:] if words and words[0].lower() in _ARTICLES else words
+    words = words[1:] if words and words[0].lower() in ARTICLES else words
     if not words:
         raise _refusal(source, "a thing is missing")
     return " ".join(words)

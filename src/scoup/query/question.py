@@ -170,7 +170,7 @@ def as_expression(field: LanguageField, question: Question[Any] | str | Several)
         raise InputError(
             f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
         )
-    return make_question(field, parse_expression(words))
+    return make_question(field, parse_expression(words, field.text_encoder().names))
 
 
 def _near_names(field: LanguageField, vectors: TextVectors) -> tuple[str | None, ...]:

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from scoup.field.language_field import LanguageField
-from scoup.models.text import TextEncoder
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answers_of
 from scoup.query.expression import Expression
@@ -38,23 +37,13 @@ def things(
     """Return all things, or those that a question singles out; ``field.things`` documents it."""
     if question is None:
         return copy.deepcopy(field.kept(Thing, lambda: all_things(field)))
-    text = text_to_count(field.text_encoder(), question) if isinstance(question, str) else None
+    text = counted_text(question) if isinstance(question, str) else None
     asked, counted = as_expression(field, question if text is None else text), text is not None
 
     def made() -> list[Thing]:
         return things_of_question(field, asked, answers_of(field, asked), frame, counted)
 
     return copy.deepcopy(field.kept((Thing, asked, frame, counted), made))
-
-
-def text_to_count(encoder: TextEncoder, question: str) -> str | None:
-    """Return what "how many cups?" asks for, in the form that the words of a table have: "cup"; None of other texts."""
-    text = counted_text(question)
-    known = encoder.names
-    if text is None or not known or text in known:
-        return text
-    forms = (text.removesuffix("s"), text.removesuffix("es"), f"{text.removesuffix('ies')}y")
-    return next((form for form in forms if form in known), text)
 
 
 def resolve(

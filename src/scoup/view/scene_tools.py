@@ -18,7 +18,7 @@ from scoup.models.text import LONGEST
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
-from scoup.query.relations import text_to_count
+from scoup.query.phrases import counted_text
 from scoup.query.thing_names import ThingName, thing_names
 from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
@@ -115,7 +115,7 @@ class SceneTools:
         field = self._field(scene)
         frame = field.frame(seen_from)
         reply = self._reply(field.things(_bounded(text), frame), limit)
-        asked = text_to_count(field.text_encoder(), text) or text
+        asked = counted_text(text) or text
         answers = {answer.text: answer.to_dict() for answer in field.select(asked, frame=frame).parts}
         units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
         axes = "x, y, z of the splat that the field was built on"
