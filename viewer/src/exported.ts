@@ -70,7 +70,8 @@ export class ExportedPage implements Source {
     const names = await this.names();
     const folded = names.map((name) => name.toLowerCase());
     const rows = texts.map((text) => {
-      const row = folded.indexOf(text.trim().toLowerCase());
+      const form = wordForms(text).find((form) => folded.includes(form));
+      const row = form === undefined ? -1 : folded.indexOf(form);
       if (row < 0) throw new Error(unknown(text, names));
       return row;
     });
@@ -144,6 +145,13 @@ function thingsOf(tensors: Map<string, Tensor>): (row: number, column: number) =
     const at = row * counts.shape[1] + column;
     return Array.from(numbers.subarray(starts[at], starts[at + 1]));
   };
+}
+
+/** The forms of a text that a page may know, as in Python's `word_forms`. */
+function wordForms(text: string): string[] {
+  const folded = text.trim().toLowerCase();
+  const bare = folded.replace(/^(the|a|an)\s+/, "");
+  return [folded, bare, bare.replace(/s$/, ""), bare.replace(/es$/, ""), bare.replace(/ies$/, "y")];
 }
 
 /** What is said of a word that the page does not know, with the nearest that it knows. */
