@@ -5,26 +5,27 @@ from __future__ import annotations
 import heapq
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from scoup.archive.read_scans import ScanBlock, read_blocks, read_records, read_scans
 from scoup.archive.scan_files import (
+    PLACE,
     OwnColumns,
     Scan,
     ScanRecord,
     check_columns,
     connect,
-    read_record,
-    read_scan,
     write_scan,
 )
-from scoup.archive.search import AskedScan, Rank, Search, words_digest
+from scoup.archive.search import AskedScan, Encode, Rank, Search, words_digest
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.atomic import write_text
 from scoup.base.errors import (
@@ -46,8 +47,12 @@ from scoup.query.matching import compare_things
 from scoup.query.question import encode_texts, warn_of_another_model
 from scoup.query.relations import text_to_count
 from scoup.query.things import things_of_table
+from scoup.scene.names import NameTable
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
+SCANS_AT_A_TIME = 16  # of which all is read together
+SCANS_KEPT = 128  # in memory, with all that is known of them
+ENCODED = 16  # lists of names whose vectors are in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +134,9 @@ class Archive:
         check_arguments("Archive", folder=(folder, PATH))
         self.folder = Path(folder)
         self._encoder: Encoder | None = encoder
-        self._scans: dict[Path, tuple[tuple[int, int], Scan]] = {}
+        self._known: dict[Path, tuple[tuple[int, int], ScanBlock, int]] = {}
+        self._read: dict[ScanRecord, Scan] = {}
+        self._cached: Any = (None, None)
         self._connection = connect(self.folder)
         self._about()
 
@@ -139,7 +146,7 @@ class Archive:
         Raises:
             FileFormatError: a file is damaged; the error names it.
         """
-        return {file.stem: self._record(file) for file in self._files()}
+        return {record.name: record for record in self._records(self._files())}
 
     def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
         """Add a field as the scan that has the name of its file; the scan of that name is replaced.
@@ -164,7 +171,7 @@ class Archive:
             )
         file = self.folder / f"{name}.parquet"
         about = self._check_model(field)
-        if file.exists() and (old := self._record(file).field_path) != path and old.exists():
+        if file.exists() and (old := self._records([file])[0].field_path) != path and old.exists():
             raise InputError(f"{path}: the scan {name} of this archive is of {old}; rename one of the fields")
         sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
         record = ScanRecord(name, file, path, field.embedding_model, *sizes, "", torch.zeros(0))
@@ -214,19 +221,21 @@ class Archive:
         encoder = self.text_encoder()
         text = text_to_count(encoder, question)
         is_counted = text is not None or at_least is not None
-        search = Search.of(question if text is None else text, encoder, is_counted, present_from)
+        search = Search.of(
+            question if text is None else text, encoder, self._encode(encoder), is_counted, present_from
+        )
         wanted = None if where is None else self._wanted(where)
-        asked = [AskedScan.of(search, scan) for scan in self._read_scans(wanted)]
-        bounds = [(bound, scan) for scan in asked if (bound := scan.bound) is not None]
+        bounds = self._bounds(search, wanted)
         if at_least is not None:
-            counted = [[*_found(scan, wanted)] for _, scan in bounds]
+            counted = [[*_found(AskedScan.of(search, scan), wanted)] for _, scan in self._scans(bounds)]
             enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
             return [found for each in enough[:top] for _, found in each]
         best: list[tuple[Rank, FoundThing]] = []
-        for bound, scan in sorted(bounds, key=lambda each: each[0], reverse=True):
+        for bound, scan in self._scans(bounds):
             if len(best) >= top and best[-1][0] >= bound:
                 break  # all that follow are lower
-            best = heapq.nlargest(top, [*best, *_found(scan, wanted)], key=lambda each: each[0])
+            found = _found(AskedScan.of(search, scan), wanted)
+            best = heapq.nlargest(top, [*best, *found], key=lambda each: each[0])
         return [found for _, found in best]
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
@@ -294,27 +303,63 @@ class Archive:
             )
         return about
 
-    def _record(self, file: Path) -> ScanRecord:
-        record, about = read_record(file, self._connection.cursor()), self._about()
-        own = _embeddings(record.embedding_model, record.dim)
-        if own != (others := _embeddings(about["embedding_model"], about["dim"])):
-            remedy = "move it to an archive of its own"
-            raise FileFormatError(file, f"contains {own}, the archive {others}", remedy)
-        return record
+    def _records(self, files: Sequence[Path]) -> list[ScanRecord]:
+        records, about = read_records(files, self._connection.cursor()), self._about()
+        for record in records:
+            own = _embeddings(record.embedding_model, record.dim)
+            if own != (others := _embeddings(about["embedding_model"], about["dim"])):
+                remedy = "move it to an archive of its own"
+                raise FileFormatError(record.file, f"contains {own}, the archive {others}", remedy)
+        return records
 
-    def _read_scans(self, wanted: dict[str, set[int]] | None) -> Iterator[Scan]:
-        """Yield the scans of now; a file that has not changed is read once."""
+    def _encode(self, encoder: TextEncoder) -> Encode:
+        """Return ``encoder.encode`` with a cache."""
+        if encoder is not self._cached[0]:
+            self._cached = encoder, lru_cache(ENCODED)(encoder.encode)
+        return self._cached[1]
+
+    def _bounds(
+        self, search: Search, wanted: dict[str, set[int]] | None
+    ) -> list[tuple[Rank, ScanBlock, int]]:
+        """Return the scans of now in which something can answer, the best first; files that have not changed are not
+        read again."""
+        stamps: dict[Path, tuple[int, int]] = {}
         for file in self._files():
-            if wanted is not None and file.stem not in wanted:
-                continue
-            try:
+            with suppress(FileNotFoundError):  # removed meanwhile
                 state = file.stat()
-            except FileNotFoundError:  # removed meanwhile
-                continue
-            stamp = state.st_mtime_ns, state.st_size
-            if file not in self._scans or self._scans[file][0] != stamp:
-                self._scans[file] = stamp, read_scan(self._record(file), self._connection.cursor())
-            yield self._scans[file][1]
+                stamps[file] = state.st_mtime_ns, state.st_size
+        known = {file: place for file, place in self._known.items() if place[0] == stamps.get(file)}
+        asked = [file for file in stamps if wanted is None or file.stem in wanted]
+        new = [file for file in asked if file not in known]
+        for block in read_blocks(self._records(new), self._connection.cursor()):
+            for number, record in enumerate(block.records):
+                known[record.file] = stamps[record.file], block, number
+        self._known = known
+        blocks = {id(block): block for file in asked for _, block, _ in [known[file]]}
+        of_blocks = {number: search.bounds(block) for number, block in blocks.items()}
+        found = [
+            (bound, block, number)
+            for file in asked
+            for _, block, number in [known[file]]
+            if (bound := of_blocks[id(block)][number]) is not None
+        ]
+        return sorted(found, key=lambda each: each[0], reverse=True)
+
+    def _scans(self, bounds: Sequence[tuple[Rank, ScanBlock, int]]) -> Iterator[tuple[Rank, Scan]]:
+        """Yield scans with their bounds; some that follow are read with the next."""
+        for start in range(0, len(bounds), SCANS_AT_A_TIME):
+            some = {
+                block.records[number]: (bound, block, number)
+                for bound, block, number in bounds[start : start + SCANS_AT_A_TIME]
+            }
+            new = [record for record in some if record not in self._read]
+            read = read_scans([some[record][1:] for record in new], self._connection.cursor())
+            scans = {record: self._read.pop(record) for record in some if record not in new}
+            scans.update(zip(new, read, strict=True))
+            self._read.update(scans)  # those asked last are the last
+            for record in [*self._read][:-SCANS_KEPT]:
+                del self._read[record]
+            yield from ((some[record][0], scans[record]) for record in some)
 
     def _wanted(self, where: str) -> dict[str, set[int]]:
         """Return the things of each scan for which a condition holds."""
@@ -329,8 +374,7 @@ class Archive:
             every = self._connection.cursor().read_parquet(names, union_by_name=True, filename=True)
             rows = every.filter(where).project("filename, thing").fetchall()
         except duckdb.Error as error:
-            for file in files:
-                self._record(file)  # a damaged file is not the condition's fault
+            self._records(files)  # a damaged file is not the condition's fault
             reason = " ".join(str(error).split("\n\n")[0].split())
             raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
         for file, thing in rows:
@@ -342,26 +386,34 @@ class Archive:
         known = compare_things(field, encode_texts(self.text_encoder(field), field, []))
         if known is None:
             raise InputError(f"{field.path}: has no things; build it again")
-        places: list[Any] = [(None,) * 4] * len(known.counts)
+        places = torch.full((len(known.counts), sum(PLACE.values())), torch.nan, dtype=torch.float64)
         for thing in things_of_table(field, range(len(places))):
             parts = (thing.position, thing.box.centre, thing.box.axes.flatten(), thing.box.extent)
-            places[thing.number or 0] = tuple(part.tolist() for part in parts)
-        record = replace(record, words=words_digest(known.words), best_fits=known.best_fits)
-        return Scan(record, known.things.to("cpu"), known.counts, known.shared, known.hubs, places)
+            places[thing.number or 0] = torch.cat(parts)
+        words, table = words_digest(known.words), known.things.to("cpu")
+        names = {} if table.names is None else _presences(table.names)
+        record = replace(record, words=words, best_fits=known.best_fits, names=names)
+        return Scan(record, table, known.counts, known.shared, known.hubs, places)
+
+
+def _presences(names: NameTable) -> dict[str, tuple[float, int]]:
+    counts = torch.bincount(names.rows, minlength=len(names)).tolist()
+    return dict(zip(names.texts, zip(names.presence.tolist(), counts, strict=True), strict=True))
 
 
 def _found(asked: AskedScan, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, FoundThing]]:
     """Yield the things of a scan that answer and are wanted, best first."""
     scan, record = asked.scan, asked.scan.record
     for number, text in asked.things():
-        if (wanted is not None and number not in wanted[record.name]) or (
-            place := scan.place(number)
-        ) is None:
+        place = scan.places[number]
+        if (wanted is not None and number not in wanted[record.name]) or bool(place.isnan().any()):
             continue
+        position, centre, axes, extent = place.split([*PLACE.values()])
+        box = OrientedBox(centre, axes.reshape(3, 3), extent)
         score, rank = asked.rank(number, text)
         level = record.levels[int(scan.table.levels[number])]
         yield rank, FoundThing(
-            record.name, number, text, level, score, *place, int(scan.counts[number]), record.columns,
+            record.name, number, text, level, score, position, box, int(scan.counts[number]), record.columns,
             record.field_path,
         )  # fmt: skip
 
