@@ -26,6 +26,7 @@ from benchmarks.embedding_kinds import KINDS
 from benchmarks.study import Record, Study
 from scoup.archive.archive import ABOUT, FORMAT, VERSION, Archive
 from scoup.archive.scan_files import write_scan
+from scoup.archive.search import words_digest
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
@@ -233,8 +234,10 @@ def _times(world: World, count: int, folder: Path) -> Record:
     (folder / ABOUT).write_text(json.dumps(about))
     some = [each.scan for each in world.simulate(KINDS["clip"], 48, seed=7)]
     files = [folder / f"{scan.record.name}.parquet" for scan in some]
+    encoder = TextEncoder.open(table)
+    digest = words_digest(encoder.everyday())
     written = [
-        _seconds(write_scan, replace(scan, record=replace(scan.record, file=file)))
+        _seconds(write_scan, replace(scan, record=replace(scan.record, file=file, words=digest)))
         for scan, file in zip(some, files, strict=True)
     ]
     clock: Record = {"write one scan": np.median(written, 0).tolist()}
@@ -247,7 +250,7 @@ def _times(world: World, count: int, folder: Path) -> Record:
     for name, words in (("shell, empty", ["--help"]), ("shell", [TEXT])):
         clock[name] = _seconds(subprocess.run, [*shell, *words], check=True, stdout=subprocess.DEVNULL)
     memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
-    archive = Archive(folder, TextEncoder.open(table))
+    archive = Archive(folder, encoder)
     clock["first text"] = _seconds(archive.find, TEXT)
     clock["further texts"] = np.median([_seconds(archive.find, text) for text in world.asked[:5]], 0).tolist()
     clock["same texts again"] = np.median(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,10 @@ import scoup
 from cli_support import refused, run, run_json
 from query.planted_room import ABSENT, ROOM, Box, planted_room
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
+from scoup.archive import kept_scans
 from scoup.archive.archive import FoundThing
+from scoup.archive.read_scans import ScanBlock, read_blocks
+from scoup.archive.scan_files import ScanRecord
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
@@ -183,6 +186,25 @@ def test_a_scan_is_replaced_and_removed(
     fields["hall"].path = archive.scans()["hall"].field_path
     with pytest.raises(InputError, match=r"is of .*rename one"):
         archive.add(copy)
+
+
+def test_what_has_not_changed_is_read_once(
+    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[list[str]] = []
+
+    def reading(records: Sequence[ScanRecord], connection: Any) -> list[ScanBlock]:
+        read.append([record.name for record in records])
+        return read_blocks(records, connection)
+
+    monkeypatch.setattr(kept_scans, "read_blocks", reading)
+    for where in (None, "floor = 1", None):
+        archive.find("mug", where=where)
+    archive.add(fields["hall"], floor=7)
+    archive.find("mug")
+    archive.remove("kitchen")
+    archive.find("mug")
+    assert read == [["hall", "kitchen", "office"], [], [], ["hall"], []]
 
 
 def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:

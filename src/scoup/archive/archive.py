@@ -15,7 +15,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.archive.read_scans import ScanBlock, read_blocks, read_records, read_scans
+from scoup.archive.kept_scans import KeptScans
+from scoup.archive.read_scans import read_records
 from scoup.archive.scan_files import (
     PLACE,
     OwnColumns,
@@ -50,8 +51,6 @@ from scoup.query.things import things_of_table
 from scoup.scene.names import NameTable
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
-SCANS_AT_A_TIME = 16  # of which all is read together
-SCANS_KEPT = 128  # in memory, with all that is known of them
 ENCODED = 16  # lists of names whose vectors are in memory
 
 
@@ -134,10 +133,9 @@ class Archive:
         check_arguments("Archive", folder=(folder, PATH))
         self.folder = Path(folder)
         self._encoder: Encoder | None = encoder
-        self._known: dict[Path, tuple[tuple[int, int], ScanBlock, int]] = {}
-        self._read: dict[ScanRecord, Scan] = {}
         self._cached: Any = (None, None)
         self._connection = connect(self.folder)
+        self._kept = KeptScans(self._connection, self._records)
         self._about()
 
     def scans(self) -> dict[str, ScanRecord]:
@@ -225,17 +223,16 @@ class Archive:
             question if text is None else text, encoder, self._encode(encoder), is_counted, present_from
         )
         wanted = None if where is None else self._wanted(where)
-        bounds = self._bounds(search, wanted)
+        ranked = self._ranked(search, wanted)
         if at_least is not None:
-            counted = [[*_found(AskedScan.of(search, scan), wanted)] for _, scan in self._scans(bounds)]
+            counted = [[*_found(asked, wanted)] for _, asked in ranked]
             enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
             return [found for each in enough[:top] for _, found in each]
         best: list[tuple[Rank, FoundThing]] = []
-        for bound, scan in self._scans(bounds):
+        for bound, asked in ranked:
             if len(best) >= top and best[-1][0] >= bound:
                 break  # all that follow are lower
-            found = _found(AskedScan.of(search, scan), wanted)
-            best = heapq.nlargest(top, [*best, *found], key=lambda each: each[0])
+            best = heapq.nlargest(top, [*best, *_found(asked, wanted)], key=lambda each: each[0])
         return [found for _, found in best]
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
@@ -318,48 +315,20 @@ class Archive:
             self._cached = encoder, lru_cache(ENCODED)(encoder.encode)
         return self._cached[1]
 
-    def _bounds(
-        self, search: Search, wanted: dict[str, set[int]] | None
-    ) -> list[tuple[Rank, ScanBlock, int]]:
-        """Return the scans of now in which something can answer, the best first; files that have not changed are not
-        read again."""
-        stamps: dict[Path, tuple[int, int]] = {}
-        for file in self._files():
-            with suppress(FileNotFoundError):  # removed meanwhile
-                state = file.stat()
-                stamps[file] = state.st_mtime_ns, state.st_size
-        known = {file: place for file, place in self._known.items() if place[0] == stamps.get(file)}
-        asked = [file for file in stamps if wanted is None or file.stem in wanted]
-        new = [file for file in asked if file not in known]
-        for block in read_blocks(self._records(new), self._connection.cursor()):
-            for number, record in enumerate(block.records):
-                known[record.file] = stamps[record.file], block, number
-        self._known = known
-        blocks = {id(block): block for file in asked for _, block, _ in [known[file]]}
-        of_blocks = {number: search.bounds(block) for number, block in blocks.items()}
-        found = [
-            (bound, block, number)
-            for file in asked
-            for _, block, number in [known[file]]
-            if (bound := of_blocks[id(block)][number]) is not None
-        ]
-        return sorted(found, key=lambda each: each[0], reverse=True)
-
-    def _scans(self, bounds: Sequence[tuple[Rank, ScanBlock, int]]) -> Iterator[tuple[Rank, Scan]]:
-        """Yield scans with their bounds; some that follow are read with the next."""
-        for start in range(0, len(bounds), SCANS_AT_A_TIME):
-            some = {
-                block.records[number]: (bound, block, number)
-                for bound, block, number in bounds[start : start + SCANS_AT_A_TIME]
-            }
-            new = [record for record in some if record not in self._read]
-            read = read_scans([some[record][1:] for record in new], self._connection.cursor())
-            scans = {record: self._read.pop(record) for record in some if record not in new}
-            scans.update(zip(new, read, strict=True))
-            self._read.update(scans)  # those asked last are the last
-            for record in [*self._read][:-SCANS_KEPT]:
-                del self._read[record]
-            yield from ((some[record][0], scans[record]) for record in some)
+    def _ranked(self, search: Search, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, AskedScan]]:
+        """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
+        places = self._kept.places([file for file in self._files() if wanted is None or file.stem in wanted])
+        blocks = {id(block): block for block, _ in places}
+        of_blocks = {key: search.bounds(block) for key, block in blocks.items()}
+        bounds = [(of_blocks[id(block)][number], (block, number)) for block, number in places]
+        ranked = sorted(
+            ((bound, place) for bound, place in bounds if bound is not None),
+            key=lambda each: each[0],
+            reverse=True,
+        )
+        scans = self._kept.scans([place for _, place in ranked])
+        for (bound, _), scan in zip(ranked, scans, strict=True):
+            yield bound, AskedScan.of(search, scan)
 
     def _wanted(self, where: str) -> dict[str, set[int]]:
         """Return the things of each scan for which a condition holds."""
