@@ -27,6 +27,7 @@ STUDIES = Family(
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "city": "benchmarks.city:Cities",
+        "archive": "benchmarks.archive:Archives",
     },
 )
 

@@ -22,6 +22,7 @@ from typing import Any
 import tyro
 
 from benchmarks.answers import Answers, Real
+from benchmarks.archive import Archives
 from benchmarks.city import Cities
 from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines
@@ -177,6 +178,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
+    "archive": (Archives, "archive"),
     "gpu": (Gpu, "gpu-nvidia-h200"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
@@ -207,6 +209,7 @@ HIDDEN = {
     "query": "location in the scene, (same text again|ten further .*)",
     "viewer": "exported words.*|program, bytes",
     "city": "(load|coding|region sums|vote|save), s",
+    "archive": "seconds|exponential tail per scan",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 

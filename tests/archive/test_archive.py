@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,17 @@ import torch
 import scoup
 from cli_support import refused, run, run_json
 from query.planted_room import ABSENT, ROOM, Box, planted_room
+from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
+from scoup.archive import kept_scans
+from scoup.archive.archive import FoundThing
+from scoup.archive.read_scans import ScanBlock, read_blocks
+from scoup.archive.scan_files import ScanRecord
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, UnknownNameError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
+from scoup.query.named import SURE
+from support import unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 MODEL = "some/model"
@@ -74,6 +81,17 @@ def test_answers_are_those_of_the_fields(
     archive: scoup.Archive, fields: dict[str, LanguageField], question: str
 ) -> None:
     found = archive.find(question, top=1000)
+    assert_answers_are_those_of(found, fields, question)
+    for top in (1, 2):
+        assert [(each.scan, each.thing) for each in archive.find(question, top=top)] == [
+            (each.scan, each.thing) for each in found[:top]
+        ]
+    assert bool(found) == (question != ABSENT)
+
+
+def assert_answers_are_those_of(
+    found: list[FoundThing], fields: dict[str, LanguageField], question: str
+) -> None:
     for name, field in fields.items():
         mine = {each.thing: each for each in found if each.scan == name}
         things = field.things(question)
@@ -88,11 +106,42 @@ def test_answers_are_those_of_the_fields(
             assert one.to_dict()["box"] == thing.to_dict()["box"]
     ranks = [-1.0 if each.score is None else each.score for each in found]
     assert ranks == sorted(ranks, reverse=True)
-    for top in (1, 2):
-        assert [(each.scan, each.thing) for each in archive.find(question, top=top)] == [
-            (each.scan, each.thing) for each in found[:top]
-        ]
-    assert bool(found) == (question != ABSENT)
+
+
+def test_names_that_a_model_gave_answer_as_in_the_field(
+    fields: dict[str, LanguageField], tmp_path: Path
+) -> None:
+    encoder = fields["office"].text_encoder()
+    assert encoder.names is not None
+    table = dict(zip(encoder.names, encoder.encode(encoder.names), strict=True))
+    table["beaker"] = unit(table["mug"] + 0.1 * table["ball"])  # near to a name
+    votes = {"mug": {MUG: 0.6, BALL: 0.5}, "lamp": {LAMP: 0.9 * SURE}, ABSENT: {}, "pen": {LAPTOP: 0.3}}
+    presence = {"mug": 0.9, "lamp": 0.8, ABSENT: 0.1, "pen": 0.3}
+    archive, field = scoup.Archive(tmp_path / "a", table), planted_room()
+    archive.add(fields["hall"])
+    assert field.thing_table is not None
+    things = replace(fields["office"].thing_table or field.thing_table, names=names_of(votes, presence))
+    field.thing_table, field.info = things, replace(field.info, embedding_model=MODEL)
+    field.text_encoder(table)
+    field.save(tmp_path / "named.scoup")
+    archive.add(field)
+    asked = {
+        "mug": {MUG},  # without the names, the other, too
+        "beaker": {MUG},
+        "lamp": {LAMP},
+        ABSENT: set(),
+        "pen": set(),
+    }
+    for question in (*asked, "how many mugs", "mug left of the laptop", "pen or lamp"):
+        found = archive.find(question)
+        assert_answers_are_those_of(found, {"named": field}, question)
+        if question in asked:
+            assert {each.thing for each in found if each.scan == "named"} == asked[question]
+    assert archive.find("mug")[0].score == pytest.approx(0.9)
+    field.thing_table = replace(things, names=names_of({"mug": {BALL: 0.6}}, {"mug": 0.9}))
+    field.save(tmp_path / "named.scoup", overwrite=True)
+    with pytest.warns(ScoupWarning, match="has changed since"):
+        archive.find("mug left of the laptop")
 
 
 def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive) -> None:
@@ -137,6 +186,25 @@ def test_a_scan_is_replaced_and_removed(
     fields["hall"].path = archive.scans()["hall"].field_path
     with pytest.raises(InputError, match=r"is of .*rename one"):
         archive.add(copy)
+
+
+def test_what_has_not_changed_is_read_once(
+    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[list[str]] = []
+
+    def reading(records: Sequence[ScanRecord], connection: Any) -> list[ScanBlock]:
+        read.append([record.name for record in records])
+        return read_blocks(records, connection)
+
+    monkeypatch.setattr(kept_scans, "read_blocks", reading)
+    for where in (None, "floor = 1", None):
+        archive.find("mug", where=where)
+    archive.add(fields["hall"], floor=7)
+    archive.find("mug")
+    archive.remove("kitchen")
+    archive.find("mug")
+    assert read == [["hall", "kitchen", "office"], [], [], ["hall"], []]
 
 
 def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:

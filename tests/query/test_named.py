@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,12 +25,12 @@ from scoup.uplift.naming import things_in_view
 MUG, OTHER_MUG, LAPTOP, LAMP, BALL = 1, 2, 3, 4, 5  # of ROOM
 
 
-def names_of(votes: dict[str, dict[int, float]], presence: float = 0.9) -> NameTable:
+def names_of(votes: dict[str, dict[int, float]], presence: Mapping[str, float] | float = 0.9) -> NameTable:
     pairs = [(row, thing, vote) for row, of in enumerate(votes.values()) for thing, vote in of.items()]
     rows, things, values = zip(*pairs, strict=True)
     return NameTable(
         tuple(votes),
-        torch.full((len(votes),), presence),
+        torch.tensor([presence[text] if isinstance(presence, Mapping) else presence for text in votes]),
         torch.tensor(rows, dtype=torch.int32),
         torch.tensor(things, dtype=torch.int32),
         torch.tensor(values),

@@ -49,7 +49,7 @@ def test_what_is_whole_is_taken(things: ThingTable) -> None:
     assert len(nothing) == 0
     assert not nothing.members(torch.zeros(0, dtype=torch.int64)).any()
     assert nothing.sums(torch.ones(6)).shape == (0,)
-    assert (nothing.disagreement, nothing.spread) == (0.0, LEAST_SPREAD)
+    assert nothing.spread == LEAST_SPREAD
 
 
 @pytest.mark.parametrize("name", TENSORS)
@@ -144,17 +144,15 @@ def test_rows_keep_all_things(things: ThingTable) -> None:
     assert things.owners.shape == (6, 2)
 
 
-def test_disagreement_is_that_of_the_median_sure_thing(things: ThingTable) -> None:
+def test_the_spread_is_that_of_the_median_sure_thing(things: ThingTable) -> None:
     """Of the things of three regions or more, which here agree by 0.8, 0.9 and 0.95."""
     assert SURE_REGIONS == 3
-    assert things.disagreement == pytest.approx(0.1, abs=1e-6)
     assert things.spread == pytest.approx(math.sqrt((1 - 0.9**2) / 8), abs=1e-6)
     unsure = ThingTable(**parts(n_regions=torch.full((5,), 2, dtype=torch.int32)))
-    assert (unsure.disagreement, unsure.spread) == (0.0, LEAST_SPREAD)
+    assert unsure.spread == LEAST_SPREAD
     alike = ThingTable(**parts(agreement=torch.ones(5)))
-    assert (alike.disagreement, alike.spread) == (0.0, LEAST_SPREAD)
+    assert alike.spread == LEAST_SPREAD
     apart = ThingTable(**parts(agreement=torch.zeros(5)))
-    assert apart.disagreement == 1.0
     assert apart.spread == pytest.approx(8**-0.5)
 
 

@@ -5,26 +5,28 @@ from __future__ import annotations
 import heapq
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from scoup.archive.kept_scans import KeptScans
+from scoup.archive.read_scans import read_records
 from scoup.archive.scan_files import (
+    PLACE,
     OwnColumns,
     Scan,
     ScanRecord,
     check_columns,
     connect,
-    read_record,
-    read_scan,
     write_scan,
 )
-from scoup.archive.search import AskedScan, Rank, Search, words_digest
+from scoup.archive.search import AskedScan, Encode, Rank, Search, words_digest
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.atomic import write_text
 from scoup.base.errors import (
@@ -46,8 +48,10 @@ from scoup.query.matching import compare_things
 from scoup.query.phrases import counted_text
 from scoup.query.question import encode_texts, warn_of_another_model
 from scoup.query.things import things_of_table
+from scoup.scene.names import NameTable
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
+ENCODED = 16  # lists of names whose vectors are in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +133,9 @@ class Archive:
         check_arguments("Archive", folder=(folder, PATH))
         self.folder = Path(folder)
         self._encoder: Encoder | None = encoder
-        self._scans: dict[Path, tuple[tuple[int, int], Scan]] = {}
+        self._cached: Any = (None, None)
         self._connection = connect(self.folder)
+        self._kept = KeptScans(self._connection, self._records)
         self._about()
 
     def scans(self) -> dict[str, ScanRecord]:
@@ -139,7 +144,7 @@ class Archive:
         Raises:
             FileFormatError: a file is damaged; the error names it.
         """
-        return {file.stem: self._record(file) for file in self._files()}
+        return {record.name: record for record in self._records(self._files())}
 
     def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
         """Add a field as the scan that has the name of its file; the scan of that name is replaced.
@@ -164,7 +169,7 @@ class Archive:
             )
         file = self.folder / f"{name}.parquet"
         about = self._check_model(field)
-        if file.exists() and (old := self._record(file).field_path) != path and old.exists():
+        if file.exists() and (old := self._records([file])[0].field_path) != path and old.exists():
             raise InputError(f"{path}: the scan {name} of this archive is of {old}; rename one of the fields")
         sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
         record = ScanRecord(name, file, path, field.embedding_model, *sizes, "", torch.zeros(0))
@@ -214,19 +219,20 @@ class Archive:
         encoder = self.text_encoder()
         text = counted_text(question)
         is_counted = text is not None or at_least is not None
-        search = Search.of(question if text is None else text, encoder, is_counted, present_from)
+        search = Search.of(
+            question if text is None else text, encoder, self._encode(encoder), is_counted, present_from
+        )
         wanted = None if where is None else self._wanted(where)
-        asked = [AskedScan.of(search, scan) for scan in self._read_scans(wanted)]
-        bounds = [(bound, scan) for scan in asked if (bound := scan.bound) is not None]
+        ranked = self._ranked(search, wanted)
         if at_least is not None:
-            counted = [[*_found(scan, wanted)] for _, scan in bounds]
+            counted = [[*_found(asked, wanted)] for _, asked in ranked]
             enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
             return [found for each in enough[:top] for _, found in each]
         best: list[tuple[Rank, FoundThing]] = []
-        for bound, scan in sorted(bounds, key=lambda each: each[0], reverse=True):
+        for bound, asked in ranked:
             if len(best) >= top and best[-1][0] >= bound:
                 break  # all that follow are lower
-            best = heapq.nlargest(top, [*best, *_found(scan, wanted)], key=lambda each: each[0])
+            best = heapq.nlargest(top, [*best, *_found(asked, wanted)], key=lambda each: each[0])
         return [found for _, found in best]
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
@@ -294,27 +300,35 @@ class Archive:
             )
         return about
 
-    def _record(self, file: Path) -> ScanRecord:
-        record, about = read_record(file, self._connection.cursor()), self._about()
-        own = _embeddings(record.embedding_model, record.dim)
-        if own != (others := _embeddings(about["embedding_model"], about["dim"])):
-            remedy = "move it to an archive of its own"
-            raise FileFormatError(file, f"contains {own}, the archive {others}", remedy)
-        return record
+    def _records(self, files: Sequence[Path]) -> list[ScanRecord]:
+        records, about = read_records(files, self._connection.cursor()), self._about()
+        for record in records:
+            own = _embeddings(record.embedding_model, record.dim)
+            if own != (others := _embeddings(about["embedding_model"], about["dim"])):
+                remedy = "move it to an archive of its own"
+                raise FileFormatError(record.file, f"contains {own}, the archive {others}", remedy)
+        return records
 
-    def _read_scans(self, wanted: dict[str, set[int]] | None) -> Iterator[Scan]:
-        """Yield the scans of now; a file that has not changed is read once."""
-        for file in self._files():
-            if wanted is not None and file.stem not in wanted:
-                continue
-            try:
-                state = file.stat()
-            except FileNotFoundError:  # removed meanwhile
-                continue
-            stamp = state.st_mtime_ns, state.st_size
-            if file not in self._scans or self._scans[file][0] != stamp:
-                self._scans[file] = stamp, read_scan(self._record(file), self._connection.cursor())
-            yield self._scans[file][1]
+    def _encode(self, encoder: TextEncoder) -> Encode:
+        """Return ``encoder.encode`` with a cache."""
+        if encoder is not self._cached[0]:
+            self._cached = encoder, lru_cache(ENCODED)(encoder.encode)
+        return self._cached[1]
+
+    def _ranked(self, search: Search, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, AskedScan]]:
+        """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
+        places = self._kept.places([file for file in self._files() if wanted is None or file.stem in wanted])
+        blocks = {id(block): block for block, _ in places}
+        of_blocks = {key: search.bounds(block) for key, block in blocks.items()}
+        bounds = [(of_blocks[id(block)][number], (block, number)) for block, number in places]
+        ranked = sorted(
+            ((bound, place) for bound, place in bounds if bound is not None),
+            key=lambda each: each[0],
+            reverse=True,
+        )
+        scans = self._kept.scans([place for _, place in ranked])
+        for (bound, _), scan in zip(ranked, scans, strict=True):
+            yield bound, AskedScan.of(search, scan)
 
     def _wanted(self, where: str) -> dict[str, set[int]]:
         """Return the things of each scan for which a condition holds."""
@@ -329,8 +343,7 @@ class Archive:
             every = self._connection.cursor().read_parquet(names, union_by_name=True, filename=True)
             rows = every.filter(where).project("filename, thing").fetchall()
         except duckdb.Error as error:
-            for file in files:
-                self._record(file)  # a damaged file is not the condition's fault
+            self._records(files)  # a damaged file is not the condition's fault
             reason = " ".join(str(error).split("\n\n")[0].split())
             raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
         for file, thing in rows:
@@ -342,26 +355,34 @@ class Archive:
         known = compare_things(field, encode_texts(self.text_encoder(field), field, []))
         if known is None:
             raise InputError(f"{field.path}: has no things; build it again")
-        places: list[Any] = [(None,) * 4] * len(known.counts)
+        places = torch.full((len(known.counts), sum(PLACE.values())), torch.nan, dtype=torch.float64)
         for thing in things_of_table(field, range(len(places))):
             parts = (thing.position, thing.box.centre, thing.box.axes.flatten(), thing.box.extent)
-            places[thing.number or 0] = tuple(part.tolist() for part in parts)
-        record = replace(record, words=words_digest(known.words), best_fits=known.best_fits)
-        return Scan(record, known.things.to("cpu"), known.counts, known.shared, known.hubs, places)
+            places[thing.number or 0] = torch.cat(parts)
+        words, table = words_digest(known.words), known.things.to("cpu")
+        names = {} if table.names is None else _presences(table.names)
+        record = replace(record, words=words, best_fits=known.best_fits, names=names)
+        return Scan(record, table, known.counts, known.shared, known.hubs, places)
+
+
+def _presences(names: NameTable) -> dict[str, tuple[float, int]]:
+    counts = torch.bincount(names.rows, minlength=len(names)).tolist()
+    return dict(zip(names.texts, zip(names.presence.tolist(), counts, strict=True), strict=True))
 
 
 def _found(asked: AskedScan, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, FoundThing]]:
     """Yield the things of a scan that answer and are wanted, best first."""
     scan, record = asked.scan, asked.scan.record
     for number, text in asked.things():
-        if (wanted is not None and number not in wanted[record.name]) or (
-            place := scan.place(number)
-        ) is None:
+        place = scan.places[number]
+        if (wanted is not None and number not in wanted[record.name]) or bool(place.isnan().any()):
             continue
+        position, centre, axes, extent = place.split([*PLACE.values()])
+        box = OrientedBox(centre, axes.reshape(3, 3), extent)
         score, rank = asked.rank(number, text)
         level = record.levels[int(scan.table.levels[number])]
         yield rank, FoundThing(
-            record.name, number, text, level, score, *place, int(scan.counts[number]), record.columns,
+            record.name, number, text, level, score, position, box, int(scan.counts[number]), record.columns,
             record.field_path,
         )  # fmt: skip
 

@@ -1,24 +1,22 @@
-"""One scan of an archive as a Parquet file with a row per thing, written and read by DuckDB."""
+"""One scan of an archive as a Parquet file with a row per thing, written by DuckDB."""
 
 from __future__ import annotations
 
+import base64
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_path
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, check_format_version
+from scoup.base.errors import InputError, ScoupError
 from scoup.base.locks import WAIT
-from scoup.field.container import place_of, relative_place
-from scoup.query.boxes import OrientedBox
+from scoup.field.container import relative_place
 from scoup.query.matching import ComparedTable
 from scoup.scene.things import NO_THING, ThingTable
 
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "scoup scan", 1
 """What the metadata of a Parquet file says under the key ``scoup``."""
-REMEDY = "add its field again, or remove the file"
 OwnColumns: TypeAlias = "Mapping[str, str | int | float]"
 """What the user says of a scan: name of the column -> value in every row."""
 
@@ -49,7 +46,10 @@ _COLUMNS = {
     "hub": "FLOAT",  # cosine with the everyday words that fit it best
     "vector": "FLOAT[]",  # mean embedding, of unit norm
     "shares": "STRUCT(thing INTEGER, gaussians INTEGER)[]",  # Gaussians shared with things of other levels
+    "names": "STRUCT(name VARCHAR, vote FLOAT)[]",  # votes of a model with words
 }
+PLACE = {"position": 3, "box_centre": 3, "box_axes": 9, "box_extent": 3}
+"""Columns of the place of a thing, and how many numbers each has."""
 _OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
 
 
@@ -69,6 +69,8 @@ class ScanRecord:
         str  # digest of the everyday words, and of the rule, of the two statistics ``hub`` and ``best_fits``
     )
     best_fits: Tensor  # [B] float32 of each everyday word with a thing of this scan
+    names: Mapping[str, tuple[float, int]] = field(default_factory=dict)
+    """Texts that a model with words looked for -> presence, and number of votes (``NameTable``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,25 +82,9 @@ class Scan:
     counts: Tensor  # [T] float32, Gaussians
     shared: Tensor  # [T, T] sparse float32, Gaussians that two things share
     hubs: Tensor  # [T] float32
-    places: list[tuple[list[float] | None, ...]]  # position, centre, axes and extent of the box
+    places: Tensor  # [T, 18] float64, ``PLACE`` of each thing; NaN without a usable Gaussian
     compared: dict[str, tuple[ComparedTable, Tensor]] = field(default_factory=dict)
     """Digest of words -> the things compared with them, and the best fit of each: those asked last."""
-
-    def place(self, number: int) -> tuple[Tensor, OrientedBox] | None:
-        """Return position and box of a thing; None without a usable Gaussian."""
-        if self.places[number][0] is None:
-            return None
-        with _damage_named(self.record.file):
-            parts = [torch.tensor(part, dtype=torch.float64) for part in self.places[number]]
-            if not bool(torch.isfinite(torch.cat(parts)).all()) or [len(part) for part in parts] != [
-                3,
-                3,
-                9,
-                3,
-            ]:
-                raise InputError(f"thing {number} has an invalid position or box")
-            position, centre, axes, extent = parts
-            return position, OrientedBox(centre, axes.reshape(3, 3), extent)
 
 
 def write_scan(scan: Scan) -> None:
@@ -119,26 +105,37 @@ def write_scan(scan: Scan) -> None:
         "columns": dict(record.columns),
         "things": record.n_things,
         "words": record.words,
-        "best_fits": record.best_fits.tolist(),
+        "best_fits": base64.b64encode(record.best_fits.numpy().astype("<f4").tobytes()).decode(),
+        "names": dict(record.names),
     }
     shares: list[list[dict[str, int]]] = [[] for _ in range(len(table))]
     pairs = scan.shared.coalesce()
     for one, other, count in zip(*pairs.indices().tolist(), pairs.values().tolist(), strict=True):
         if one != other:
             shares[one].append({"thing": other, "gaussians": int(count)})
-    places = list(zip(*scan.places, strict=True)) or [[]] * 4
+    names: list[list[dict[str, Any]]] = [[] for _ in range(len(table))]
+    if (given := table.names) is not None:
+        votes = (given.rows.tolist(), given.things.tolist(), given.votes.tolist())
+        for row, thing, vote in zip(*votes, strict=True):
+            names[thing].append({"name": given.texts[row], "vote": vote})
+    ends = torch.tensor(list(PLACE.values())).cumsum(0)[:-1]
+    places = {
+        name: [None if row[0] != row[0] else row for row in part.tolist()]
+        for name, part in zip(PLACE, scan.places.tensor_split(ends, 1), strict=True)
+    }
     values: dict[str, Sequence[Any]] = {
         "scan": [record.name] * len(table),
         "thing": list(range(len(table))),
         "level": [record.levels[level] for level in table.levels.tolist()],
         "parent": [None if parent == NO_THING else parent for parent in table.parents.tolist()],
-        **dict(zip(("position", "box_centre", "box_axes", "box_extent"), places, strict=True)),
+        **places,
         "gaussians": scan.counts.int().tolist(),
         "regions": table.n_regions.tolist(),
         **{name: getattr(table, name).tolist() for name in ("stability", "agreement", "mass")},
         "hub": scan.hubs.tolist(),
         "vector": table.embeddings.float().tolist(),
         "shares": shares,
+        "names": names,
     }
     columns = ", ".join(f"unnest(${name}::{kind}[]) AS {name}" for name, kind in _COLUMNS.items())
     own = "".join(
@@ -150,92 +147,8 @@ def write_scan(scan: Scan) -> None:
         connection = connect()
         connection.execute(f"CREATE TABLE things AS SELECT {columns}{own}", given)
         connection.execute(
-            f"COPY things TO {_quoted(str(temporary))} "
-            f"(FORMAT parquet, COMPRESSION zstd, KV_METADATA {{scoup: {metadata}}})"
+            f"COPY things TO {_quoted(str(temporary))} (FORMAT parquet, KV_METADATA {{scoup: {metadata}}})"
         )
-
-
-def read_record(file: Path, connection: DuckDBPyConnection) -> ScanRecord:
-    """Read the metadata of a scan.
-
-    Raises:
-        FileFormatError: the file is damaged, or not a scan.
-        MissingFileError: it is not there.
-    """
-    with _damage_named(file):
-        entries = connection.execute(
-            "SELECT value FROM parquet_kv_metadata($file) WHERE key = 'scoup'",
-            {"file": str(file)},
-        ).fetchall()
-        header = json.loads(entries[0][0]) if entries else {}
-        if header.get("format") != FORMAT:
-            raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", REMEDY)
-        check_format_version(file, header["version"], VERSION)
-        field_path = place_of(file.resolve(), header["field"])
-        assert field_path is not None
-        return ScanRecord(
-            file.stem,
-            file,
-            field_path,
-            str(header["embedding_model"]),
-            int(header["dim"]),
-            tuple(map(str, header["levels"])),
-            check_columns(header["columns"]),
-            int(header["things"]),
-            str(header["words"]),
-            torch.tensor(header["best_fits"], dtype=torch.float32).reshape(-1),
-        )
-
-
-def read_scan(record: ScanRecord, connection: DuckDBPyConnection) -> Scan:
-    """Read the things of a scan; errors as of ``read_record``."""
-    rows = {"file": str(record.file)}
-    count, levels = record.n_things, {name: place for place, name in enumerate(record.levels)}
-    with _damage_named(record.file):
-        every = connection.execute(
-            "SELECT thing, level, parent, regions, stability, agreement, mass, gaussians, hub, position, box_centre, "
-            "box_axes, box_extent FROM read_parquet($file)",
-            rows,
-        ).fetchall()
-        numbers, names, parents, regions, stability, agreement, mass, counts, hubs, *_ = (
-            zip(*every, strict=True) if every else [()] * 13
-        )
-        if list(numbers) != list(range(count)):
-            raise InputError(f"expected things 0 to {count - 1}")
-        vectors = connection.execute("SELECT unnest(vector) AS v FROM read_parquet($file)", rows).fetchnumpy()
-        embeddings = torch.from_numpy(np.ma.filled(vectors["v"], np.nan).reshape(count, record.dim))
-        pairs = connection.execute(
-            "SELECT thing AS one, o.thing AS other, o.gaussians AS shared "
-            "FROM (SELECT thing, unnest(shares) AS o FROM read_parquet($file))",
-            rows,
-        ).fetchnumpy()
-        one, other, shared = (
-            np.ma.filled(pairs[name], -1).astype(np.int64) for name in ("one", "other", "shared")
-        )
-        sizes = torch.tensor(counts, dtype=torch.float32)
-        diagonal = torch.arange(count)
-        table = ThingTable(
-            owners=torch.empty((0, len(levels)), dtype=torch.int32),
-            levels=torch.tensor([levels[name] for name in names], dtype=torch.uint8),
-            parents=torch.tensor(
-                [NO_THING if parent is None else parent for parent in parents], dtype=torch.int32
-            ),
-            embeddings=embeddings.half(),
-            agreement=torch.tensor(agreement, dtype=torch.float32),
-            n_regions=torch.tensor(regions, dtype=torch.int32),
-            mass=torch.tensor(mass, dtype=torch.float32),
-            stability=torch.tensor(stability, dtype=torch.float32),
-        )
-        overlaps = torch.sparse_coo_tensor(
-            torch.cat([torch.stack([diagonal, diagonal]), torch.from_numpy(np.stack([one, other]))], 1),
-            torch.cat([sizes, torch.from_numpy(shared).float()]),
-            (count, count),
-            check_invariants=True,
-        ).coalesce()
-        known = torch.tensor(hubs, dtype=torch.float32)
-        if not bool(torch.isfinite(known).all() & (sizes >= 0).all()):
-            raise InputError("a number is out of range")
-    return Scan(record, table, sizes, overlaps, known, [row[9:] for row in every])
 
 
 def connect(folder: Path | None = None) -> DuckDBPyConnection:
@@ -272,20 +185,3 @@ def check_columns(columns: Any) -> OwnColumns:
 def _quoted(text: str) -> str:
     """Return a text as SQL."""
     return "'" + text.replace("'", "''") + "'"
-
-
-@contextmanager
-def _damage_named(file: Path) -> Iterator[None]:
-    """Turn whatever a damaged file does into one error that names it."""
-    import duckdb
-
-    try:
-        yield
-    except FileFormatError:
-        raise
-    except (duckdb.Error, ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError,
-            ValueError) as error:  # fmt: skip
-        if not file.is_file():
-            raise MissingFileError.of(file, "a scan of an archive") from error
-        reason = str(error).splitlines()[0][:200]
-        raise FileFormatError(file, f"is damaged, or not a scan of an archive ({reason})", REMEDY) from error

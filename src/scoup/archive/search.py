@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.archive.scan_files import Scan
+from scoup.archive.read_scans import ScanBlock
+from scoup.archive.scan_files import Scan, ScanRecord
 from scoup.base.errors import MissingFileError, ScoupWarning
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.query import matching
 from scoup.query.answer_scene import answers_of
 from scoup.query.expression import parse_expression
-from scoup.query.matching import ComparedTable, choose_things, compared_words, find_instances, hub_cosines
+from scoup.query.matching import ComparedTable, compared_words, hub_cosines
+from scoup.query.named import Named, choose, instances_of, named_texts
 from scoup.query.phrases import Phrase, texts_of
 from scoup.query.presence import LEAST_GAUSSIANS, NullScores, is_present, other_words, presence_threshold
-from scoup.query.question import Question, make_question, text_vectors
+from scoup.query.question import Question, make_question, near_names, text_vectors
 from scoup.query.relations import things_of_question
+from scoup.scene.names import number_of
+from scoup.scene.things import ThingTable
 
 Rank: TypeAlias = "tuple[float, float]"
 """Score and fit, by which things of all scans are ordered."""
+Encode: TypeAlias = "Callable[[tuple[str, ...]], Tensor]"
+UNKNOWN: Rank = (math.inf, math.inf)
+"""The bound of scans whose statistics are of other words."""
+ROUNDING = 1e-3
+"""Fits that are computed together differ by less from those of a scan."""
 _RULE = (
     matching.HUB_QUANTILE,
     matching.HUB_SHARE,
@@ -45,9 +56,12 @@ class Search:
     words: Tensor  # [B, D]
     digest: str  # of the words
     others: Tensor  # [Q, B] boolean, the words that count (``other_words``); none with too few words
+    encode: Encode  # of the encoder, with a cache
 
     @classmethod
-    def of(cls, text: str, encoder: TextEncoder, counted: bool, present_from: float | None) -> Search:
+    def of(
+        cls, text: str, encoder: TextEncoder, encode: Encode, counted: bool, present_from: float | None
+    ) -> Search:
         """Parse and encode a text; errors are those of ``LanguageField.things``."""
         expression, source = parse_expression([text], encoder.names), encoder.name or "the word table"
         assert expression.targets  # it raises for what selects Gaussians only
@@ -58,7 +72,62 @@ class Search:
         others = other_words(question.queries, words)
         if not question.can_judge_presence:
             others = others[:, :0]
-        return cls(question, encoder, counted, words, words_digest(words), others)
+        return cls(question, encoder, counted, words, words_digest(words), others, encode)
+
+    def near(self, record: ScanRecord) -> tuple[str | None, ...]:
+        """Return the names of things of a scan that are nearly the texts."""
+        given = [text for text, (_, votes) in record.names.items() if votes]
+        return near_names(record.names, given, self.encoder, self.question, self.encode)
+
+    def bounds(self, block: ScanBlock) -> list[Rank | None]:
+        """Return a rank for each scan that none of its things exceeds; None where nothing can answer."""
+        fits = block.vectors @ self.question.queries.float().cpu().numpy().T
+        fits *= block.scales[:, None]
+        fits -= block.lowered[:, None]
+        best = torch.from_numpy(np.maximum.reduceat(fits, block.starts[:-1])) + ROUNDING
+        has_words = [
+            record.words == self.digest and len(record.best_fits) == len(self.words)
+            for record in block.records
+        ]
+        none = torch.zeros(len(self.words))
+        nulls = torch.stack(
+            [
+                record.best_fits if known else none
+                for record, known in zip(block.records, has_words, strict=True)
+            ]
+        )
+        shares = torch.stack(
+            [
+                (nulls[:, : len(others)][:, others] < of_text[:, None]).float().mean(1)
+                for others, of_text in zip(self.others, best.T, strict=True)
+            ],
+            1,
+        )
+        return [
+            self._bound(record, of_texts, scores) if known else UNKNOWN
+            for record, known, of_texts, scores in zip(
+                block.records, has_words, best.tolist(), shares.tolist(), strict=True
+            )
+        ]
+
+    def _bound(self, record: ScanRecord, best: list[float], shares: list[float]) -> Rank | None:
+        expression, texts, least = self.question.expression, self.question.texts, self.question.present_from
+        assert expression is not None
+        near = self.near(record) if record.names else ()
+        ranks: dict[str, Rank] = {}
+        for number, (text, fit, share) in enumerate(zip(texts, best, shares, strict=True)):
+            name = number_of(record.names, near[number] or text if near else text) if record.names else None
+            score = None if math.isnan(share) else share
+            if name is not None:
+                score = [*record.names.values()][name][0]
+            if fit > -math.inf and is_present(score, LEAST_GAUSSIANS, least):
+                ranks[text] = rank_of(score, fit)
+        found = [
+            ranks[texts_of(target)[0]]
+            for target in expression.targets
+            if all(text in ranks for text in texts_of(target))
+        ]
+        return max(found, default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +139,7 @@ class AskedScan:
     known: ComparedTable
     fits: Tensor  # [T, Q]
     scores: list[NullScores]  # Q
+    named: list[Named | None]  # Q
 
     @classmethod
     def of(cls, search: Search, scan: Scan) -> AskedScan:
@@ -83,30 +153,15 @@ class AskedScan:
         known, best_fits = scan.compared[search.digest]
         fits = known.fits(search.question.queries.float().cpu())
         scores = [NullScores(best_fits[: len(others)], others) for others in search.others]
-        return cls(search, scan, known, fits, scores)
+        named = named_texts(scan.table, replace(search.question, near=search.near(scan.record)))
+        return cls(search, scan, known, fits, scores, named)
 
     def rank(self, thing: int, text: str) -> tuple[float | None, Rank]:
         """Return the score of a thing for a text, and its rank."""
         number = self.search.question.texts.index(text)
-        fit = float(self.fits[thing, number])
-        score = self.scores[number](fit)
-        return score, (-1.0 if score is None else score, fit)
-
-    @property
-    def bound(self) -> Rank | None:
-        """A rank that no thing exceeds; None where nothing can answer."""
-        assert self.search.question.expression is not None
-        if not bool(self.known.usable.any()):
-            return None
-        best = torch.where(self.known.usable[:, None], self.fits, -torch.inf).argmax(0).tolist()
-        least, bounds = self.search.question.present_from, []
-        of_texts = {
-            text: self.rank(thing, text) for text, thing in zip(self.search.question.texts, best, strict=True)
-        }
-        for target in self.search.question.expression.targets:
-            if all(is_present(of_texts[text][0], LEAST_GAUSSIANS, least) for text in texts_of(target)):
-                bounds.append(of_texts[texts_of(target)[0]][1])
-        return max(bounds, default=None)
+        fit, named = float(self.fits[thing, number]), self.named[number]
+        score = self.scores[number](fit) if named is None else named.score(thing)
+        return score, rank_of(score, fit)
 
     def things(self) -> list[tuple[int, str]]:
         """Return the numbers of the things that answer, each once and with the text it answers, best first."""
@@ -127,24 +182,23 @@ class AskedScan:
     def _chosen(self) -> Iterator[list[int]]:
         """The things that answer each text; none where it is not present."""
         least = self.search.question.present_from
-        for number, choice in enumerate(choose_things(self.known, self.fits)):
+        for number, choice in enumerate(choose(self.known, self.fits, self.named)):
             if choice is None:
                 yield []
                 continue
-            size = int(self.known.counts[choice.things].sum())
+            named, size = self.named[number], int(self.known.counts[choice.things].sum())
+            score = self.scores[number](choice.fit) if named is None else named.score()
             things = choice.things
             if self.search.counted:
-                things = find_instances(self.known, self.fits[:, number], things)
-            yield things.tolist() if is_present(self.scores[number](choice.fit), size, least) else []
+                things = instances_of(self.known, self.fits[:, number], choice, named)
+            yield things.tolist() if is_present(score, size, least) else []
 
     def _of_field(self) -> list[tuple[int, str]]:
         """The things that answer phrases, for which shapes are compared: the field itself is asked."""
         record, asked, problem = self.scan.record, self.search.question, "has changed"
         try:
             field = LanguageField.load(record.field_path)
-            if field.thing_table is not None and torch.equal(
-                field.thing_table.embeddings, self.scan.table.embeddings
-            ):
+            if field.thing_table is not None and _is_same(field.thing_table, self.scan.table):
                 always, least = asked.present_from is None, asked.present_from
                 question = make_question(field, asked.expression, self.search.encoder, always, least)
                 answers = answers_of(field, question)
@@ -157,6 +211,22 @@ class AskedScan:
         )
         warnings.warn(f"{message}; add it again", ScoupWarning, stacklevel=2)
         return []
+
+
+def _is_same(one: ThingTable, other: ThingTable) -> bool:
+    """Return whether two tables say the same of names and embeddings."""
+    votes = [
+        sorted(zip(*(part.tolist() for part in (names.things, names.rows, names.votes)), strict=True))
+        for table in (one, other)
+        for names in [table.names]
+        if names is not None
+    ]
+    return torch.equal(one.embeddings, other.embeddings) and votes[:1] == votes[1:]
+
+
+def rank_of(score: float | None, fit: float) -> Rank:
+    """Return the rank of a thing, or of a scan."""
+    return -1.0 if score is None else score, fit
 
 
 def words_digest(words: Tensor) -> str:

@@ -13,8 +13,8 @@ from torch import Tensor
 from scoup.base.arguments import check_arguments
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer, AskedText, RunnerUp
-from scoup.query.matching import compare_things, find_instances
-from scoup.query.named import choose, instances_by_votes, named_texts
+from scoup.query.matching import compare_things
+from scoup.query.named import choose, instances_of, named_texts
 from scoup.query.presence import NullScores, is_present, other_words
 from scoup.query.question import Question, Several, as_question
 from scoup.query.votes import SampledVotes, select_each
@@ -62,7 +62,7 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
         yield from _by_votes(field, question)
         return
     fits = known.fits(question.queries.float().cpu())
-    scores, names = null_scores(question, known.best_fits), named_texts(field, question)
+    scores, names = null_scores(question, known.best_fits), named_texts(field.thing_table, question)
     for number, choice in enumerate(choose(known, fits, names, question.level)):
         text, score, named = question.texts[number], scores[number], names[number]
         if choice is None:
@@ -71,10 +71,7 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
             continue
         level = int(known.things.levels[choice.things[0]])
         rival = choice.runner_up
-        if named is not None and named.is_sure:
-            instances = instances_by_votes(known, choice, named.votes)
-        else:
-            instances = find_instances(known, fits[:, number], choice.things)
+        instances = instances_of(known, fits[:, number], choice, named)
         yield Answer(
             text=text,
             mask=known.things.members(choice.things).cpu(),

@@ -102,8 +102,7 @@ class ComparedTable:
         hub_share: float = HUB_SHARE,
     ) -> ComparedTable:
         """Compare things whose Gaussians were counted before; ``owners`` of the table is not read."""
-        regions, stability = things.n_regions.cpu().clamp(min=1), things.stability.cpu()
-        doubt = FEW_REGIONS * regions.rsqrt() - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
+        doubt = doubts(things.n_regions.cpu(), things.stability.cpu())
         return cls(things, words, things.embeddings.float().cpu(), hubs, doubt, counts, shared, hub_share)
 
     @property
@@ -140,6 +139,13 @@ class ComparedTable:
             fits[~self.usable[rows]] = -torch.inf
             best = torch.maximum(best, fits.amax(0))
         return best
+
+
+def doubts(n_regions: Tensor, stability: Tensor) -> Tensor:
+    """Return how much few regions and instability lower the fits of things, [T]."""
+    return (
+        FEW_REGIONS * n_regions.clamp(min=1).rsqrt() - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
+    )
 
 
 def hub_cosines(things: ThingTable, words: Tensor) -> Tensor:

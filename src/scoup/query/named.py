@@ -16,9 +16,10 @@ import torch
 from torch import Tensor
 
 from scoup.field.language_field import LanguageField
-from scoup.query.matching import Choice, ComparedTable, choose_things
+from scoup.query.matching import Choice, ComparedTable, choose_things, find_instances
 from scoup.query.question import Question
 from scoup.scene.names import NameTable
+from scoup.scene.things import ThingTable
 
 SURE = 0.03
 """The model is sure of a text if a thing has at least this vote."""
@@ -61,9 +62,8 @@ class Named:
         return presence * float(self.votes[thing] / self.votes.max())
 
 
-def named_texts(field: LanguageField, question: Question) -> list[Named | None]:
-    """Return what is known of each text by its name, or that of a name near to it; None for all others."""
-    table = field.thing_table
+def named_texts(table: ThingTable | None, question: Question) -> list[Named | None]:
+    """Return what things are known of each text by its name, or by a name near to it; None for all other texts."""
     names = None if table is None else table.names
     if table is None or names is None:
         return [None] * len(question.texts)
@@ -118,10 +118,15 @@ def _chosen(choice: Choice, things: Tensor, fits: Tensor) -> Choice:
     return replace(choice, things=things, fit=float(fits[things].max()), runner_up=lost[0] if lost else rival)
 
 
-def instances_by_votes(known: ComparedTable, choice: Choice, votes: Tensor) -> Tensor:
-    """Return the things [I] int64 of the level of an answer that are one instance each, best first, by votes [T]."""
+def instances_of(known: ComparedTable, fits: Tensor, choice: Choice, named: Named | None) -> Tensor:
+    """Return the things [I] int64 of the level of an answer to a text that are one instance each, best first.
+
+    By the votes where the model is sure of the text, else by the fits [T].
+    """
+    if named is None or not named.is_sure:
+        return find_instances(known, fits, choice.things)
     levels = known.things.levels.cpu()
-    mine = torch.where(known.usable & (levels == levels[choice.things[0]]), votes, 0.0)
+    mine = torch.where(known.usable & (levels == levels[choice.things[0]]), named.votes, 0.0)
     instances = (mine >= TOGETHER * mine.max()).nonzero()[:, 0]
     return instances[mine[instances].argsort(descending=True, stable=True)]
 

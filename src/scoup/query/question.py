@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -22,6 +22,7 @@ from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.presence import can_judge_presence, presence_threshold
 from scoup.scene.directions import query_vectors
+from scoup.scene.names import number_of
 from scoup.scene.regions import LEAST_EMBEDDING
 
 Several: TypeAlias = "list[str] | tuple[str, ...] | Tensor | np.ndarray"
@@ -174,17 +175,40 @@ def as_expression(field: LanguageField, question: Question[Any] | str | Several)
 
 
 def _near_names(field: LanguageField, vectors: TextVectors) -> tuple[str | None, ...]:
-    """Return for each text the name that a model gave to things and that is nearly the same; () without names."""
-    names = None if field.thing_table is None else field.thing_table.names
-    if names is None or all(names.number(text) is not None for text in vectors.texts):
+    names, encoder = None if field.thing_table is None else field.thing_table.names, field.text_encoder()
+    if names is None:
         return ()
-    encoder = field.text_encoder()
-    texts = [names.texts[row] for row in names.rows.unique().tolist()]
-    known = tuple(text for text in texts if encoder.names is None or text in encoder.names)
+
+    def encode(texts: tuple[str, ...]) -> Tensor:
+        return field.kept((near_names, texts), lambda: encoder.encode(texts))
+
+    return near_names(
+        names.texts, [names.texts[row] for row in names.rows.unique()], encoder, vectors, encode
+    )
+
+
+def near_names(
+    names: Collection[str],
+    given: Collection[str],
+    encoder: TextEncoder,
+    vectors: TextVectors,
+    encode: Callable[[tuple[str, ...]], Tensor],
+) -> tuple[str | None, ...]:
+    """Return for each text the name of things that is nearly the same; () if all texts are names.
+
+    Args:
+        names: texts that a model looked for in a scene.
+        given: those of them that a thing has a vote for.
+        encoder: of texts.
+        vectors: of the texts.
+        encode: ``encoder.encode`` with a cache.
+    """
+    if all(number_of(names, text) is not None for text in vectors.texts):
+        return ()
+    known = tuple(text for text in given if encoder.names is None or text in encoder.names)
     if not known:
         return ()
-    of_names = field.kept((_near_names, known), lambda: encoder.encode(known))
-    cosines, places = (vectors.queries @ of_names.to(vectors.queries).T).max(1)
+    cosines, places = (vectors.queries @ encode(known).to(vectors.queries).T).max(1)
     return tuple(
         known[place] if cosine >= NEAR else None
         for cosine, place in zip(cosines.tolist(), places.tolist(), strict=True)

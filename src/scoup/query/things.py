@@ -147,7 +147,7 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
     numbers = list(answer.instances if counted else answer.things)
     fits = known.fits(asked.question.queries.float().cpu())[numbers, 0].tolist()
     (score,) = null_scores(asked.question, known.best_fits)
-    (named,) = named_texts(field, asked.question)
+    (named,) = named_texts(field.thing_table, asked.question)
     scores = {
         number: score(fit) if named is None else named.score(number)
         for number, fit in zip(numbers, fits, strict=True)

@@ -42,6 +42,12 @@ class Detections:
         return (down[:, :, None] & across[:, None]).float()
 
 
+def number_of(texts: Iterable[str], text: str) -> int | None:
+    """Return the position of a text among others, whatever its capitals; None if it is not there."""
+    same = text.casefold()
+    return next((number for number, each in enumerate(texts) if each.casefold() == same), None)
+
+
 @dataclass(frozen=True, eq=False)
 class NameTable:
     """M texts that a model looked for in photographs, and E votes of what it found for things."""
@@ -78,8 +84,7 @@ class NameTable:
 
     def number(self, text: str) -> int | None:
         """Return the position of a text, whatever its capitals; None if it was not looked for."""
-        same = text.casefold()
-        return next((number for number, each in enumerate(self.texts) if each.casefold() == same), None)
+        return number_of(self.texts, text)
 
     def votes_of(self, number: int, count: int) -> Tensor:
         """Return the votes of one text for each of ``count`` things, [count] float32."""

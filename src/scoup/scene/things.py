@@ -86,21 +86,9 @@ class ThingTable:
         return (self.owners != NO_THING).T.contiguous()
 
     @property
-    def disagreement(self) -> float:
-        """1 - the median agreement of the things merged from enough regions: 0 where all views say the same."""
-        sure = self.agreement[self.n_regions >= SURE_REGIONS]
-        return 1.0 - float((sure if len(sure) else self.agreement.new_ones(1)).median())
-
-    @property
     def spread(self) -> float:
-        """Return how far the cosines of one thing's regions with a text differ, in the median thing.
-
-        A region's embedding lies about sqrt(1 - agreement^2) from its thing's mean, in any of the D directions, one of
-        which is the text's.
-        """
-        agreement = 1.0 - self.disagreement
-        dim = max(1, self.embeddings.shape[1])
-        return max(LEAST_SPREAD, math.sqrt(max(0.0, 1.0 - agreement * agreement) / dim))
+        """Return ``cosine_spread`` of its things."""
+        return cosine_spread(self.agreement, self.n_regions, self.embeddings.shape[1])
 
     def members(self, things: Tensor) -> Tensor:
         """Return [N] boolean: the Gaussians of some things [M] of one level."""
@@ -131,6 +119,21 @@ class ThingTable:
     def to(self, device: torch.device | str) -> ThingTable:
         moved = {each: getattr(self, each).to(device) for each in TENSORS}
         return replace(self, **moved)  # names stay: they are small, and used on the CPU
+
+
+def cosine_spread(agreement: Tensor, n_regions: Tensor, dim: int) -> float:
+    """Return how far the cosines of one thing's regions with a text differ, in the median thing.
+
+    A region's embedding lies about sqrt(1 - agreement^2) from its thing's mean, in any of the D directions, one of
+    which is the text's. The median is that of the things merged from enough regions.
+
+    Args:
+        agreement, n_regions: [T] of the things (``ThingTable``).
+        dim: D.
+    """
+    sure = agreement[n_regions >= SURE_REGIONS]
+    median = float((sure if len(sure) else agreement.new_ones(1)).median())
+    return max(LEAST_SPREAD, math.sqrt(max(0.0, 1.0 - median * median) / max(1, dim)))
 
 
 TENSORS = tuple(each.name for each in fields(ThingTable) if each.name != "names")

@@ -89,7 +89,7 @@ def _things_of_levels(field: LanguageField, question: Question) -> list[list[lis
     known = compare_things(field, question)
     assert known is not None
     fits = known.fits(question.queries.float().cpu())
-    named = named_texts(field, question)
+    named = named_texts(field.thing_table, question)
     chosen = [choose(known, fits, named, level) for level in (None, *range(len(field.levels)))]
     return [
         [[] if choice is None else choice.things.tolist() for choice in of_text]
