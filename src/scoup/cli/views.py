@@ -115,4 +115,4 @@ def make_scene(console: Console, splat: Path, folder: Path, extract: Extract, ov
     else:
         MakeViews(splat=splat, out=folder, overwrite=overwrite).make(console)
     console.kept = lambda: kept(0, 0, "", "views")
-    replace(extract, scene=folder).make(console)
+    replace(extract, scene=folder, views="all").make(console)
