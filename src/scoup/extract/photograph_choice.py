@@ -190,7 +190,7 @@ def points_as_gaussians(positions: NDArray[np.float64]) -> Gaussians:
     """Return round Gaussians at points [P, 3] that reach to their neighbours."""
     if len(positions) < 4:
         raise InputError(f"COLMAP's model has {len(positions)} points, too few to choose photographs by")
-    away = torch.from_numpy(nearest_points(positions, 3)[1]).mean(1).float()
+    away = torch.from_numpy(nearest_points(positions, 3)[1]).mean(1).float() / 2
     scales = away.clamp(min=1e-9, max=float(away.quantile(0.95)))[:, None].expand(-1, 3)
     count = len(positions)
     quats = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4)
