@@ -33,6 +33,7 @@ from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
+from benchmarks.views import Views
 from scoup.base.registry import Registry
 from scoup.extract.registry import EMBEDDERS, SEGMENTERS
 from scoup.models.entry import ModelEntry
@@ -175,6 +176,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "concepts": (Concepts, "concepts"),
     "constants": (Answers, "answers_fit"),
     "query": (Query, "query"),
+    "views": (Views, "views"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
     "gpu": (Gpu, "gpu-nvidia-h200"),

@@ -29,7 +29,7 @@ from scoup.scene.neighbours import nearest_points
 from scoup.uplift.fit import Verdict, fit_problem, measure_fit
 
 FEW = 24  # photographs that are always taken
-LEAST_GAIN = 0.005  # of what the best photograph gains alone
+LEAST_GAIN = 0.006  # of what the best photograph gains alone
 NEIGHBOURS = 8  # photographs that show the most of the same
 SECTORS = 60  # of the directions from which a Gaussian is seen
 SHARP = 0.75  # quantile of their sharpness from which a photograph is as sharp as it can be
