@@ -20,7 +20,7 @@ from benchmarks.faults import as_region_sums
 from benchmarks.real_scenes import FOLDERS
 from benchmarks.scenes import find_layout
 from benchmarks.study import Record, Study
-from scoup.extract.photograph_choice import rank_views, sharpness
+from scoup.extract.photograph_choice import FEW, LEAST_GAIN, rank_views, sharpness
 from scoup.models.words import with_everyday
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera
@@ -77,7 +77,15 @@ class Views(Study):
         return "  ".join(f"{name} {value:g}" for name, value in figures.items())
 
     def record(self, rows: dict[str, Any]) -> Record:
-        return {"constants chosen on": ["table-31", "hall-31", *self.real], "rows": rows}
+        capture = {"share": DWELL, "of the path": STRETCH, "blurred": BLURRED}
+        tuned = ["table-31", "hall-31", *self.real]
+        return {
+            "rows": rows,
+            "slow": capture,
+            "always taken": FEW,
+            "least gain": LEAST_GAIN,
+            "tuned on": tuned,
+        }
 
     @staticmethod
     def table(record: Record) -> str:
