@@ -20,6 +20,7 @@ STUDIES = Family(
         "things": "benchmarks.things:Things",
         "concepts": "benchmarks.concepts:Concepts",
         "views": "benchmarks.views:Views",
+        "laptop": "benchmarks.laptop:Laptop",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",
         "extract": "benchmarks.extract:Extraction",

@@ -77,8 +77,8 @@ class Embedding(Study):
         return markdown(["embeddings of", f"seconds, {threads} threads", "CPU seconds", "peak GB"], body)
 
 
-def save_model(kind: str, folder: Path) -> None:
-    """Write a model with an image tower of ViT-B/16 size (224 pixels) and random weights; its text tower is small."""
+def save_model(kind: str, folder: Path, text_layers: int = 1) -> None:
+    """Write a model with an image tower of ViT-B/16 size (224 pixels) and random weights."""
     import transformers
 
     torch.manual_seed(0)
@@ -86,7 +86,7 @@ def save_model(kind: str, folder: Path) -> None:
         "hidden_size": 768, "intermediate_size": 3072, "num_hidden_layers": 12, "num_attention_heads": 12,
         "image_size": 224, "patch_size": 16,
     }  # fmt: skip
-    text = {"num_hidden_layers": 1}
+    text = {"num_hidden_layers": text_layers}
     if kind == "clip":
         config = transformers.CLIPConfig(text_config=text, vision_config=image, projection_dim=512)
         transformers.CLIPModel(config).save_pretrained(folder)

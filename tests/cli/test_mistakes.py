@@ -25,7 +25,6 @@ SELECTS = "relations, orders, and, or, not are for scoup select"
         ((*BUILD, "--model", "a/b/c"), "no text model or table file named 'a/b/c'; nearest names: "),
         ((*ASK["query"], "--text", "no such/model x"), "no text model or table file named 'no such/model x'"),
         (("extract", "scene", "--segmenter", "no such/x"), "no segmenter named 'no such/x'; nearest names: "),
-        (("build", "bare", "--out", "a.scoup"), "make them with scoup extract bare, or name their folder with --featu"),
         (("query", "f.scoup", "g.scoup"), "g.scoup: is a field, expected a text; ask one field at a time"),
         (("query", "f.scoup", "mug left of the kettle"), SELECTS),
         (("label", "f.scoup", "mug and kettle"), SELECTS),
@@ -40,8 +39,21 @@ SELECTS = "relations, orders, and, or, not are for scoup select"
 )  # fmt: skip
 def test_mistakes(arguments, said):
     Path("scene/README.txt").write_text("A scene of a kettle and a mug.\n")
-    shutil.copytree("scene", "bare", ignore=shutil.ignore_patterns("language_features"))
     assert said in refused(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), "bare: has cameras, but none of their photographs was found"),
+        (("--sums", "s"), "make them with scoup extract bare, or name their folder with --features"),
+    ],
+)
+def test_a_scene_without_regions_and_photographs(options, said):
+    shutil.copytree("scene", "bare", ignore=shutil.ignore_patterns("language_features", "images"))
+    code, _, err = run("build", "bare", "--out", "a.scoup", *options)
+    assert code == 2
+    assert said in err
 
 
 def test_relations_are_one_text_for_a_model(monkeypatch):

@@ -187,7 +187,7 @@ def interrupt(*_: object, **__: object) -> None:
         (("build", SPLAT, "--part", "1/2"), "make its scene first, with scoup views and scoup extract"),
         (("build", "ckpt_9_rank0.pt", "--part", "1/2"), "make its scene first"),
         (("build", SPLAT, "--gaussians", SPLAT), "is a splat; pass the scene"),
-        (("build", "scene", "--embedder", "colors"), "--segmenter and --embedder are for a splat alone"),
+        (("build", "scene", "--features", "r", "--embedder", "colors"), "--features names some; pass either"),
     ],
 )
 def test_what_cannot_be_done_is_said(arguments: tuple[str, ...], expected: str) -> None:

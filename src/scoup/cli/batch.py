@@ -110,40 +110,32 @@ class Batch(BuildOptions):
                 raise
 
     def _build(self, folder: Path, started: list[subprocess.Popen[str]]) -> dict[str, Any]:
-        """Build a scan in processes of its own, unless its field is there."""
-        from scoup.io.scene_parts import usual_features
-
+        """Build a scan in a process of its own, unless its field is there."""
         file, begun = self.out / f"{folder.name}.scoup", time.perf_counter()
         if file.exists() and not self.overwrite:
             return {"kept": True}
-        record: dict[str, Any] = {"kept": False}
-        verbs = [["build", str(folder), "--out", str(file), *self._options()]]
-        if not usual_features(folder).is_dir():
-            models = {"--segmenter": self.segmenter, "--embedder": self.embedder}
-            given = [part for name, value in models.items() if value is not None for part in (name, value)]
-            verbs.insert(0, ["extract", str(folder), "--device", self.device, *given])
-        for verb in verbs:
-            command = [sys.executable, "-m", "scoup", *verb, "--json"]
-            cores = str(max(1, (os.cpu_count() or 1) // self.jobs))
-            environment = {"OMP_NUM_THREADS": cores, **os.environ}
-            process = subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
-            )
-            started.append(process)
-            said = _parsed(process.communicate()[0])
-            record["warnings"] = [*record.get("warnings", []), *said.get("warnings", [])]
-            if process.returncode:
-                how = f"scoup {verb[0]} ended with code {process.returncode}; run it alone to see why"
-                record["error"] = said.get("error", how)
-                break
+        command = [sys.executable, "-m", "scoup", "build", folder, "--out", file, *self._options(), "--json"]
+        cores = str(max(1, (os.cpu_count() or 1) // self.jobs))
+        process = subprocess.Popen(
+            [str(part) for part in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            env={"OMP_NUM_THREADS": cores, **os.environ},
+        )  # fmt: skip
+        started.append(process)
+        said = _parsed(process.communicate()[0])
+        record: dict[str, Any] = {"kept": False, "warnings": said.get("warnings", [])}
+        if process.returncode:
+            how = f"scoup build ended with code {process.returncode}; run it alone to see why"
+            record["error"] = said.get("error", how)
         return {**record, "seconds": round(time.perf_counter() - begun, 2)}
 
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
         passed = ["--device", self.device, *(["--overwrite"] if self.overwrite else [])]
+        named = {f"--{name}": getattr(self, name) for name in ("model", "segmenter", "embedder")}
         values = {option: getattr(self, option[2:].replace("-", "_")) for option in self.given()}
-        for option, value in {**values, **({} if self.model is None else {"--model": self.model})}.items():
-            passed += [option] if value is True else [option, str(value)]
+        for option, value in {**values, **named}.items():
+            if value is not None:
+                passed += [option] if value is True else [option, str(value)]
         return passed
 
     def _write(self, records: dict[str, dict[str, Any]]) -> None:

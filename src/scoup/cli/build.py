@@ -1,4 +1,4 @@
-"""scoup build: from a splat, cameras and regions to a language field."""
+"""scoup build: from a splat, cameras and photographs, or regions of them, to a language field."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
@@ -44,15 +44,16 @@ class _Loaded:
 
 @dataclass(frozen=True, kw_only=True)
 class Build(BuildOptions, ViewOptions):
-    """Build a language field from a trained splat, its cameras, and region features.
+    """Build a language field from a trained splat, its cameras, and photographs.
 
-    SCENE is an output folder of COLMAP, nerfstudio or Inria's code. For a splat alone, name it instead: views of it are
-    rendered and cut into regions first, in <out>_views.
+    SCENE is an output folder of COLMAP, nerfstudio or Inria's code. Photographs without regions are cut into regions
+    first, as scoup extract does; that takes most of the time, and resumes. For a splat alone, name it instead: views of
+    it are rendered and cut into regions, in <out>_views.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "gaussians raster_preset",
-        "splat without a scene": "segmenter embedder",
+        "scene without regions": "segmenter embedder",
         "coding": "codebook",
         "region sum": "keep_sums sums part",
         "output": "out",
@@ -71,9 +72,9 @@ class Build(BuildOptions, ViewOptions):
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     segmenter: OptionalText = None
-    """Segmenter for views of a splat alone, as for scoup extract."""
+    """Segmenter for a scene without regions, as for scoup extract."""
     embedder: OptionalText = None
-    """Embedder for views of a splat alone, as for scoup extract."""
+    """Embedder for a scene without regions, as for scoup extract."""
     codebook: OptionalPath = None
     """An earlier field of the scene, whose codebook codes the regions; only --k of the options of coding counts then.
     For photographs that came later. Default: a new codebook is learned."""
@@ -87,16 +88,19 @@ class Build(BuildOptions, ViewOptions):
     made in any order, on any machine; afterwards, build with --sums."""
 
     def run(self, console: Console) -> None:
-        """Build, save and report."""
+        """Make what the scene lacks, build, save and report."""
         from scoup.base.atomic import check_output, reserved_output
         from scoup.base.errors import ScoupWarning
+        from scoup.cli.views import is_splat
 
-        if (scene := self._of_splat(console)) is not None:
-            return scene.run(console)
+        if is_splat(self.scene):
+            return self._of_splat(console).run(console)
         out = self._output()
         if self.part is not None:
             return self._write_part(console)
         check_output(out, self.overwrite)
+        begun = time.perf_counter()
+        extracted = self._extract(console)
         loaded = self._load(console)
         started = time.perf_counter()
         with reserved_output(out, self.overwrite) as work:
@@ -107,8 +111,41 @@ class Build(BuildOptions, ViewOptions):
             remedy = "build with --model, or pass --text to each question"
             warnings.warn(f"{out}: names nothing that can encode texts; {remedy}", ScoupWarning, stacklevel=2)
         kept_sums = None if self.keep_sums is None else sums
-        report_field(console, field, out, kept_sums, self.device, time.perf_counter() - started)
+        seconds = time.perf_counter() - started
+        report_field(console, field, out, kept_sums, self.device, seconds, extracted)
+        whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
+        console.say(f"{whole}ask it: scoup query {out} WORD, or scoup view {out}")
         return None
+
+    def _extract(self, console: Console) -> dict[str, Any]:
+        """Cut the photographs into regions unless that is done; returns what the result says of it."""
+        from scoup.base.errors import InputError
+        from scoup.cli.extract import Extract
+        from scoup.io import load_cameras
+        from scoup.io.scene_parts import find_splat, usual_features
+
+        named = self.segmenter is not None or self.embedder is not None
+        if self.features is not None:
+            if named:
+                raise InputError(
+                    "--segmenter and --embedder make regions, --features names some; pass either"
+                )
+            return {}
+        if self.sums is not None or (not named and usual_features(self.scene).is_dir()):
+            return {}
+        # Mistakes show before the long work.
+        source = find_splat(self.scene, self.gaussians)
+        self.settings(source.preset)
+        load_cameras(
+            self.scene,
+            self.images,
+            self.downscale,
+            "undistort" if self.undistort else "refuse",
+            dataparser_transforms=self.dataparser_transforms,
+        )
+        models = {"segmenter": self.segmenter, "embedder": self.embedder or CLIP_MODEL}
+        scene = {"scene": self.scene, "gaussians": self.gaussians, "images": self.images}
+        return Extract(**scene, device=self.device, **models).make(console)
 
     def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> LanguageField:
         """Build with progress; what an interruption leaves is reported."""
@@ -128,17 +165,12 @@ class Build(BuildOptions, ViewOptions):
             if self.keep_sums is not None:
                 sums.flush()
 
-    def _of_splat(self, console: Console) -> Build | None:
-        """Make a scene of a splat alone; returns the build of that scene. None where there is a scene."""
+    def _of_splat(self, console: Console) -> Build:
+        """Make views of a splat alone; returns the build of this scene."""
         from scoup.base.atomic import check_output
         from scoup.base.errors import InputError
-        from scoup.cli.extract import Extract
-        from scoup.cli.views import is_splat, make_scene
+        from scoup.cli.views import make_views
 
-        if not is_splat(self.scene):
-            if self.segmenter is not None or self.embedder is not None:
-                raise InputError("--segmenter and --embedder are for a splat alone; run scoup extract first")
-            return None
         if self.part is not None:
             raise InputError(f"{self.scene}: make its scene first, with scoup views and scoup extract")
         if self.gaussians is not None:
@@ -147,9 +179,11 @@ class Build(BuildOptions, ViewOptions):
         check_field_name(out)
         check_output(out, self.overwrite)
         folder = out.with_name(f"{out.stem}_views")
-        models = Extract(device=self.device, segmenter=self.segmenter, embedder=self.embedder or CLIP_MODEL)
-        make_scene(console, self.scene, folder, models, self.overwrite)
-        return replace(self, scene=folder, gaussians=self.scene, out=out, segmenter=None, embedder=None)
+        make_views(console, self.scene, folder, self.overwrite)
+        # Named, so that an extraction that was interrupted is resumed.
+        return replace(
+            self, scene=folder, gaussians=self.scene, out=out, embedder=self.embedder or CLIP_MODEL
+        )
 
     def _write_part(self, console: Console) -> None:
         """Rasterise a part of the views, keep their region sums and report."""

@@ -69,8 +69,9 @@ def report_field(
     sums: RegionSums | None,
     device: str,
     seconds: float,
+    extraction: dict[str, Any] | None = None,
 ) -> None:
-    """Report what was built; ``sums`` if they are kept."""
+    """Report what was built; ``sums`` if they are kept, and the extraction if there was one."""
     from scoup.field.part_sizes import part_sizes
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
@@ -86,7 +87,7 @@ def report_field(
         f"{out}: {size / 1e6:.1f} MB ({sizes}), "
         f"{coded:,} of {counted(len(field), 'Gaussian')} coded, built in {seconds:.0f} s"
     )
-    record: dict[str, Any] = {"field": out}
+    record: dict[str, Any] = {"field": out, **({"extraction": extraction} if extraction else {})}
     if sums is not None and sums.path is not None:
         console.say(f"{sums.path}: {sums.bytes / 1e6:.1f} MB of region sums, {counted(len(sums), 'view')}")
         record |= {"sums": sums.path, "sums_bytes": sums.bytes}

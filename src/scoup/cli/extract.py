@@ -147,21 +147,26 @@ class Extract(WritesCommon):
         """The photographs that matter; None for all, also where they cannot be chosen and nobody has asked for it."""
         from scoup.base.errors import InputError
         from scoup.extract import choose_photographs
+        from scoup.extract.own_views import SHEET
         from scoup.extract.photograph_choice import FEW
         from scoup.io.regions.manifest import read_manifest
         from scoup.io.regions.store import RegionStore
+        from scoup.io.scene_parts import find_splat
 
+        assert self.scene is not None
+        if self.gaussians is not None:
+            find_splat(self.scene, self.gaussians)  # a mistake shows before the long work
         if wanted.more and self.part is not None:
             raise InputError("pass the number of all photographs as --views with --part, not of more")
         before = None if self.overwrite else read_manifest(out)
         there = () if before is None else before.views
         begun = before is not None and not there  # with all
-        if wanted.every or (wanted.count is None and (len(photographs) <= FEW or begun)):
+        few = len(photographs) <= FEW or (self.scene / SHEET).exists()  # the views of scoup views are few
+        if wanted.every or (wanted.count is None and (few or begun)):
             return None
         total = wanted.total(len(there))
         if wanted.more and len(RegionStore.open(out).views(there)) < len(there):
             total = len(there)  # the same command was interrupted
-        assert self.scene is not None
         try:
             with console.progress() as progress:
                 chosen = choose_photographs(
@@ -169,7 +174,7 @@ class Extract(WritesCommon):
                     images=self.images, max_height=self.max_height or None, progress=progress,
                 )  # fmt: skip
         except InputError as error:
-            if self.views is not None or self.gaussians is not None:
+            if self.views is not None:
                 raise
             console.say(f"takes all {len(photographs):,} photographs, for they cannot be compared: {error}")
             return None

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console, kept
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups, WritesCommon
-
-if TYPE_CHECKING:
-    from scoup.cli.extract import Extract
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,12 +97,11 @@ def is_splat(path: Path) -> bool:
     return is_splat_name(path) and not path.is_dir()
 
 
-def make_scene(console: Console, splat: Path, folder: Path, extract: Extract, overwrite: bool) -> None:
-    """Make a scene of a splat alone: its views, unless they are there already, and their regions.
+def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
+    """Make views of a splat alone, unless they are there already.
 
     Args:
         folder: the scene to write.
-        extract: with the models.
         overwrite: replace views that are not whole.
     """
     from scoup.extract.own_views import TRANSFORMS
@@ -115,4 +111,3 @@ def make_scene(console: Console, splat: Path, folder: Path, extract: Extract, ov
     else:
         MakeViews(splat=splat, out=folder, overwrite=overwrite).make(console)
     console.kept = lambda: kept(0, 0, "", "views")
-    replace(extract, scene=folder, views="all").make(console)

@@ -1,0 +1,143 @@
+"""From photographs to the first answer, by the commands of a user, on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.embed import save_model
+from benchmarks.scenes import scene_of
+from benchmarks.study import Record, Study, report
+from scoup.base.errors import InputError
+from scoup_lab.bench import markdown
+from scoup_lab.synthetic.folder import write_demo_scene
+
+TEXT_LAYERS = 12  # of CLIP ViT-B/16
+ASKED = ("first answer", "further answer")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Laptop(Study):
+    """Time `scoup build` from photographs, and `scoup query`, in processes of their own.
+
+    Photographs are renders of a procedural scene. MobileSAM is real; the CLIP ViT-B/16 (`dense:`) has random weights
+    and a tokenizer of few words, so its times mean something, the answers do not.
+    """
+
+    weights: Path
+    """MobileSAM's checkpoint."""
+    scene: str = "hall-30"
+    """Layout and seed."""
+    photographs: int = 200
+    """Of the scene."""
+    width: int = 953
+    """Of a photograph, in pixels."""
+    height: int = 535
+    """Of a photograph, in pixels."""
+    n_gaussians: int = 300_000
+    """Of the splat."""
+
+    def check(self) -> None:
+        if not self.weights.is_file():
+            raise InputError(f"{self.weights}: there is no such file; name MobileSAM's checkpoint")
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        if len(known) == 1 + len(ASKED):
+            return
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            scene, model, field = folder / "scene", folder / "clip", folder / "field.scoup"
+            made = scene_of(self.scene, self.n_gaussians, self.width, self.height, self.photographs, 1)
+            write_demo_scene(made, scene, progress=report)
+            shutil.rmtree(scene / "language_features")
+            save_model("clip", model, TEXT_LAYERS)
+            _save_tokenizer(model, made.words.texts)
+            models = ["--segmenter", str(self.weights), "--embedder", f"dense:{model}"]
+            yield "build", _timed("build", str(scene), *models, "--out", str(field))
+            camera = made.building.names[0]
+            for row, text in zip(ASKED, made.layout.favourites, strict=False):
+                asked = ["--camera", camera, "--pictures", "none", "--out", str(folder / row)]
+                yield row, _timed("query", str(field), text, *asked)
+
+    def line(self, figures: Any) -> str:
+        return f"{figures['wall_s']:.0f} s, {figures['peak_gb']:.1f} GB"
+
+    @staticmethod
+    def table(record: Record) -> str:
+        """Return the seconds of each step."""
+        rows, settings = record["rows"], record["settings"]
+        build = rows["build"]["said"]
+        extraction, wall = build["extraction"], rows["build"]["wall_s"]
+        stages = extraction["stages"]
+        made, of = extraction["made"], settings["photographs"]
+        each = (stages["segment"] + stages["embed"]) / made
+        steps = {
+            f"masks of {made} photographs, chosen of {of}": stages["segment"],
+            "their embeddings": stages["embed"],
+            "choosing, reading, writing, start": wall
+            - stages["segment"]
+            - stages["embed"]
+            - build["seconds"],
+            "the field": build["seconds"],
+            "first answer": rows["first answer"]["wall_s"],
+        }
+        total = sum(steps.values())
+        body = [[step, f"{seconds:.0f}"] for step, seconds in steps.items()]
+        body += [
+            ["all", f"{total:.0f}"],
+            [
+                f"all, masks and embeddings of all {of} photographs (computed)",
+                f"{total + each * (of - made):.0f}",
+            ],
+            ["a further answer", f"{rows['further answer']['wall_s']:.1f}"],
+        ]
+        return markdown(["step", "seconds"], body)
+
+
+def _timed(verb: str, *arguments: str) -> Record:
+    """Return what a verb said, its wall time, the time of its processor and its peak memory."""
+    started = time.perf_counter()
+    with tempfile.TemporaryFile("w+") as said:
+        process = subprocess.Popen([sys.executable, "-m", "scoup", verb, *arguments, "--json"], stdout=said)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - started
+        said.seek(0)
+        record = json.loads(said.read())
+    if status:
+        raise InputError(f"scoup {verb} failed: {record.get('error')}")
+    record = {key: value for key, value in record.items() if key in ("extraction", "seconds", "views")}
+    cpu = usage.ru_utime + usage.ru_stime
+    return {"said": record, "wall_s": wall, "cpu_s": cpu, "peak_gb": usage.ru_maxrss * 1024 / 1e9}
+
+
+def _save_tokenizer(folder: Path, words: tuple[str, ...] | list[str]) -> None:
+    """Write a tokenizer of few words beside a CLIP; others are unknown to it."""
+    import transformers
+    from tokenizers import Tokenizer
+    from tokenizers.models import WordLevel
+    from tokenizers.pre_tokenizers import Whitespace
+    from tokenizers.processors import TemplateProcessing
+
+    start, end = ("<start>", 49406), ("<end>", 49407)  # as CLIP's
+    known = {
+        word: number for number, word in enumerate(sorted({part for text in words for part in text.split()}))
+    }
+    tokenizer = Tokenizer(WordLevel({**known, "<unknown>": len(known), **dict((start, end))}, "<unknown>"))
+    tokenizer.pre_tokenizer = Whitespace()  # pyright: ignore
+    tokenizer.post_processor = TemplateProcessing(single="<start> $A <end>", special_tokens=[start, end])  # pyright: ignore
+    transformers.PreTrainedTokenizerFast(
+        tokenizer_object=tokenizer,
+        bos_token="<start>",
+        eos_token="<end>",
+        pad_token="<end>",
+        unk_token="<unknown>",
+    ).save_pretrained(folder)
