@@ -12,11 +12,11 @@ from mask_samples import smooth_image
 from scoup.base.errors import InputError
 from scoup.extract import photograph_choice
 from scoup.extract.photograph_choice import (
-    Wanted,
     points_as_gaussians,
     rank_views,
     relative_sharpness,
     sharpness,
+    total_wanted,
 )
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
@@ -101,10 +101,10 @@ def test_cameras_that_see_nothing_are_refused() -> None:
 
 @pytest.mark.parametrize(("text", "total"), [(None, None), ("60", 60), ("+40", 45)])
 def test_numbers_of_photographs(text: str | None, total: int | None) -> None:
-    assert Wanted.parse(text).total(5) == total
+    assert total_wanted(text, 5) == total
 
 
 @pytest.mark.parametrize("text", ["0", "-3", "+", "some", "1.5", "+0", "10000000000"])
 def test_what_is_not_a_number_of_photographs(text: str) -> None:
     with pytest.raises(InputError, match="expected a number such as 60, more as \\+40, or all"):
-        Wanted.parse(text)
+        total_wanted(text, 5)

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from scoup.base.parts import Part
     from scoup.base.progress import Progress
     from scoup.extract import ExtractReport, MaskSettings
-    from scoup.extract.photograph_choice import Wanted
     from scoup.extract.photographs import Photograph
 
 
@@ -104,7 +103,7 @@ class Extract(WritesCommon):
         from scoup.base.errors import InputError
         from scoup.base.parts import Part
         from scoup.extract import extract, find_photographs
-        from scoup.extract.photograph_choice import Wanted
+        from scoup.extract.photograph_choice import total_wanted
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
 
@@ -112,7 +111,9 @@ class Extract(WritesCommon):
             raise InputError("pass the folder of the scene, or --list")
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
-        words, wanted = self._words(), Wanted.parse(self.views)  # a mistake shows before the long work
+        words = self._words()  # a mistake shows before the long work
+        if self.views != "all":
+            total_wanted(self.views, 0)
         segmenter_name, settings = self._masks(console, self.device)
         photographs = find_photographs(self.scene, self.images)
         part = Part() if self.part is None else Part.parse(self.part)
@@ -127,7 +128,7 @@ class Extract(WritesCommon):
             None if self.overwrite else out,
         )
         height = self.max_height or None
-        views = self._choose(console, photographs, out, wanted)
+        views = self._choose(console, photographs, out)
         chosen = views or photographs
         with _extracting(console, out, part) as progress:
             report = extract(
@@ -142,13 +143,13 @@ class Extract(WritesCommon):
         return {"out": out, "photographs": len(photographs), "chosen": len(chosen), **record}
 
     def _choose(
-        self, console: Console, photographs: Sequence[Photograph], out: Path, wanted: Wanted
+        self, console: Console, photographs: Sequence[Photograph], out: Path
     ) -> list[Photograph] | None:
-        """The photographs that matter; None for all, also where they cannot be chosen and nobody has asked for it."""
+        """The photographs that matter; None for all, also where they cannot be compared and no number is passed."""
         from scoup.base.errors import InputError
         from scoup.extract import choose_photographs
         from scoup.extract.own_views import SHEET
-        from scoup.extract.photograph_choice import FEW
+        from scoup.extract.photograph_choice import FEW, total_wanted
         from scoup.io.regions.manifest import read_manifest
         from scoup.io.regions.store import RegionStore
         from scoup.io.scene_parts import find_splat
@@ -156,22 +157,23 @@ class Extract(WritesCommon):
         assert self.scene is not None
         if self.gaussians is not None:
             find_splat(self.scene, self.gaussians)  # a mistake shows before the long work
-        if wanted.more and self.part is not None:
-            raise InputError("pass the number of all photographs as --views with --part, not of more")
         before = None if self.overwrite else read_manifest(out)
         there = () if before is None else before.views
         begun = before is not None and not there  # with all
         few = len(photographs) <= FEW or (self.scene / SHEET).exists()  # the views of scoup views are few
-        if wanted.every or (wanted.count is None and (few or begun)):
+        if self.views == "all" or (self.views is None and (few or begun)):
             return None
-        total = wanted.total(len(there))
-        if wanted.more and len(RegionStore.open(out).views(there)) < len(there):
-            total = len(there)  # the same command was interrupted
+        total = total_wanted(self.views, len(there))
+        if self.views is not None and self.views.startswith("+"):
+            if self.part is not None:
+                raise InputError("pass the number of all photographs as --views with --part, not of more")
+            if len(RegionStore.open(out).views(there)) < len(there):
+                total = len(there)  # the same command was interrupted
         try:
             with console.progress() as progress:
                 chosen = choose_photographs(
-                    self.scene, photographs, total, there=there, gaussians=self.gaussians,
-                    images=self.images, max_height=self.max_height or None, progress=progress,
+                    self.scene, photographs, total, there=there, gaussians=self.gaussians, images=self.images,
+                    max_height=self.max_height or None, progress=progress,
                 )  # fmt: skip
         except InputError as error:
             if self.views is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,34 +34,19 @@ SECTORS = 60  # of the directions from which a Gaussian is seen
 SHARP = 0.75  # quantile of their sharpness from which a photograph is as sharp as it can be
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """How many photographs to extract."""
+def total_wanted(text: str | None, there: int) -> int | None:
+    """Return how many photographs "60" or, with ``there`` chosen before, "+40" mean in all; None for no text.
 
-    count: int | None = None
-    """None: as many as show something new."""
-    more: bool = False
-    """``count`` is beside those chosen before."""
-    every: bool = False
-
-    @classmethod
-    def parse(cls, text: str | None) -> Wanted:
-        """Return what "60", "+40", "all" or None mean.
-
-        Example:
-            >>> from scoup.extract.photograph_choice import Wanted
-            >>> Wanted.parse("+40").total(58)
-            98
-        """
-        if text in (None, "all"):
-            return cls(every=text == "all")
-        if not re.fullmatch(r"\+?0*[1-9]\d{0,6}", text):
-            raise InputError(f"invalid views {text!r}; expected a number such as 60, more as +40, or all")
-        return cls(int(text), text.startswith("+"))
-
-    def total(self, there: int) -> int | None:
-        """Return how many there are to be with ``there`` chosen before."""
-        return self.count if self.count is None or not self.more else self.count + there
+    Example:
+        >>> from scoup.extract.photograph_choice import total_wanted
+        >>> total_wanted("+40", 58)
+        98
+    """
+    if text is None:
+        return None
+    if not re.fullmatch(r"\+?0*[1-9]\d{0,6}", text):
+        raise InputError(f"invalid views {text!r}; expected a number such as 60, more as +40, or all")
+    return int(text) + there * text.startswith("+")
 
 
 def choose_photographs(
@@ -80,8 +64,7 @@ def choose_photographs(
 
     Args:
         photographs: of the scene (``find_photographs``).
-        count: how many to choose, with those there. By default all where they are ``FEW``, otherwise as many as add
-            something.
+        count: how many to choose, with those there. By default as many as add something, and at least ``FEW``.
         there: names of photographs that were chosen before.
         gaussians: the splat; by default the one in the scene, or else COLMAP's points.
         images: as for ``find_photographs``.
@@ -91,7 +74,13 @@ def choose_photographs(
         Those there first, then by what each adds.
 
     Raises:
-        InputError: the scene has no cameras, or neither splat nor points, or they do not fit.
+        InputError: the scene has no cameras, or neither splat nor points, or they do not fit, or no photograph can be
+            read.
+
+    Example:
+        >>> from scoup.extract import choose_photographs, find_photographs
+        >>> len(choose_photographs("scene", find_photographs("scene"), 2))
+        2
     """
     cameras = {
         camera.image_path: camera
@@ -103,6 +92,8 @@ def choose_photographs(
     )
     read = reported(read_ahead(posed, max_height), "photographs", len(posed), progress)
     sharp = {item: sharpness(pixels.image) for item, pixels in read if not isinstance(pixels, ScoupError)}
+    if not sharp:
+        raise InputError(f"{scene}: none of its photographs can be read")
     readable = list(sharp)
     numbers = {item.name: number for number, item in enumerate(readable)}
     rows = [numbers[name] for name in there if name in numbers]
@@ -133,14 +124,17 @@ def rank_views(
     alone = gains_alone(worth)
     if not bool(alone.any()):
         raise InputError("cameras: none of them shows anything of the scene")
-    least_gain = LEAST_GAIN * float(alone.max()) if count is None else 0.0
-    chosen = choose_views(worth, scores.direction, len(cameras), least_gain, there)
-    wanted = max(FEW, len(there) + len(chosen)) if count is None else count
-    if count is None and len(there) + len(chosen) < FEW:
-        chosen = choose_views(worth, scores.direction, FEW - len(there), 0.0, there)
+
+    def greedy(most: int, least_gain: float = 0.0) -> list[int]:
+        return choose_views(worth, scores.direction, most, least_gain, there)
+
+    beside = (FEW if count is None else count) - len(there)
+    chosen = greedy(len(cameras), LEAST_GAIN * float(alone.max())) if count is None else []
+    if len(chosen) < beside:
+        chosen = greedy(beside)
     taken = {*there, *chosen}
     rest = [view for view in alone.argsort(descending=True, stable=True).tolist() if view not in taken]
-    return [*there, *[*chosen, *rest][: max(0, wanted - len(there))]]
+    return [*there, *chosen, *rest[: max(0, beside - len(chosen))]]
 
 
 def spread_directions(count: int) -> Tensor:
