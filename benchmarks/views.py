@@ -77,10 +77,16 @@ class Views(Study):
         return "  ".join(f"{name} {value:g}" for name, value in figures.items())
 
     def record(self, rows: dict[str, Any]) -> Record:
+        """Return the rows of each kind of scenes with their means, and what was chosen before."""
+        kinds = {"dense": self.dense, "real": self.real}
+        found = {kind: {name: rows[name] for name in names} for kind, names in kinds.items() if names}
+        for of in found.values():
+            heads = next(iter(of.values()))
+            of["mean"] = {head: round(mean(row[head] for row in of.values()), 3) for head in heads}
         capture = {"share": DWELL, "of the path": STRETCH, "blurred": BLURRED}
-        tuned = ["table-31", "hall-31", *self.real]
+        tuned = ["table-31", "hall-31", *FOLDERS]
         return {
-            "rows": rows,
+            "scenes": found,
             "slow": capture,
             "always taken": FEW,
             "least gain": LEAST_GAIN,
@@ -89,18 +95,13 @@ class Views(Study):
 
     @staticmethod
     def table(record: Record) -> str:
-        tables, rows = [], record["rows"]
-        for names in (record["settings"]["dense"], record["settings"]["real"]):
-            found = {name: rows[name] for name in names if name in rows}
-            if found:
-                heads = list(next(iter(found.values())))
-                found["mean"] = {head: mean(row[head] for row in found.values()) for head in heads}
-                body = [
-                    [name, *(f"{row[head]:.3f}".replace(".000", "") for head in heads)]
-                    for name, row in found.items()
-                ]
-                tables.append(markdown(["scene", *heads], body))
-        return "\n\n".join(tables)
+        return "\n\n".join(
+            markdown(
+                ["scene", *of["mean"]],
+                [[name, *(f"{value:g}" for value in row.values())] for name, row in of.items()],
+            )
+            for of in record["scenes"].values()
+        )
 
 
 def _dense(name: str, size: SceneSize) -> Record:
