@@ -19,6 +19,7 @@ STUDIES = Family(
         "real": "benchmarks.answers:Real",
         "things": "benchmarks.things:Things",
         "concepts": "benchmarks.concepts:Concepts",
+        "views": "benchmarks.views:Views",
         "laptop": "benchmarks.laptop:Laptop",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",

@@ -25,7 +25,7 @@ from scoup.scene.regions import Regions
 from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame
-from scoup_lab.synthetic.scene import LABELLED_LEVELS
+from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene
 from scoup_lab.synthetic.words import CANONICAL, DISTRACTORS
 
 
@@ -111,7 +111,11 @@ def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
     draw = DrawName.parse(name)
     if draw is not None:
         return _kitchen_draw(data, draw, size.kitchen_scale)
-    demo = scene_of(name, *size.of_procedural())
+    return procedural_scene(name, scene_of(name, *size.of_procedural()))
+
+
+def procedural_scene(name: str, demo: DemoScene) -> AnswerScene:
+    """Return a procedural scene."""
     labelled = [(demo.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in labelled if frame.labels]
     labels = _labels(frames)

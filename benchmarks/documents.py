@@ -34,6 +34,7 @@ from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
+from benchmarks.views import Views
 from scoup.base.registry import Registry
 from scoup.extract.registry import EMBEDDERS, SEGMENTERS
 from scoup.models.entry import ModelEntry
@@ -176,6 +177,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "concepts": (Concepts, "concepts"),
     "constants": (Answers, "answers_fit"),
     "query": (Query, "query"),
+    "views": (Views, "views"),
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
     "archive": (Archives, "archive"),

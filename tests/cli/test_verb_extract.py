@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from PIL import Image
 from cli_support import QUICK, refused, run, run_json, snapshot, together
 from scoup.cli.options import CLIP_MODEL
 from scoup.field.language_field import LanguageField
-from scoup.io import load_cameras, load_regions
+from scoup.io import load_cameras, load_regions, write_colmap
 from scoup.io.detections import find_detections
 from scoup.io.regions.manifest import MANIFEST
 from scoup.scene.names import Detections
@@ -159,6 +160,61 @@ def test_manifest_says_how_the_regions_were_made(here) -> None:
     record = json.loads(Path("scene/language_features", MANIFEST).read_text())
     assert record["settings"]["segmenter"] == "felzenszwalb"
     assert record["settings"]["max_height"] is None
+
+
+def test_photographs_are_chosen_and_more_are_added(here) -> None:
+    shutil.rmtree("scene/language_features")
+    manifest = Path("scene/language_features", MANIFEST)
+
+    def chosen() -> list[str]:
+        return json.loads(manifest.read_text()).get("views", [])
+
+    code, out, err = run("extract", "scene", *FREE, "--views", 2)
+    assert code == 0, err
+    assert "2 of 4 photographs; --views all takes all" in out
+    first = chosen()
+    assert len(first) == 2
+    # A build takes the views with regions, and says so.
+    code, out, _ = run("build", "scene", *QUICK, "--out", "a.scoup")
+    assert code == 0
+    assert "2 views with regions of 4 cameras" in out
+    cameras = LanguageField.load("a.scoup").cameras
+    assert cameras is not None
+    assert set(cameras.names) == set(first)
+    assert run_json("extract", "scene", *FREE, "--views", "+1")["made"] == 1
+    assert chosen()[:2] == first
+    assert len(chosen()) == 3
+    manifest.with_name(f"{Path(chosen()[2]).stem}.regions").unlink()  # as an interruption leaves it
+    again = run_json("extract", "scene", *FREE, "--views", "+1")
+    assert (again["made"], again["kept"], again["chosen"]) == (1, 2, 3)
+    assert run_json("extract", "scene", *FREE, "--views", "all")["made"] == 1
+    assert chosen() == []
+
+
+@pytest.mark.parametrize("without", ["point_cloud.ply", "sparse"])
+def test_what_the_choice_of_photographs_needs(here, monkeypatch: pytest.MonkeyPatch, without: str) -> None:
+    """COLMAP's points serve without a splat; without cameras all are taken, unless a number is passed."""
+    monkeypatch.setattr("scoup.extract.photograph_choice.FEW", 1)
+    shutil.rmtree("scene/language_features")
+    if without == "sparse":
+        shutil.rmtree("scene/sparse")
+        assert "contains no cameras" in refused("extract", "scene", *FREE, "--views", 2)
+        code, out, _ = run("extract", "scene", *FREE)
+        assert code == 0
+        assert "takes all 4 photographs, for they cannot be compared: scene: contains no cameras" in out
+    else:
+        points = np.random.default_rng(1).uniform((-2, -2, 5), (2, 2, 5.1), (3000, 3))
+        colors = np.zeros(points.shape, np.uint8)
+        write_colmap(load_cameras("scene"), "scene/sparse/0", (points, colors), overwrite=True)
+        Path("scene/point_cloud.ply").unlink()
+        assert run_json("extract", "scene", *FREE, "--views", 3)["chosen"] == 3
+
+
+def test_a_splat_that_does_not_fit_chooses_nothing(here) -> None:
+    photographs()
+    assert "does not fit the cameras" in refused("extract", "scene", *FREE, "--views", 2)
+    assert "such as 60" in refused("extract", "scene", *FREE, "--views", "some")
+    assert "--part" in refused("extract", "scene", *FREE, "--views", "+1", "--part", "1/2")
 
 
 def test_list_shows_every_model_and_whether_its_weights_are_here(tmp_path: Path, monkeypatch) -> None:

@@ -144,7 +144,8 @@ class Build(BuildOptions, ViewOptions):
             dataparser_transforms=self.dataparser_transforms,
         )
         models = {"segmenter": self.segmenter, "embedder": self.embedder or CLIP_MODEL}
-        return Extract(scene=self.scene, images=self.images, device=self.device, **models).make(console)
+        scene = {"scene": self.scene, "gaussians": self.gaussians, "images": self.images}
+        return Extract(**scene, device=self.device, **models).make(console)
 
     def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> LanguageField:
         """Build with progress; what an interruption leaves is reported."""

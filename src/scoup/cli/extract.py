@@ -38,7 +38,7 @@ class Extract(WritesCommon):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "photograph": "images max_height",
+        "photograph": "views gaussians images max_height",
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
         "words": "concepts concept_model",
         "mask": "preset points_per_side",
@@ -49,6 +49,11 @@ class Extract(WritesCommon):
         tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")
     ] = None
     """Folder with cameras and photographs, or of photographs alone."""
+    views: OptionalText = None
+    """How many photographs to extract: a number, more beside those chosen before (+40), or all. Default: up to 24 all;
+    of more, those that show the scene sharply and from new directions, by renders of its splat or COLMAP's points."""
+    gaussians: OptionalPath = None
+    """The trained splat by which photographs are chosen. Default: the one in SCENE."""
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
     out: OptionalPath = None
@@ -98,6 +103,7 @@ class Extract(WritesCommon):
         from scoup.base.errors import InputError
         from scoup.base.parts import Part
         from scoup.extract import extract, find_photographs
+        from scoup.extract.photograph_choice import total_wanted
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
 
@@ -106,6 +112,8 @@ class Extract(WritesCommon):
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
         words = self._words()  # a mistake shows before the long work
+        if self.views != "all":
+            total_wanted(self.views, 0)
         segmenter_name, settings = self._masks(console, self.device)
         photographs = find_photographs(self.scene, self.images)
         part = Part() if self.part is None else Part.parse(self.part)
@@ -120,15 +128,60 @@ class Extract(WritesCommon):
             None if self.overwrite else out,
         )
         height = self.max_height or None
+        views = self._choose(console, photographs, out)
+        chosen = views or photographs
         with _extracting(console, out, part) as progress:
-            report = extract(photographs, out, segmenter, embedder, height, self.overwrite, part, progress)
+            report = extract(
+                chosen, out, segmenter, embedder, height, self.overwrite, part, progress, views is not None
+            )
         seconds = time.perf_counter() - started
         _say(console, report, out, seconds, part)
         parts = {} if self.part is None else {"part": part.number, "of_parts": part.count}
         record = {**_record(report), "seconds": round(seconds, 2), "embedding_model": embedder.name, **parts}
         if words:
-            record["concepts"] = self._look_for_words(console, photographs, words, out, part)
-        return {"out": out, "photographs": len(photographs), **record}
+            record["concepts"] = self._look_for_words(console, chosen, words, out, part)
+        return {"out": out, "photographs": len(photographs), "chosen": len(chosen), **record}
+
+    def _choose(
+        self, console: Console, photographs: Sequence[Photograph], out: Path
+    ) -> list[Photograph] | None:
+        """The photographs that matter; None for all, also where they cannot be compared and no number is passed."""
+        from scoup.base.errors import InputError
+        from scoup.extract import choose_photographs
+        from scoup.extract.own_views import SHEET
+        from scoup.extract.photograph_choice import FEW, total_wanted
+        from scoup.io.regions.manifest import read_manifest
+        from scoup.io.regions.store import RegionStore
+        from scoup.io.scene_parts import find_splat
+
+        assert self.scene is not None
+        if self.gaussians is not None:
+            find_splat(self.scene, self.gaussians)  # a mistake shows before the long work
+        before = None if self.overwrite else read_manifest(out)
+        there = () if before is None else before.views
+        begun = before is not None and not there  # with all
+        few = len(photographs) <= FEW or (self.scene / SHEET).exists()  # the views of scoup views are few
+        if self.views == "all" or (self.views is None and (few or begun)):
+            return None
+        total = total_wanted(self.views, len(there))
+        if self.views is not None and self.views.startswith("+"):
+            if self.part is not None:
+                raise InputError("pass the number of all photographs as --views with --part, not of more")
+            if len(RegionStore.open(out).views(there)) < len(there):
+                total = len(there)  # the same command was interrupted
+        try:
+            with console.progress() as progress:
+                chosen = choose_photographs(
+                    self.scene, photographs, total, there=there, gaussians=self.gaussians, images=self.images,
+                    max_height=self.max_height or None, progress=progress,
+                )  # fmt: skip
+        except InputError as error:
+            if self.views is not None:
+                raise
+            console.say(f"takes all {len(photographs):,} photographs, for they cannot be compared: {error}")
+            return None
+        console.say(f"{len(chosen):,} of {counted(len(photographs), 'photograph')}; --views all takes all")
+        return chosen
 
     def _words(self) -> tuple[str, ...]:
         """The words of --concepts."""

@@ -2,6 +2,7 @@
 
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.masks import Masks, paint
+from scoup.extract.photograph_choice import choose_photographs
 from scoup.extract.photographs import Photograph, find_photographs
 from scoup.extract.pipeline import ExtractReport, extract
 from scoup.extract.registry import open_embedder, open_segmenter
@@ -14,6 +15,7 @@ __all__ = [
     "Masks",
     "Photograph",
     "Segmenter",
+    "choose_photographs",
     "extract",
     "find_photographs",
     "mask_settings",

@@ -15,7 +15,7 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress, reported
 from scoup.base.staging import staged
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
-from scoup.extract.view_choice import Scores, ViewScorer, choose_views, front_sides
+from scoup.extract.view_choice import Scores, ViewScorer, choose_views, clear_worth, gains_alone
 from scoup.io import load_cameras, save_png, write_transforms
 from scoup.pictures import as_picture, contact_sheet
 from scoup.pictures.sheet import sheet_tile
@@ -92,12 +92,14 @@ def choose_cameras(
 
     scores = score(cameras)
     for near in torch.from_numpy(draws).split(CHILDREN):
-        parents = choose_views(scores, front_sides(scores, scorer.means), PARENTS, n_there=len(there))
+        parents = choose_views(
+            clear_worth(scores, scorer.means, len(there)), scores.direction, PARENTS, there=range(len(there))
+        )
         moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
         scores = Scores.joined([scores, score(moved)]) if moved else scores
-    fronts = front_sides(scores, scorer.means)
-    most, least_gain = (MOST_VIEWS, LEAST_GAIN) if count is None else (count, 0.0)
-    chosen = choose_views(scores, fronts, most, least_gain, len(there))
+    worth = clear_worth(scores, scorer.means, len(there))
+    least_gain = LEAST_GAIN * float(gains_alone(worth[len(there) :]).max()) if count is None else 0.0
+    chosen = choose_views(worth, scores.direction, count or MOST_VIEWS, least_gain, range(len(there)))
     if not chosen and not there:
         raise InputError("gaussians: nothing can be seen clearly (no view shows an opaque, sharp surface)")
     taken = {camera.stem for camera in there}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +54,7 @@ class ExtractReport:
         return now
 
 
-def extract(
+def extract(  # noqa: PLR0913  the public face: each keyword is one choice of the user
     photographs: Sequence[Photograph],
     folder: str | Path,
     segmenter: Segmenter,
@@ -63,6 +63,7 @@ def extract(
     overwrite: bool = False,
     part: Part = Part(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
+    chosen: bool = False,
 ) -> ExtractReport:
     """Make region maps and embeddings of photographs. After an interruption, the same call continues.
 
@@ -71,6 +72,7 @@ def extract(
         max_height: higher photographs are reduced to it; None for no limit.
         overwrite: make existing views again.
         part: of the photographs to extract; several processes may write the parts of one folder.
+        chosen: the photographs were chosen among more: keep their names in the manifest.
 
     Warns:
         ScoupWarning: photographs were skipped because they could not be read; says how many.
@@ -78,6 +80,7 @@ def extract(
     folder = Path(folder)
     settings = {**segmenter.to_dict(), **embedder.to_dict(), "max_height": max_height}
     manifest = RegionManifest.of("compact", embedder.name, settings, BITS)
+    manifest = replace(manifest, views=tuple(item.name for item in photographs) if chosen else ())
     store = RegionStore.create(folder, manifest, overwrite)
     store.check_names(item.name for item in photographs)
     mine = part.of(photographs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -135,7 +135,7 @@ class ViewScorer:
     """Of the scene."""
 
     @classmethod
-    def of(cls, prepared: PreparedGaussians, matter: Matter) -> ViewScorer:
+    def of(cls, prepared: PreparedGaussians, matter: Matter, sectors: Tensor | None = None) -> ViewScorer:
         gaussians: Gaussians = prepared.gaussians
         step = -(-len(matter.rows) // MOST_COUNTED)
         counted = prepared_order(prepared, matter.rows[::step])
@@ -145,7 +145,8 @@ class ViewScorer:
         axes = turned * gaussians.scales[:, None, :]
         pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         covariances = torch.stack([(axes[:, one] * axes[:, other]).sum(1) for one, other in pairs])
-        return cls(prepared, counted, sizes, full_size, _sectors(), covariances, matter.radius)
+        sectors = _sectors() if sectors is None else sectors
+        return cls(prepared, counted, sizes, full_size, sectors, covariances, matter.radius)
 
     @property
     def means(self) -> Tensor:
@@ -211,7 +212,7 @@ class ViewScorer:
 
 
 def choose_views(
-    scores: Scores, fronts: Tensor, most: int, least_gain: float = 0.0, n_there: int = 0
+    worth: Tensor, direction: Tensor, most: int, least_gain: float = 0.0, there: Iterable[int] = ()
 ) -> list[int]:
     """Return the views that show the most, one after the other, by marginal gain.
 
@@ -219,21 +220,24 @@ def choose_views(
     function of the views, for which the greedy choice is within 1 - 1/e of the best (Nemhauser et al. 1978).
 
     Args:
-        fronts: [V, M] bool, whether a view sees the front of a Gaussian.
+        worth: [V, M] float32, how well each view shows each Gaussian, 0..1.
+        direction: [V, M] uint8, as ``Scores.direction``.
         most: views to choose; fewer where no other gains anything.
-        least_gain: share of what the best view gains alone that each must gain.
-        n_there: the first views exist already; others are chosen beside them.
+        least_gain: what each must gain.
+        there: views that exist already; others are chosen beside them.
     """
-    worth = scores.worth(n_there) * fronts * not_from_behind(scores.shown.float(), fronts, n_there)[:, None]
-    n_sectors = int(scores.direction.max()) + 1
+    n_sectors = int(direction.max()) + 1
     state = torch.zeros(worth.shape[1], n_sectors)
-    sectors = scores.direction.long()
-    for view in range(n_there):
+    sectors = direction.long()
+    bound = gains_alone(worth)
+
+    def take(view: int) -> None:
+        bound[view] = -1.0
         state.scatter_reduce_(1, sectors[view, :, None], worth[view, :, None], "amax")
+
+    for view in there:
+        take(view)
     chosen: list[int] = []
-    most = min(most, len(worth) - n_there)
-    bound = torch.cat([torch.full((n_there,), -1.0), _alone(worth[n_there:])])
-    first = float(bound.max()) if len(bound) else 0.0
     while len(chosen) < most:
         total = state.sum(1)
         before = total.clamp(max=DIRECTIONS).sqrt()
@@ -245,17 +249,22 @@ def choose_views(
             bound[view] = ((total + more).clamp(max=DIRECTIONS).sqrt() - before).sum()
             if bound[view] > gain:
                 best, gain = view, float(bound[view])
-        if best < 0 or gain < least_gain * first:
+        if best < 0 or gain < least_gain:
             break
         chosen.append(best)
-        bound[best] = -1.0
-        state.scatter_reduce_(1, sectors[best, :, None], worth[best, :, None], "amax")
+        take(best)
     return chosen
 
 
-def _alone(worth: Tensor) -> Tensor:
-    """Return [V], what each view gains alone."""
+def gains_alone(worth: Tensor) -> Tensor:
+    """Return [V], what each view gains where there is no other."""
     return worth.clamp(max=DIRECTIONS).sqrt().sum(1)
+
+
+def clear_worth(scores: Scores, means: Tensor, n_there: int) -> Tensor:
+    """Return ``scores.worth`` [V, M] of fronts alone: not of views from behind; means [M, 3] of the Gaussians."""
+    fronts = front_sides(scores, means)
+    return scores.worth(n_there) * fronts * not_from_behind(scores.shown.float(), fronts, n_there)[:, None]
 
 
 def not_from_behind(shown: Tensor, fronts: Tensor, n_there: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""``regions.json``: how a folder of region features was made, and in which layout."""
+"""``regions.json``: how a folder of region features was made, of which photographs, and in which layout."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ class RegionManifest:
     embedding_model: str  # id of the model that made the embeddings; "" if it is not known
     # everything else that decides the numbers; plain JSON values
     settings: dict[str, Any] = field(default_factory=dict)
+    # names of the photographs that were chosen, in their order; none where all are taken. They decide no numbers.
+    views: tuple[str, ...] = field(default=(), compare=False)
 
     @classmethod
     def of(cls, layout: Layout, embedding_model: str, settings: dict[str, Any], bits: int) -> RegionManifest:
@@ -80,7 +82,9 @@ def read_manifest(folder: Path) -> RegionManifest | None:
     model = record.get("embedding_model")
     if model.value != "":  # not known
         model.text()
-    return RegionManifest(cast(Layout, record.get("layout").text(LAYOUTS)), model.value, settings)
+    views = record.get("views")
+    names = () if views.value is None else tuple(name.text() for name in views.items())
+    return RegionManifest(cast(Layout, record.get("layout").text(LAYOUTS)), model.value, settings, names)
 
 
 def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = False) -> None:
@@ -91,6 +95,7 @@ def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = Fal
         "layout": manifest.layout,
         "embedding_model": manifest.embedding_model,
         "settings": manifest.settings,
+        **({"views": manifest.views} if manifest.views else {}),
     }
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
     try:

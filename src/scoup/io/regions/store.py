@@ -90,8 +90,9 @@ class RegionStore:
         Args:
             overwrite: in place of another one; views made under that one no longer count.
         """
-        if self.manifest is not None and read_manifest(self.folder) != self.manifest:
-            write_manifest(self.folder, self.manifest, overwrite)
+        there, mine = read_manifest(self.folder), self.manifest
+        if mine is not None and (there is None or there != mine or there.views != mine.views):
+            write_manifest(self.folder, mine, overwrite or there == mine)
 
     @property
     def endings(self) -> tuple[str, ...]:

@@ -1,0 +1,192 @@
+"""The photographs of a capture that are worth extracting: sharp ones that show the scene from several directions."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from scoup.base.errors import InputError, ScoupError
+from scoup.base.progress import Progress, no_progress, reported
+from scoup.extract.photographs import Photograph, read_ahead
+from scoup.extract.view_candidates import find_matter, measure_matter
+from scoup.extract.view_choice import Scores, ViewScorer, choose_views, gains_alone
+from scoup.io import load_cameras, load_gaussians, read_points
+from scoup.io.camera_sources import find_cameras
+from scoup.io.scene_parts import find_splat
+from scoup.raster import prepare_gaussians
+from scoup.scene.cameras import Camera
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import nearest_points
+from scoup.uplift.fit import Verdict, fit_problem, measure_fit
+
+FEW = 24  # photographs that are always taken
+LEAST_GAIN = 0.006  # of what the best photograph gains alone
+NEIGHBOURS = 8  # photographs that show the most of the same
+SECTORS = 60  # of the directions from which a Gaussian is seen
+SHARP = 0.75  # quantile of their sharpness from which a photograph is as sharp as it can be
+
+
+def total_wanted(text: str | None, there: int) -> int | None:
+    """Return how many photographs "60" or, with ``there`` chosen before, "+40" mean in all; None for no text.
+
+    Example:
+        >>> from scoup.extract.photograph_choice import total_wanted
+        >>> total_wanted("+40", 58)
+        98
+    """
+    if text is None:
+        return None
+    if not re.fullmatch(r"\+?0*[1-9]\d{0,6}", text):
+        raise InputError(f"invalid views {text!r}; expected a number such as 60, more as +40, or all")
+    return int(text) + there * text.startswith("+")
+
+
+def choose_photographs(
+    scene: str | Path,
+    photographs: Sequence[Photograph],
+    count: int | None = None,
+    *,
+    there: Iterable[str] = (),
+    gaussians: str | Path | None = None,
+    images: str | Path | None = None,
+    max_height: int | None = 1080,
+    progress: Progress = no_progress,
+) -> list[Photograph]:
+    """Choose the photographs of a scene that show the most, by cheap renders of its splat, or of COLMAP's points.
+
+    Args:
+        photographs: of the scene (``find_photographs``).
+        count: how many to choose, with those there. By default as many as add something, and at least ``FEW``.
+        there: names of photographs that were chosen before.
+        gaussians: the splat; by default the one in the scene, or else COLMAP's points.
+        images: as for ``find_photographs``.
+        max_height: as for ``extract``.
+
+    Returns:
+        Those there first, then by what each adds.
+
+    Raises:
+        InputError: the scene has no cameras, or neither splat nor points, or they do not fit, or no photograph can be
+            read.
+
+    Example:
+        >>> from scoup.extract import choose_photographs, find_photographs
+        >>> len(choose_photographs("scene", find_photographs("scene"), 2))
+        2
+    """
+    cameras = {
+        camera.image_path: camera
+        for camera in load_cameras(scene, images, distorted="undistort", missing_images="keep")
+    }
+    posed = [item for item in photographs if item.path in cameras]
+    surface = _surface(
+        Path(scene), None if gaussians is None else Path(gaussians), [cameras[item.path] for item in posed]
+    )
+    read = reported(read_ahead(posed, max_height), "photographs", len(posed), progress)
+    sharp = {item: sharpness(pixels.image) for item, pixels in read if not isinstance(pixels, ScoupError)}
+    if not sharp:
+        raise InputError(f"{scene}: none of its photographs can be read")
+    readable = list(sharp)
+    numbers = {item.name: number for number, item in enumerate(readable)}
+    rows = [numbers[name] for name in there if name in numbers]
+    views = [cameras[item.path] for item in readable]
+    order = rank_views(views, surface, torch.tensor(list(sharp.values())), count, rows, progress)
+    return [readable[row] for row in order]
+
+
+def rank_views(
+    cameras: Sequence[Camera],
+    gaussians: Gaussians,
+    sharp: Tensor,
+    count: int | None = None,
+    there: Sequence[int] = (),
+    progress: Progress = no_progress,
+) -> list[int]:
+    """Return the numbers of the cameras to take: those there, then by marginal gain (``choose_views``).
+
+    Args:
+        sharp: [V] sharpness of the photographs.
+        count: as for ``choose_photographs``.
+    """
+    matter = measure_matter(gaussians, find_matter(gaussians), torch.tensor([0.0, 0.0, 1.0]).double())
+    scorer = ViewScorer.of(prepare_gaussians(gaussians), matter, spread_directions(SECTORS))
+    found = [scorer.score(camera) for camera in reported(cameras, "choice", len(cameras), progress)]
+    scores = Scores.of(list(cameras), found)
+    worth = scores.shown.float() * relative_sharpness(sharp, scores.shown.float())[:, None]
+    alone = gains_alone(worth)
+    if not bool(alone.any()):
+        raise InputError("cameras: none of them shows anything of the scene")
+
+    def greedy(most: int, least_gain: float = 0.0) -> list[int]:
+        return choose_views(worth, scores.direction, most, least_gain, there)
+
+    beside = (FEW if count is None else count) - len(there)
+    chosen = greedy(len(cameras), LEAST_GAIN * float(alone.max())) if count is None else []
+    if len(chosen) < beside:
+        chosen = greedy(beside)
+    taken = {*there, *chosen}
+    rest = [view for view in alone.argsort(descending=True, stable=True).tolist() if view not in taken]
+    return [*there, *chosen, *rest[: max(0, beside - len(chosen))]]
+
+
+def spread_directions(count: int) -> Tensor:
+    """Return [count, 3] unit vectors spread evenly over the sphere, along a spiral."""
+    step = torch.arange(count) + 0.5
+    height, turn = 1 - 2 * step / count, math.pi * (1 + 5**0.5) * step
+    across = (1 - height**2).sqrt()
+    return torch.stack([across * turn.cos(), across * turn.sin(), height], 1)
+
+
+def sharpness(image: NDArray[np.uint8]) -> float:
+    """Return the variance of the Laplacian of the brightness of an image [H, W, 3]."""
+    gray = image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
+    across = gray[1:-1, :-2] + gray[1:-1, 2:]
+    return float((4 * gray[1:-1, 1:-1] - gray[:-2, 1:-1] - gray[2:, 1:-1] - across).var())
+
+
+def relative_sharpness(sharp: Tensor, shown: Tensor) -> Tensor:
+    """Return [V] the sharpness by that of photographs of the same, 0..1: content decides sharpness, too.
+
+    Args:
+        shown: [V, M] as in ``Scores``.
+    """
+    unit = normalize(shown, dim=1)
+    nearest = (unit @ unit.T).argsort(dim=1, descending=True, stable=True)[:, :NEIGHBOURS]
+    usual = sharp[nearest].quantile(SHARP, dim=1)
+    return (sharp / usual.clamp(min=1e-9)).clamp(max=1)
+
+
+def _surface(scene: Path, splat: Path | None, cameras: Sequence[Camera]) -> Gaussians:
+    """Return the splat, which must fit the cameras, or COLMAP's points as Gaussians."""
+    try:
+        source = find_splat(scene, splat)
+    except InputError:
+        cameras_of = find_cameras(scene)
+        if splat is not None or cameras_of.format != "colmap":
+            raise
+        return points_as_gaussians(read_points(cameras_of.path)[0])
+    gaussians = load_gaussians(source.path)
+    fit = measure_fit(gaussians, cameras, source.preset)
+    if fit.verdict is Verdict.HOPELESS:
+        raise InputError(fit_problem(fit, cameras, source.path))
+    return gaussians
+
+
+def points_as_gaussians(positions: NDArray[np.float64]) -> Gaussians:
+    """Return round Gaussians at points [P, 3] that reach to their neighbours."""
+    if len(positions) < 4:
+        raise InputError(f"COLMAP's model has {len(positions)} points, too few to choose photographs by")
+    away = torch.from_numpy(nearest_points(positions, 3)[1]).mean(1).float() / 2
+    scales = away.clamp(min=1e-9, max=float(away.quantile(0.95)))[:, None].expand(-1, 3)
+    count = len(positions)
+    quats = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4)
+    means = torch.from_numpy(positions).float()
+    return Gaussians(means, quats, scales, torch.full((count,), 0.9), torch.zeros(count, 1, 3))
