@@ -187,7 +187,7 @@ class Learner:
     def gradient(self, rows: Tensor, codes: RowCodes) -> Tensor:
         """Return [L, D] float32: of the mean loss of some rows [n, D] with these codes, by the atoms."""
         within, toward = self._moments(rows, codes)
-        columns = self.atoms.T.contiguous()
+        columns = _transposed(self.atoms)
         return _mean_gradient(toward, self._backend.row_products(within.float(), columns), len(rows))
 
     def _least_squares_atoms(self, codes: RowCodes) -> Tensor:
@@ -220,6 +220,11 @@ def _toward(mean: Any, target: Any, share: float) -> Any:
 @elementwise
 def _stepped(atoms: Any, first: Any, root: Any, rate: float) -> Any:
     return atoms - rate * first / (root + EPSILON)
+
+
+@elementwise
+def _transposed(atoms: Any) -> Any:
+    return np.ascontiguousarray(atoms.T) if isinstance(atoms, np.ndarray) else atoms.T.contiguous()
 
 
 @elementwise
