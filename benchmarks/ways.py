@@ -13,6 +13,7 @@ from benchmarks.embedding_kinds import KINDS
 from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Study
 from scoup.base.errors import looked_up
+from scoup.uplift.build_settings import Scale
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import Method, MethodSettings
 from scoup_lab.baselines.methods import METHODS
@@ -27,6 +28,10 @@ WAYS = {
     "default": METHODS["sparse"],
 }
 """By name; "votes" is the default without things."""
+SCALES: dict[str, Scale] = {"dense": 1.0, "paper": 1.0}
+"""Scale of the region sums of each way; "auto" for others."""
+for scale in (1.0, 0.5, 0.35, 0.25):
+    WAYS[f"default at {scale:g}"], SCALES[f"default at {scale:g}"] = METHODS["sparse"], scale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +57,8 @@ class StudyOfScenes(Study):
             if not missing:
                 continue
             scene = make_scene(name, self.data, self.size)
-            inputs = scene.inputs()
             for way in missing:
+                inputs = scene.inputs(scale=SCALES.get(way, "auto"))
                 yield f"{way}/{name}", scene, WAYS[way].uplift(inputs, MethodSettings(seed))
 
 

@@ -95,8 +95,10 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     with ExitStack() as stack:
         if sums is None:
             folder = stack.enter_context(temporary_folder())
-            sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
-        check_sums(sums, gaussians, regions, settings.raster_preset)
+            sums = RegionSums.empty(
+                gaussians, regions.levels, settings.raster_preset, folder / "sums", settings.scale
+            )
+        check_sums(sums, gaussians, regions, settings.raster_preset, settings.scale)
         views = cameras_with_regions(cameras, regions)
         regions = regions.select([camera.name for camera in views])
         embeddings = RegionEmbeddings.load(regions)
