@@ -24,7 +24,7 @@ import tyro
 from benchmarks.answers import Answers, Real
 from benchmarks.city import Cities
 from benchmarks.concepts import Concepts
-from benchmarks.documents_summaries import ablations, answers, baselines
+from benchmarks.documents_summaries import ablations, answers, baselines, scales
 from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
 from benchmarks.gpu import Gpu
@@ -185,6 +185,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme, extraction": extraction,
     "whole way": whole_way,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
+    "scales": lambda: scales(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
     "scannet": scannet,

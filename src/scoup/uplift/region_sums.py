@@ -96,7 +96,7 @@ class RegionSums:
         self.levels = tuple(levels)
         self.raster_preset = raster_preset
         self.means = means
-        self.scale = scale
+        self.scale: Scale = scale
         self.views: dict[str, ViewRecord] = {}
         self.rows: Rows | None = None
         self._packer = Packer(self.order)
@@ -216,7 +216,7 @@ class RegionSums:
         file = self.path / view_file(view_name)
         write_arrays(file, header, view.arrays(), overwrite=True, wait=WAIT)
         self._unflushed.append(file)
-        self._load(file)
+        self._load(file, written=True)
 
     def flush(self) -> None:
         """Write the files of new views to the disk, so that a power cut loses none."""
@@ -281,8 +281,8 @@ class RegionSums:
         except OSError as error:
             raise WriteError.of(path, error) from error
 
-    def _load(self, file: Path) -> None:
-        stored = read_arrays(file)
+    def _load(self, file: Path, written: bool = False) -> None:
+        stored = read_arrays(file, written)
         with report_damage(file):
             if file.name != view_file(str(stored.header["name"])):
                 raise ValueError(f"it is of the view {stored.header['name']!r}, which has another file")
