@@ -348,7 +348,7 @@ def test_presets():
         build_settings(n_atoms=5, k=8)
     with pytest.raises(UnknownNameError, match="paper"):
         build_settings("papers")
-    for scale in (0, 1.5, -1):
+    for scale in (0, 1.5, -1, "half"):
         with pytest.raises(InputError, match="the scale must be"):
             BuildSettings(scale=scale)
     with pytest.raises(InputError, match="at least one round"):

@@ -16,7 +16,7 @@ _OF_FIT = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
 
 def check_scale(scale: Scale) -> None:
     """Raise an InputError for a scale that is none."""
-    if scale != "auto" and not 0 < scale <= 1:
+    if scale != "auto" and not (isinstance(scale, (int, float)) and 0 < scale <= 1):
         raise InputError(f'the scale must be "auto", or above 0 and at most 1, got {scale!r}')
 
 
