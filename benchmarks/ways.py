@@ -26,12 +26,19 @@ WAYS = {
     "paper": METHODS["paper"],
     "votes": Method("votes", SparseUplift(things=False)),
     "default": METHODS["sparse"],
+    **{
+        name: Method(name, SparseUplift(scale=scale))
+        for scale in (1.0, 0.5, 0.35, 0.25)
+        for name in [f"default at {scale:g}"]
+    },
 }
-"""By name; "votes" is the default without things."""
-SCALES: dict[str, Scale] = {"dense": 1.0, "paper": 1.0}
-"""Scale of the region sums of each way; "auto" for others."""
-for scale in (1.0, 0.5, 0.35, 0.25):
-    WAYS[f"default at {scale:g}"], SCALES[f"default at {scale:g}"] = METHODS["sparse"], scale
+"""By name; "votes" is the default without things, "default at 0.5" the default with region sums at this scale."""
+
+
+def scale_of(way: str) -> Scale:
+    """Return the scale of the region sums that a way reads."""
+    uplift = WAYS[way].uplift
+    return uplift.changes.get("scale", "auto") if isinstance(uplift, SparseUplift) else 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +65,7 @@ class StudyOfScenes(Study):
                 continue
             scene = make_scene(name, self.data, self.size)
             for way in missing:
-                inputs = scene.inputs(scale=SCALES.get(way, "auto"))
+                inputs = scene.inputs(scale=scale_of(way))
                 yield f"{way}/{name}", scene, WAYS[way].uplift(inputs, MethodSettings(seed))
 
 
