@@ -11,6 +11,7 @@ from pathlib import Path
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
+from scoup.base.native import release_memory
 from scoup.base.progress import Progress, no_progress
 from scoup.base.scratch import temporary_folder
 from scoup.field.language_field import LanguageField
@@ -116,6 +117,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         add_views(sums, gaussians, views, regions, backend, progress)
         sums = sums.select([view.name for view in views], codes.rows)
         things = find_things(sums, halves, progress) if settings.things else None
+        release_memory()
         gaussian_codes = vote(
             sums, codes.codes, codes.codebook.to(device), settings.rounds, settings.keep or None,
             backend=backend, progress=progress,

@@ -15,7 +15,7 @@ from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base.native import release_memory
 from scoup.base.parts import Part
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import CombinedLabels, ViewSums
@@ -137,8 +137,7 @@ def add_views(
             progress(STAGE, done, len(cameras))
         if written is not None:
             written.result()
-    if prepared is not None and (core := native_core()) is not None:
-        core.release_memory()
+    release_memory()
 
 
 def at_scale(camera: Camera, scale: Scale) -> Camera:
