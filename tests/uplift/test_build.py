@@ -6,7 +6,9 @@ import dataclasses
 import tempfile
 import warnings
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -283,10 +285,11 @@ def test_region_sums_are_those_of_scaled_cameras(scene, tmp_path, monkeypatch, s
     sums = region_sums(gaussians, odd, regions, scale=scale, path=tmp_path / "sums")
     whole = region_sums(gaussians, odd.scaled(factor), regions, scale=1.0)
     for level in range(len(regions.levels)):
-        assert (sums.matrix(level) != whole.matrix(level)).nnz == 0
+        np.testing.assert_array_equal(sums.matrix(level).toarray(), whole.matrix(level).toarray())
     settings = dataclasses.replace(QUICK, scale=scale)
     field = build(gaussians, odd, regions, settings, sums=RegionSums.open(tmp_path / "sums"))
-    assert [camera.width for camera in field.cameras] == [41] * len(cameras)
+    assert field.cameras is not None
+    assert {camera.width for camera in field.cameras} == {41}
     assert field.info.provenance["settings"]["scale"] == scale
     fresh = build(gaussians, odd, regions, settings)
     assert saved(field, tmp_path / "a.scoup") == saved(fresh, tmp_path / "b.scoup")
@@ -348,7 +351,8 @@ def test_presets():
         build_settings(n_atoms=5, k=8)
     with pytest.raises(UnknownNameError, match="paper"):
         build_settings("papers")
-    for scale in (0, 1.5, -1, "half"):
+    wrong: tuple[Any, ...] = (0, 1.5, -1, "half")
+    for scale in wrong:
         with pytest.raises(InputError, match="the scale must be"):
             BuildSettings(scale=scale)
     with pytest.raises(InputError, match="at least one round"):
