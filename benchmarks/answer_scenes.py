@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +24,7 @@ from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
+from scoup.uplift.build_settings import Scale
 from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame
@@ -53,7 +56,7 @@ class AnswerScene:
 
     name: str  # for tables
     gaussians: Gaussians  # N of them
-    levels: list[LevelSums]  # region sums and embeddings, fine to coarse
+    levels: Callable[[Scale], list[LevelSums]]  # region sums at a scale and embeddings, fine to coarse
     frames: list[tuple[LabelledFrame, raster.Projection]]  # labelled frames with their views; of one size
     cameras: list[Camera]  # of the labelled frames
     queries: dict[str, Tensor]  # label -> [D] unit text vector
@@ -71,10 +74,10 @@ class AnswerScene:
         """(frame, label) in the order they are scored."""
         return [(frame.name, label) for frame, _ in self.frames for label in frame.labels]
 
-    def inputs(self, case: str = "clean", draw: int = 0) -> UpliftInputs:
+    def inputs(self, case: str = "clean", draw: int = 0, scale: Scale = "auto") -> UpliftInputs:
         """Return what methods are fitted to, with the faults of a case (``benchmarks.faults``)
         drawn by a seed."""
-        levels = perturbed(self.levels, case, draw)
+        levels = perturbed(self.levels(scale), case, draw)
         sums = as_region_sums(levels)
         sums.means = self.gaussians.means.cpu()
         return UpliftInputs(sums, [level.embeddings for level in levels])
@@ -171,7 +174,11 @@ def prepared(
     members: dict[str, Tensor],
 ) -> AnswerScene:
     """Return a scene with the region sums of its cameras."""
-    levels = level_sums(region_sums(gaussians, cameras, regions), regions)
+
+    @cache
+    def levels(scale: Scale) -> list[LevelSums]:
+        return level_sums(region_sums(gaussians, cameras, regions, scale=scale), regions)
+
     everyday = torch.nn.functional.normalize(texts.everyday, dim=1)
     return AnswerScene(
         name,

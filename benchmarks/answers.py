@@ -17,7 +17,7 @@ from benchmarks.answer_scenes import AnswerScene, make_scene
 from benchmarks.drawn import answers_of, drawn_masks
 from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Record
-from benchmarks.ways import DRAWS, LAYOUTS, WAYS, StudyOfScenes, groups_of
+from benchmarks.ways import DRAWS, LAYOUTS, WAYS, StudyOfScenes, groups_of, scale_of
 from scoup.models.words import with_everyday
 from scoup.query.presence import PRESENT_FROM
 from scoup.uplift.build_settings import BuildSettings
@@ -35,6 +35,8 @@ COMPARED = (
     ("default", "paper"),
     ("default", "votes"),
     ("paper", "dense"),
+    *((f"default at {scale}", "default at 1") for scale in ("0.5", "0.35", "0.25")),
+    ("default", "default at 1"),
 )
 
 
@@ -86,7 +88,8 @@ class Answers(StudyOfScenes):
 
     def _scores(self, scene: AnswerScene, case: str, way: str) -> Record:
         """Return per rule the IoU of each pair as means over seeds, and what it took."""
-        inputs, method, started = scene.inputs(case), WAYS[way], time.perf_counter()
+        method, started = WAYS[way], time.perf_counter()
+        inputs = scene.inputs(case, scale=scale_of(way))
         build = BuildSettings(epochs=self.epochs)
         by_seed, size = [], 0.0
         for seed in self.seeds if method.random and way not in SLOW else self.seeds[:1]:

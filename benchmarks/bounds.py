@@ -11,6 +11,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.rasterise import at_scale
 from scoup_lab.bench import Stopwatch, torch_threads
 
 REPEATS = 5  # of which the fastest counts
@@ -47,7 +48,7 @@ def least_work(
     """
     levels, n_atoms = len(regions.levels), settings.n_atoms
     step = max(1, len(cameras) // SAMPLED)
-    views = [cameras[number] for number in range(0, len(cameras), step)][:SAMPLED]
+    views = [at_scale(cameras[number], settings.scale) for number in range(0, len(cameras), step)][:SAMPLED]
     prepared = raster.prepare_gaussians(gaussians, "native")
     moved = calculated = entries = rows = 0
     for camera in views:
@@ -55,7 +56,7 @@ def least_work(
         projection = raster.project(prepared, camera, settings.raster_preset)
         assert isinstance(projection, NativeProjection)
         work = count_work(projection)
-        sums = raster.region_sums(projection, torch.stack([each.labels for each in maps]))
+        sums = raster.region_sums(projection, regions.load_labels(camera.name, camera.width, camera.height))
         found = sum(len(sums.triplets(level)[0]) for level in range(levels))
         seen = int(sums.gaussian.unique().numel())
         moved += len(gaussians) * PREPARED + seen * PROJECTED + work["pairs"] * PAIR + found * ENTRY

@@ -25,7 +25,7 @@ from benchmarks.answers import Answers, Real
 from benchmarks.archive import Archives
 from benchmarks.city import Cities
 from benchmarks.concepts import Concepts
-from benchmarks.documents_summaries import ablations, answers, baselines
+from benchmarks.documents_summaries import ablations, answers, baselines, scales
 from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
 from benchmarks.gpu import Gpu
@@ -189,6 +189,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "readme, extraction": extraction,
     "whole way": whole_way,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
+    "scales": lambda: scales(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
     "scannet": scannet,

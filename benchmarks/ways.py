@@ -13,6 +13,7 @@ from benchmarks.embedding_kinds import KINDS
 from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Study
 from scoup.base.errors import looked_up
+from scoup.uplift.build_settings import Scale
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import Method, MethodSettings
 from scoup_lab.baselines.methods import METHODS
@@ -25,8 +26,19 @@ WAYS = {
     "paper": METHODS["paper"],
     "votes": Method("votes", SparseUplift(things=False)),
     "default": METHODS["sparse"],
+    **{
+        name: Method(name, SparseUplift(scale=scale))
+        for scale in (1.0, 0.5, 0.35, 0.25)
+        for name in [f"default at {scale:g}"]
+    },
 }
-"""By name; "votes" is the default without things."""
+"""By name; "votes" is the default without things, "default at 0.5" the default with region sums at this scale."""
+
+
+def scale_of(way: str) -> Scale:
+    """Return the scale of the region sums that a way reads."""
+    uplift = WAYS[way].uplift
+    return uplift.changes.get("scale", "auto") if isinstance(uplift, SparseUplift) else 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +64,8 @@ class StudyOfScenes(Study):
             if not missing:
                 continue
             scene = make_scene(name, self.data, self.size)
-            inputs = scene.inputs()
             for way in missing:
+                inputs = scene.inputs(scale=scale_of(way))
                 yield f"{way}/{name}", scene, WAYS[way].uplift(inputs, MethodSettings(seed))
 
 

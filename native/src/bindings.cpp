@@ -24,7 +24,7 @@ NB_MODULE(_native, m) {
     m.def("use_isa", [](const std::string& name) { return scoup::use_isa(name.c_str()); }, nb::arg("name"),
           "Use the kernels for an instruction set: baseline, v3, v4 or best. False if there is none or the CPU lacks it.");
     m.def("current_isa", [] { return std::string(scoup::name_of(scoup::current_isa())); }, "The instruction set in use.");
-    m.def("release_memory", &scoup::release_kept, "Give back the memory that is kept for the arrays of the next view.");
+    m.def("release_memory", &scoup::release_kept, "Give back the memory that is kept for the arrays of the next view, and what else is free.");
     m.def("measure_clock_hz", &scoup::measure_clock_hz, "Cycles a second of this core; 0 where it cannot be told.");
     scoup::bind_code_sums(m);
     scoup::bind_coder(m);

@@ -8,7 +8,7 @@
 #if defined(__linux__)
 #include <sys/mman.h>
 #endif
-#if defined(_WIN32)
+#if defined(_WIN32) || defined(__GLIBC__)
 #include <malloc.h>
 #endif
 
@@ -123,6 +123,11 @@ void give_back(const Block& block) noexcept {
     system_free(block.data);
 }
 
-void release_kept() noexcept { kept.clear(); }
+void release_kept() noexcept {
+    kept.clear();
+#if defined(__GLIBC__)
+    malloc_trim(0);  // else what all threads have freed stays with the process
+#endif
+}
 
 }  // namespace scoup

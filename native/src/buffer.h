@@ -20,7 +20,7 @@ struct Block {
 // At least `bytes` (more than 0) of uninitialised memory on a 64 byte boundary. Throws std::bad_alloc.
 Block allocate(size_t bytes);
 void give_back(const Block& block) noexcept;
-// Gives what is kept to the system.
+// Gives what is kept, and what else is free, to the system.
 void release_kept() noexcept;
 
 // An array of a fixed size, not initialised.

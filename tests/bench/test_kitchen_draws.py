@@ -110,7 +110,7 @@ def test_the_desk_is_a_scene(data_folder: Path) -> None:
     if not (data_folder / "desk").is_dir():
         pytest.skip(f"no desk in {data_folder}")
     scene = make_scene("desk-all", data_folder, SceneSize())
-    assert len(scene.levels) == 3
+    assert len(scene.levels("auto")) == 3
     assert len(scene.frames) == 8
     assert len(scene.pairs) == 142
     assert set(scene.absent) < set(scene.words)

@@ -165,6 +165,8 @@ def test_region_sums_that_do_not_fit():
     build = ("build", "second", *QUICK, "--out", "b.scoup")
     for option in ("--sums", "--keep-sums"):
         assert "a.sums: made with other Gaussians" in refused(*build, option, "a.sums")
+        message = refused(*BUILD, "--overwrite", "--scale", "0.5", option, "a.sums")
+        assert "a.sums: made with other scale (auto); make them from the same splat" in message
     assert "no.sums: there is no such folder" in refused(*build, "--sums", "no.sums")
     assert "a.scoup: is not a folder of region sums" in refused(*build, "--sums", "a.scoup")
     assert "no.scoup: there is no such file" in refused(*build, "--codebook", "no.scoup")

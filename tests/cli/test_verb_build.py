@@ -57,14 +57,15 @@ def test_the_record_for_machines():
 
 def test_settings_reach_the_field():
     settings = (
-        "--k 2 --keep 3 --seed 5 --raster-preset gsplat --tolerance 0.5 --epochs 20 --rounds 2 --solver adam"
+        "--k 2 --keep 3 --seed 5 --raster-preset gsplat --tolerance 0.5 --epochs 20 --rounds 2 --solver adam "
+        "--scale 0.5"
     )
     files = "--gaussians scene/point_cloud.ply --features scene/language_features --images scene/images"
     run_json("build", "scene", *QUICK, "--out", "a.scoup", *settings.split(), *files.split())
     field = LanguageField.load("a.scoup")
     settings = field.info.provenance["settings"]
     assert settings["raster_preset"] == field.info.raster_preset == "gsplat"
-    expected = {"k": 2, "keep": 3, "seed": 5, "epochs": 20, "n_atoms": 8, "tolerance": 0.5}
+    expected = {"k": 2, "keep": 3, "seed": 5, "epochs": 20, "n_atoms": 8, "tolerance": 0.5, "scale": 0.5}
     assert {name: settings[name] for name in expected} == expected
     assert field.code_indices.shape == (150, 3, 3)
 

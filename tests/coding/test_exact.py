@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from dataclasses import replace
 from types import ModuleType
 
@@ -178,3 +180,29 @@ def test_interruption_passes_through(backend: str) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         solve_exact(clip_like(50), 4, 2, progress=interrupt, backend=backend)
+
+
+STEPS = """
+import os, torch
+from scoup.coding.backends import coding_backend
+from scoup.coding.exact import FAST, Learner
+torch.set_num_threads(1)
+rows = torch.nn.functional.normalize(torch.randn(200, 512), dim=1)
+learner = Learner(rows, 128, 4, 0, coding_backend(rows.device, "native"))
+steps = learner.steps(FAST)
+next(steps)
+torch.set_num_threads(2)
+before = len(os.listdir("/proc/self/task"))
+for _ in zip(range(20), steps):
+    pass
+print(len(os.listdir("/proc/self/task")) - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts threads in /proc")
+def test_steps_start_no_threads_of_torch() -> None:
+    """Beside other work those wait for each other at every operation (but every 25th step may)."""
+    ended = subprocess.run(
+        [sys.executable, "-c", STEPS], capture_output=True, text=True, check=True, timeout=100
+    )
+    assert ended.stdout.strip() == "0"

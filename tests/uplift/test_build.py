@@ -6,7 +6,9 @@ import dataclasses
 import tempfile
 import warnings
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -269,6 +271,28 @@ def test_sums_of_another_scene_are_refused(scene):
     gsplat = dataclasses.replace(QUICK, raster_preset="gsplat")
     with pytest.raises(InputError, match="other rasteriser preset"):
         build(gaussians, cameras, regions, settings=gsplat, sums=sums)
+    half = dataclasses.replace(QUICK, scale=0.5)
+    with pytest.raises(InputError, match=r"other scale \(auto\).*same splat"):
+        build(gaussians, cameras, regions, settings=half, sums=sums)
+
+
+@pytest.mark.parametrize(("scale", "factor"), [("auto", 23 / 41), (0.3, 0.3), (1.0, 1.0)])
+def test_region_sums_are_those_of_scaled_cameras(scene, tmp_path, monkeypatch, scale, factor):
+    """Also of odd sizes; the field keeps the cameras it was given."""
+    gaussians, cameras, regions = scene
+    monkeypatch.setattr("scoup.uplift.rasterise.AUTO_SIDE", 23)
+    odd = Cameras(camera.resized(41, 29) for camera in cameras)
+    sums = region_sums(gaussians, odd, regions, scale=scale, path=tmp_path / "sums")
+    whole = region_sums(gaussians, odd.scaled(factor), regions, scale=1.0)
+    for level in range(len(regions.levels)):
+        np.testing.assert_array_equal(sums.matrix(level).toarray(), whole.matrix(level).toarray())
+    settings = dataclasses.replace(QUICK, scale=scale)
+    field = build(gaussians, odd, regions, settings, sums=RegionSums.open(tmp_path / "sums"))
+    assert field.cameras is not None
+    assert {camera.width for camera in field.cameras} == {41}
+    assert field.info.provenance["settings"]["scale"] == scale
+    fresh = build(gaussians, odd, regions, settings)
+    assert saved(field, tmp_path / "a.scoup") == saved(fresh, tmp_path / "b.scoup")
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])
@@ -311,7 +335,7 @@ def test_presets():
     assert BUILD_PRESETS["default"] == BuildSettings()
     paper = BUILD_PRESETS["paper"]
     assert (paper.n_atoms, paper.k, paper.keep, paper.solver, paper.epochs) == (64, 4, 4, "adam", 4000)
-    assert (paper.rounds, paper.things) == (1, False)
+    assert (paper.rounds, paper.scale, paper.things) == (1, 1.0, False)
     default = BUILD_PRESETS["default"]
     assert (default.n_atoms, default.k, default.keep) == (128, 4, 4)
     assert (default.rounds, default.solver, default.effort, default.things) == (2, "exact", "fast", True)
@@ -327,6 +351,10 @@ def test_presets():
         build_settings(n_atoms=5, k=8)
     with pytest.raises(UnknownNameError, match="paper"):
         build_settings("papers")
+    wrong: tuple[Any, ...] = (0, 1.5, -1, "half")
+    for scale in wrong:
+        with pytest.raises(InputError, match="the scale must be"):
+            BuildSettings(scale=scale)
     with pytest.raises(InputError, match="at least one round"):
         BuildSettings(rounds=0)
 

@@ -148,6 +148,7 @@ def test_a_file_gives_back_what_it_was_given(scene, kept, tmp_path):
     assert_same(back, kept)
     assert torch.equal(back.order, kept.order)
     assert (back.fingerprint, back.levels, back.raster_preset) == (kept.fingerprint, kept.levels, "inria")
+    assert back.scale == "auto"
     assert back.bytes == made.bytes == folder_bytes(tmp_path / "f.sums")
     assert RegionSums.open(tmp_path / "f.sums").matrix(0, kept.rows[0]).nnz == kept.matrix(0).nnz
     none = torch.zeros(0, dtype=torch.int32)

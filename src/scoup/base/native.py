@@ -42,6 +42,13 @@ def native_core() -> ModuleType | None:
     return load_core().core
 
 
+def release_memory() -> None:
+    """Give free memory of this process back to the system, after a stage that has used much."""
+    core = native_core()
+    if core is not None:
+        core.release_memory()
+
+
 def require_core() -> ModuleType:
     """Return the module ``scoup._native``."""
     core, reason, _ = load_core()

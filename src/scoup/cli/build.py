@@ -191,12 +191,13 @@ class Build(BuildOptions, ViewOptions):
         from scoup.base.errors import InputError
         from scoup.base.parts import Part
         from scoup.uplift.build import check_scene
-        from scoup.uplift.rasterise import add_views, cameras_with_regions, open_sums
+        from scoup.uplift.rasterise import add_views, cameras_with_regions
 
         part = Part.parse(self.part or "")
         if self.keep_sums is None:
             raise InputError("--part needs the folder for the region sums: pass --keep-sums")
-        later = [*self.given(), *(["--codebook"] if self.codebook else []), *(["--out"] if self.out else [])]
+        later = [option for option in self.given() if option != "--scale"]
+        later += [*(["--codebook"] if self.codebook else []), *(["--out"] if self.out else [])]
         if later:
             raise InputError(f"--part writes region sums only; pass {', '.join(later)} to scoup build --sums")
         loaded = self._load(console)
@@ -204,7 +205,7 @@ class Build(BuildOptions, ViewOptions):
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         chosen = part.of(views)
         with reserved_part(self.keep_sums, part):
-            sums = open_sums(self.keep_sums, loaded.gaussians, loaded.regions, loaded.raster_preset)
+            sums = self._open_sums(loaded, self.keep_sums)
             check_fit = not self.no_check_fit and bool(chosen) and not len(sums)
             check_scene(
                 loaded.gaussians, chosen, loaded.raster_preset, None, loaded.source, check_fit=check_fit
@@ -266,13 +267,17 @@ class Build(BuildOptions, ViewOptions):
 
     def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
         """The sums named, or those in a temporary folder."""
-        from scoup.uplift.rasterise import open_sums
         from scoup.uplift.region_sums import RegionSums
 
         if self.sums is not None:
             return RegionSums.open(self.sums)
-        folder = self.keep_sums or temporary
-        return open_sums(folder, loaded.gaussians, loaded.regions, loaded.raster_preset)
+        return self._open_sums(loaded, self.keep_sums or temporary)
+
+    def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
+        from scoup.uplift.rasterise import open_sums
+
+        scale = self.settings(loaded.raster_preset).scale
+        return open_sums(folder, loaded.gaussians, loaded.regions, loaded.raster_preset, scale)
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from scoup.uplift.region_sums import RegionSums
 
 
-_SETTINGS = "n_atoms k keep rounds solver effort epochs tolerance seed"
+_SETTINGS = "n_atoms k keep rounds solver effort epochs tolerance seed scale"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +26,7 @@ class BuildOptions(WritesCommon):
     """Options of verbs that make a field."""
 
     option_groups: ClassVar[OptionGroups] = {
+        "region sum": "scale",
         "coding": "n_atoms k solver effort epochs tolerance",
         "vote": "keep rounds",
         "output": "weight_bits embed_geometry",

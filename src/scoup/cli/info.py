@@ -122,6 +122,7 @@ def _region_sums(path: Path) -> dict[str, Any]:
         "gaussians": sums.n_gaussians,
         "levels": list(sums.levels),
         "raster_preset": sums.raster_preset,
+        "scale": sums.scale,
         "views": len(sums),
         "bytes": sums.bytes,
         "fingerprint": sums.fingerprint,

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -15,6 +20,27 @@ def ordered_sum(values: Tensor, dim: int) -> Tensor:
     return values.sum(dim)
 
 
+def elementwise(function: Callable[..., Any]) -> Callable[..., Tensor]:
+    """Return a function of operators that is called with arrays in place of CPU tensors.
+
+    torch would share out the numbers of a codebook to its threads, and on a busy machine these wait for each other much
+    longer than the arithmetic takes.
+    """
+
+    @wraps(function)
+    def call(*values: Any) -> Tensor:
+        if values[0].device.type != "cpu":
+            return function(*values)
+        return torch.from_numpy(
+            function(*(part.numpy() if isinstance(part, Tensor) else part for part in values))
+        )
+
+    return call
+
+
+product, quotient = elementwise(operator.mul), elementwise(operator.truediv)
+
+
 def square_root(values: Tensor) -> Tensor:
     """Square roots, on a CPU the nearest numbers: there torch's are one rounding off, by the build of torch."""
     if values.device.type == "cpu":
@@ -25,6 +51,6 @@ def square_root(values: Tensor) -> Tensor:
 def take_rows(rows: Tensor, chosen: Tensor) -> Tensor:
     """[n, D]: some of the rows [R, D], by number [n]."""
     if rows.device.type == "cpu":
-        # torch would start its threads for this, and on a busy machine they wait for each other longer than it takes.
+        # See ``elementwise``.
         return torch.from_numpy(rows.numpy().take(chosen.numpy(), 0))
     return rows.index_select(0, chosen)

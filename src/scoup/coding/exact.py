@@ -18,12 +18,14 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.arithmetic import ordered_sum, square_root, take_rows
+from scoup.coding.arithmetic import elementwise, ordered_sum, product, quotient, square_root, take_rows
 from scoup.coding.backends import (
     CodingBackend,
     RowCodes,
@@ -124,12 +126,12 @@ class Learner:
             rows = take_rows(self.rows, next(batches))
             codes = self._backend.code_rows(rows, self.atoms, self._k, swap_passes=1)
             gradient = self.gradient(rows, codes)
-            first += (gradient - first).mul_(1 - BETAS[0])
-            second += (gradient * gradient).sub_(second).mul_(1 - BETAS[1])
+            first = _toward(first, gradient, 1 - BETAS[0])
+            second = _toward(second, product(gradient, gradient), 1 - BETAS[1])
             rate = settings.learning_rate * 0.5 * (1 + math.cos(math.pi * step / settings.steps))
             rate /= 1 - BETAS[0] ** step
-            root = square_root(second / (1 - BETAS[1] ** step)).add_(EPSILON)
-            self.atoms = unit(self.atoms - (rate * first).div_(root), self.atoms)
+            root = square_root(quotient(second, 1 - BETAS[1] ** step))
+            self.atoms = unit(_stepped(self.atoms, first, root, rate), self.atoms)
 
             if step < RESEED_UNTIL * settings.steps:
                 supports.append(codes.support)
@@ -185,8 +187,8 @@ class Learner:
     def gradient(self, rows: Tensor, codes: RowCodes) -> Tensor:
         """Return [L, D] float32: of the mean loss of some rows [n, D] with these codes, by the atoms."""
         within, toward = self._moments(rows, codes)
-        columns = self.atoms.T.contiguous()
-        return (self._backend.row_products(within.float(), columns) - toward.float()).div_(len(rows))
+        columns = _transposed(self.atoms)
+        return _mean_gradient(toward, self._backend.row_products(within.float(), columns), len(rows))
 
     def _least_squares_atoms(self, codes: RowCodes) -> Tensor:
         within, toward = self._moments(self.rows, codes)
@@ -208,6 +210,27 @@ class Learner:
         placed = rare[: len(worst)]
         self.atoms[placed] = rows[worst]
         return placed
+
+
+@elementwise
+def _toward(mean: Any, target: Any, share: float) -> Any:
+    return mean + (target - mean) * share
+
+
+@elementwise
+def _stepped(atoms: Any, first: Any, root: Any, rate: float) -> Any:
+    return atoms - rate * first / (root + EPSILON)
+
+
+@elementwise
+def _transposed(atoms: Any) -> Any:
+    return np.ascontiguousarray(atoms.T) if isinstance(atoms, np.ndarray) else atoms.T.contiguous()
+
+
+@elementwise
+def _mean_gradient(toward: Any, products: Any, count: int) -> Any:
+    single = toward.astype("float32") if isinstance(toward, np.ndarray) else toward.float()
+    return (products - single) / count
 
 
 def _loss(codes: RowCodes) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.coding.arithmetic import ordered_sum, square_root, take_rows
+from scoup.coding.arithmetic import ordered_sum, product, quotient, square_root, take_rows
 from scoup.coding.backends import CodingBackend, RowCodes
 
 SAMPLE = 4000  # rows used
@@ -35,8 +35,8 @@ def starting_atoms(rows: Tensor, n_atoms: int, random: torch.Generator, backend:
 
 def unit(vectors: Tensor, otherwise: Tensor) -> Tensor:
     """[N, D] scaled to unit norm; rows of ``otherwise`` in place of those without a direction."""
-    norms = square_root(ordered_sum(vectors * vectors, 1))[:, None]
-    scaled = vectors / norms.clamp(min=1e-6)
+    norms = square_root(ordered_sum(product(vectors, vectors), 1))[:, None]
+    scaled = quotient(vectors, norms.clamp(min=1e-6))
     whole = norms > 1e-6
     # Nearly always all are, and on a CPU the question costs nothing; a GPU would have to be waited for.
     if norms.device.type == "cpu" and bool(whole.all()):

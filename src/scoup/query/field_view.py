@@ -18,7 +18,7 @@ from scoup.query.answer import Answer, AskedText
 from scoup.query.answer_scene import answers_of
 from scoup.query.question import Question, Several, as_question
 from scoup.query.view_answer import ViewAnswer, ViewRenders, main_parts, mask_box, most_relevant_pixel
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.cameras import Camera
 
 INSIDE = 0.5
 """A pixel belongs to an answer whose Gaussians contribute more than this share of it."""
@@ -46,7 +46,7 @@ class FieldView:
     ) -> None:
         self.field, self.camera = field, field.camera(camera)
         if scale != 1.0:
-            self.camera = Cameras([self.camera]).scaled(scale)[0]
+            self.camera = self.camera.scaled(scale)
         self.projection = field.project(self.camera, backend)
         n_pixels = self.camera.width * self.camera.height
         self.cache = Cache((1 << 20) + BYTES_PER_PIXEL * n_pixels * len(field.levels))

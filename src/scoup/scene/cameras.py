@@ -201,6 +201,10 @@ class Camera:
         scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)
         return replace(self, K=self.K * scale[:, None], width=width, height=height)
 
+    def scaled(self, factor: float) -> Camera:
+        """Return the camera with its image size multiplied by ``factor`` (rounded, at least one pixel)."""
+        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+
     def moved(self, rotation: ArrayLike, translation: ArrayLike, scale: float = 1.0) -> Camera:
         """Return the same camera in another world, in which the point x is at scale * (rotation x + translation).
 
@@ -284,11 +288,8 @@ class Cameras:
         return Cameras(self[key] for key in chosen)
 
     def scaled(self, factor: float) -> Cameras:
-        """Return all cameras with their image sizes multiplied by ``factor`` (rounded, at least one pixel)."""
-        return Cameras(
-            camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
-            for camera in self._cameras
-        )
+        """Return all cameras at other image sizes (``Camera.scaled``)."""
+        return Cameras(camera.scaled(factor) for camera in self._cameras)
 
 
 def _whole_names(camera: Camera) -> tuple[str, ...]:

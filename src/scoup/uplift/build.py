@@ -11,6 +11,7 @@ from pathlib import Path
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import ScoupWarning
+from scoup.base.native import release_memory
 from scoup.base.progress import Progress, no_progress
 from scoup.base.scratch import temporary_folder
 from scoup.field.language_field import LanguageField
@@ -95,8 +96,10 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     with ExitStack() as stack:
         if sums is None:
             folder = stack.enter_context(temporary_folder())
-            sums = RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path=folder / "sums")
-        check_sums(sums, gaussians, regions, settings.raster_preset)
+            sums = RegionSums.empty(
+                gaussians, regions.levels, settings.raster_preset, folder / "sums", settings.scale
+            )
+        check_sums(sums, gaussians, regions, settings.raster_preset, settings.scale)
         views = cameras_with_regions(cameras, regions)
         regions = regions.select([camera.name for camera in views])
         embeddings = RegionEmbeddings.load(regions)
@@ -114,6 +117,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         add_views(sums, gaussians, views, regions, backend, progress)
         sums = sums.select([view.name for view in views], codes.rows)
         things = find_things(sums, halves, progress) if settings.things else None
+        release_memory()
         gaussian_codes = vote(
             sums, codes.codes, codes.codebook.to(device), settings.rounds, settings.keep or None,
             backend=backend, progress=progress,

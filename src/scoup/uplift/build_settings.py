@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError, looked_up
 
+Scale: TypeAlias = float | Literal["auto"]
+"""Size of the images that region sums are made of, relative to the cameras'."""
 _OF_FIT = ("n_atoms", "k", "solver", "effort", "epochs", "tolerance", "seed")
+
+
+def check_scale(scale: Scale) -> None:
+    """Raise an InputError for a scale that is none."""
+    if scale != "auto" and not (isinstance(scale, (int, float)) and 0 < scale <= 1):
+        raise InputError(f'the scale must be "auto", or above 0 and at most 1, got {scale!r}')
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,9 @@ class BuildSettings:
     """Seed of the codebook's start; the same seed gives the same file (for adam, with the same number of threads)."""
     raster_preset: str = "inria"
     """Rasteriser constants the scene was trained with: "inria" or "gsplat"."""
+    scale: Scale = "auto"
+    """Size of the images that region sums are made of, relative to the cameras', above 0 and up to 1; auto: the longer
+    side has 500 pixels, or the camera's if it is shorter."""
     things: bool = True
     """Merge the regions of all views into instances, which answer texts (``scoup.uplift.things``)."""
 
@@ -59,6 +70,7 @@ class BuildSettings:
             )
         if self.rounds < 1:
             raise InputError(f"the vote needs at least one round, got {self.rounds}")
+        check_scale(self.scale)
         if self.tolerance is not None and not self.tolerance >= 0:
             raise InputError(f"the tolerance must be 0 or more, got {self.tolerance}")
         if not 0 <= self.seed < 1 << 63:
@@ -67,7 +79,7 @@ class BuildSettings:
 
 BUILD_PRESETS: dict[str, BuildSettings] = {
     "default": BuildSettings(),
-    "paper": BuildSettings(n_atoms=64, k=4, rounds=1, solver="adam", things=False),
+    "paper": BuildSettings(n_atoms=64, k=4, rounds=1, solver="adam", scale=1.0, things=False),
 }
 """The best answers at little cost (docs/answers.md), and the paper's method as published."""
 

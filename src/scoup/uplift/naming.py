@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.names import Detections, NameTable
 from scoup.scene.things import ThingTable
@@ -45,7 +45,7 @@ def things_in_view(
     gaussians: Gaussians, table: ThingTable, camera: Camera, raster_preset: str, backend: str | None = None
 ) -> ThingsInView:
     """Return the things as a camera sees them, on the CPU."""
-    small = Cameras([camera]).scaled(min(1.0, SIDE / max(camera.width, camera.height)))[0]
+    small = camera.scaled(min(1.0, SIDE / max(camera.width, camera.height)))
     projection = raster.project(gaussians, small, raster_preset, backend)
     ones = torch.ones(len(gaussians), 1, device=gaussians.device)
     alpha = raster.render_values(projection, ones)[..., 0].cpu()

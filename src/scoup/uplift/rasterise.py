@@ -15,25 +15,28 @@ from scoup import raster
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base.native import release_memory
 from scoup.base.parts import Part
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
+from scoup.uplift.build_settings import Scale
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.paths import ENDING, SCENE
 
 STAGE = "region sums"
+AUTO_SIDE = 500  # pixels; see docs/answers.md
 READERS = 4  # threads that read views ahead for a GPU; for a CPU there is one
 
 
-def region_sums(
+def region_sums(  # noqa: PLR0913  the public face: each keyword is one choice of the user
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,
     raster_preset: str = "inria",
+    scale: Scale = "auto",
     path: str | Path | None = None,
     part: Part = Part(),  # noqa: B008 - frozen
     backend: str | None = None,
@@ -46,6 +49,7 @@ def region_sums(
         cameras: posed views; those without regions are skipped.
         regions: label maps; they are resized to the camera.
         raster_preset, backend: see ``raster.project``.
+        scale: of the images, as in ``BuildSettings``.
         path: keep the sums in this folder. Views that it contains, with the same label maps and cameras, are not
             rasterised again.
         part: of the views to rasterise; several processes may write the parts of one folder.
@@ -69,7 +73,7 @@ def region_sums(
     )
     chosen = cameras_with_regions(cameras, regions)
     place = None if path is None else Path(path)
-    sums = open_sums(place, gaussians, regions, raster_preset)
+    sums = open_sums(place, gaussians, regions, raster_preset, scale)
     add_views(sums, gaussians, part.of(chosen), regions, backend, progress)
     sums.flush()
     sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
@@ -77,16 +81,20 @@ def region_sums(
 
 
 def open_sums(
-    path: Path | None, gaussians: Gaussians, regions: Regions, raster_preset: str = "inria"
+    path: Path | None,
+    gaussians: Gaussians,
+    regions: Regions,
+    raster_preset: str = "inria",
+    scale: Scale = "auto",
 ) -> RegionSums:
     """Return the region sums in a folder, to which views can be added; new ones where there are none, or in memory.
 
     Raises an InputError for a folder of another scene.
     """
     if path is None or not (path / f"{SCENE}{ENDING}").exists():
-        return RegionSums.empty(gaussians, regions.levels, raster_preset, path)
+        return RegionSums.empty(gaussians, regions.levels, raster_preset, path, scale)
     sums = RegionSums.open(path, writable=True)
-    check_sums(sums, gaussians, regions, raster_preset)
+    check_sums(sums, gaussians, regions, raster_preset, scale)
     return sums
 
 
@@ -98,10 +106,11 @@ def add_views(
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> None:
-    """Rasterise and append the views that the sums lack, or contain with other cameras or label maps.
+    """Rasterise at their scale and append the views that the sums lack, or contain with other cameras or label maps.
 
     Interrupted at any moment, the sums contain the views that were complete.
     """
+    cameras = [at_scale(camera, sums.scale) for camera in cameras]
     prepared: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(cameras))
 
@@ -128,8 +137,12 @@ def add_views(
             progress(STAGE, done, len(cameras))
         if written is not None:
             written.result()
-    if prepared is not None and (core := native_core()) is not None:
-        core.release_memory()
+    release_memory()
+
+
+def at_scale(camera: Camera, scale: Scale) -> Camera:
+    """Return the camera of the image that region sums are made of."""
+    return camera.scaled(min(1.0, AUTO_SIDE / max(camera.width, camera.height)) if scale == "auto" else scale)
 
 
 def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
@@ -166,7 +179,9 @@ def read_labels(
                 future.cancel()
 
 
-def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str) -> None:
+def check_sums(
+    sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str, scale: Scale
+) -> None:
     """Raise an InputError for region sums of another scene; add means that the sums lack."""
     wrong = [
         what
@@ -174,13 +189,14 @@ def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_
             ("Gaussians", sums.fingerprint == gaussians.fingerprint()),
             (f"levels ({', '.join(sums.levels)})", sums.levels == tuple(regions.levels)),
             (f"rasteriser preset ({sums.raster_preset})", sums.raster_preset == raster_preset),
+            (f"scale ({sums.scale})", sums.scale == scale),
         )
         if not same
     ]
     if wrong:
         raise InputError(
             f"{sums.path or 'the region sums'}: made with other {' and '.join(wrong)}; make them from the same splat, "
-            "region features and `raster_preset`, or omit them"
+            "region features, `raster_preset` and `scale`, or omit them"
         )
     if sums.means is None:
         sums.means = gaussians.means.cpu()[sums.order]

@@ -32,6 +32,7 @@ from scoup.base.locks import WAIT
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.uplift.build_settings import Scale, check_scale
 from scoup.uplift.storage.array_file import StoredArrays, read_arrays, write_arrays
 from scoup.uplift.storage.entries import BUCKET, ViewRecord
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
@@ -60,6 +61,7 @@ class RegionSums:
         path: keep them in this folder, which is made with the first view, or by another process that adds views of the
             same scene; None keeps them in memory.
         means: [N, 3] float32 of the Gaussians here, by which things lose strays; None if unknown.
+        scale: of the images, as in ``BuildSettings``.
 
     Attributes:
         path: folder they are, or will be, kept in; None in memory.
@@ -83,7 +85,9 @@ class RegionSums:
         raster_preset: str = "inria",
         path: Path | None = None,
         means: Tensor | None = None,
+        scale: Scale = "auto",
     ) -> None:
+        check_scale(scale)
         self.path = path
         self.writable = True
         self.bytes = 0
@@ -92,6 +96,7 @@ class RegionSums:
         self.levels = tuple(levels)
         self.raster_preset = raster_preset
         self.means = means
+        self.scale: Scale = scale
         self.views: dict[str, ViewRecord] = {}
         self.rows: Rows | None = None
         self._packer = Packer(self.order)
@@ -104,11 +109,12 @@ class RegionSums:
         levels: Sequence[str],
         raster_preset: str = "inria",
         path: Path | None = None,
+        scale: Scale = "auto",
     ) -> RegionSums:
         """Return sums of a scene without views; arguments as of the class."""
         order = morton_order(gaussians.means).cpu()
         means = gaussians.means.cpu()[order]
-        return cls(gaussians.fingerprint(), order, levels, raster_preset, path, means)
+        return cls(gaussians.fingerprint(), order, levels, raster_preset, path, means, scale)
 
     @classmethod
     def open(cls, path: str | Path, writable: bool = False) -> RegionSums:
@@ -144,6 +150,7 @@ class RegionSums:
                 [str(level) for level in head.header["levels"]],
                 str(head.header["raster_preset"]),
                 means=None if means is None else torch.from_numpy(np.array(means)),
+                scale=head.header["scale"],
             )
         sums.path, sums.writable, sums.bytes = path, writable, head.bytes
         for file in sorted(path.glob(f"[!.]*{ENDING}")):
@@ -209,7 +216,7 @@ class RegionSums:
         file = self.path / view_file(view_name)
         write_arrays(file, header, view.arrays(), overwrite=True, wait=WAIT)
         self._unflushed.append(file)
-        self._load(file)
+        self._load(file, written=True)
 
     def flush(self) -> None:
         """Write the files of new views to the disk, so that a power cut loses none."""
@@ -255,6 +262,7 @@ class RegionSums:
             "fingerprint": self.fingerprint,
             "levels": list(self.levels),
             "raster_preset": self.raster_preset,
+            "scale": self.scale,
         }
         arrays = {"order": self.order.int().numpy()}
         if self.means is not None:
@@ -273,8 +281,8 @@ class RegionSums:
         except OSError as error:
             raise WriteError.of(path, error) from error
 
-    def _load(self, file: Path) -> None:
-        stored = read_arrays(file)
+    def _load(self, file: Path, written: bool = False) -> None:
+        stored = read_arrays(file, written)
         with report_damage(file):
             if file.name != view_file(str(stored.header["name"])):
                 raise ValueError(f"it is of the view {stored.header['name']!r}, which has another file")

@@ -45,7 +45,7 @@ PRESETS = (
     ),
     Method(
         "paper",
-        SparseUplift(n_atoms=64, k=4, rounds=1, solver="adam", things=False),
+        SparseUplift(n_atoms=64, k=4, rounds=1, solver="adam", scale=1.0, things=False),
         "SCOUP, as published",
         "Adam, 64 atoms, top-K vote, one round.",
         "Full batches, atoms from spherical k-means and first logits from cosines are our choices.",

@@ -71,7 +71,7 @@ class AllPixels:
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        return region_sums(gaussians, cameras, regions, raster_preset)
+        return region_sums(gaussians, cameras, regions, raster_preset, scale=1.0)
 
 
 ALL_PIXELS = AllPixels()
@@ -92,7 +92,7 @@ class PairRule(ABC):
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
-        sums = RegionSums.empty(gaussians, regions.levels, raster_preset)
+        sums = RegionSums.empty(gaussians, regions.levels, raster_preset, scale=1.0)
         for camera in cameras_with_regions(cameras, regions):
             labels = regions.load_labels(camera.name, camera.width, camera.height)
             projection = raster.project(gaussians, camera, raster_preset)

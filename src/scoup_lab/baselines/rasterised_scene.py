@@ -59,7 +59,7 @@ class UpliftInputs:
 
 
 def _of_codes(settings: BuildSettings) -> BuildSettings:
-    return replace(settings, keep=0, rounds=1, things=False)
+    return replace(settings, keep=0, rounds=1, scale="auto", things=False)
 
 
 class RasterisedScene:

@@ -86,7 +86,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
                 embedding_model=model,
                 words=words,
                 geometry_path=scene.splat,
-                sums=open_sums(work / "sums", gaussians, regions, settings.raster_preset),
+                sums=open_sums(work / "sums", gaussians, regions, settings.raster_preset, settings.scale),
                 progress=progress,
             )
             field.save(path, overwrite=True)
