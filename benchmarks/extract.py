@@ -31,11 +31,12 @@ WAYS = {
     ALL_POINTS: replace(_FAST, by_need=False),
     "fast": _FAST,
     "fast, 20 x 20 points": replace(_FAST, points_per_side=20),
+    "fast, with crops": replace(_FAST, crop_layers=1),
 }
 """How MobileSAM is asked, all points first; the preset fast is the default without a GPU."""
 SECOND = "fast, SAM 2 tiny"
 FOUND = 0.5  # IoU from which a thing has a region, and a region its like
-UNLABELLED = 3  # photographs without labels
+UNLABELLED = 5  # photographs without labels
 
 
 @dataclass(frozen=True, kw_only=True)
