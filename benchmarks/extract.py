@@ -28,13 +28,12 @@ from scoup_lab.data.labels import LabelledFrame, read_labels
 _FAST = mask_settings("fast")
 ALL_POINTS = "32 x 32 points, all"
 WAYS = {
-    ALL_POINTS: replace(_FAST, skip_covered=False),
-    "20 x 20 points, all": replace(_FAST, skip_covered=False, points_per_side=20),
+    ALL_POINTS: replace(_FAST, by_need=False),
     "fast": _FAST,
     "fast, 20 x 20 points": replace(_FAST, points_per_side=20),
     "fast, with crops": replace(_FAST, crop_layers=1),
 }
-"""How MobileSAM is asked; the preset fast is the default without a GPU."""
+"""How MobileSAM is asked, all points first; the preset fast is the default without a GPU."""
 SECOND = "fast, SAM 2 tiny"
 FOUND = 0.5  # IoU from which a thing has a region, and a region its like
 UNLABELLED = 5  # photographs without labels
@@ -68,18 +67,16 @@ class Extraction(Study):
         if self.onnx is not None:
             ways[SECOND] = (open_onnx_sam(f"onnx:{self.onnx}"), _FAST)
         for path in [*(path for path in paths if path.stem in frames), *unlabelled]:
-            rows = [name for name in ways if f"{path.stem}: {name}" not in known]
-            if not rows:
+            if all(f"{path.stem}: {name}" in known for name in ways):
                 continue
             image, like = read_pixels(path), None
-            if path in unlabelled:
-                like = automatic_masks(image, sam, WAYS[ALL_POINTS])
-            for name in rows:
-                model, settings = ways[name]
+            for name, (model, settings) in ways.items():
                 timed = Timed(model)
                 start = time.process_time()
                 found = automatic_masks(image, timed, settings)
                 seconds = time.process_time() - start
+                if path in unlabelled and like is None:
+                    like = found
                 figures = {
                     **timed.figures(),
                     "rules": seconds - sum(timed.seconds.values()),

@@ -18,7 +18,7 @@ from literal_rules import Generator, cut_off, mask_rule
 from mask_samples import smooth_image
 from scoup.base.errors import InputError
 from scoup.extract.automatic_masks import SamSegmenter, automatic_masks
-from scoup.extract.grids import crop_boxes, point_grid, touches_inner_edge
+from scoup.extract.grids import coarse_to_fine, crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.settings import MaskSettings, mask_settings
 from scoup.models.sam import open_sam
@@ -154,38 +154,103 @@ class Recorded(MadeUp):
 
 
 @settings(max_examples=examples(15))
-@given(st.integers(0, 2**31), st.integers(1, 9), st.sampled_from([1, 3, 100]))
-def test_points_in_masks_found_before_are_left_out_and_no_others(seed: int, side: int, batch: int) -> None:
+@given(st.integers(0, 2**31), st.integers(1, 20), st.sampled_from([1, 3, 100]))
+def test_points_with_known_masks_are_left_out_and_no_others(seed: int, side: int, batch: int) -> None:
     height, width = 48, 60
     chosen = replace(
         LIVELY, points_per_side=side, points_per_batch=batch, crop_layers=0,
-        coarse_filters=True, skip_covered=True,
+        coarse_filters=True, by_need=True,
     )  # fmt: skip
     model = Recorded(seed)
     image = smooth_image(height, width, seed)
     found = automatic_masks(image, model, chosen)
     asked = [tuple(point) for points, _, _ in model.asked for point in points.tolist()]
     wanted: list[tuple[float, float]] = []
-    covered = np.zeros((24, 24), np.bool_)
-    for rows, columns in (([0], [0]), ([1], [1]), ([1, 0], [0, 1])):
+    small, large = np.zeros(
+        (2, 24, 24), np.int64
+    )  # over each pixel: masks of level s; of points without one, smallest
+    rounds = coarse_to_fine(side)
+    for number, points in enumerate(rounds):
         fresh = []
-        for row, column in zip(rows, columns, strict=True):
-            for y in range(row, side, 2):
-                for x in range(column, side, 2):
-                    px, py = (x + 0.5) / side, (y + 0.5) / side
-                    if not covered[int(py * 24), int(px * 24)]:
-                        fresh.append((px * width, py * height))
+        for place in np.flatnonzero(points).tolist():
+            px, py = (place % side + 0.5) / side, (place // side + 0.5) / side
+            place = int(py * 24), int(px * 24)
+            if not small[place] and (large[place] < 8 or number + 1 < len(rounds)):
+                fresh.append((px * width, py * height))
         wanted += fresh
         encoded = MadeUp(seed).encode(image)
         for point in fresh:
             logits, iou = encoded.predict(torch.tensor([point], dtype=torch.float64))
-            small = logits[0, 0].numpy()
-            areas = [(small > offset).sum() for offset in (0.1, -0.1)]
-            if iou[0, 0] > 0.5 and areas[1] and np.float32(areas[0]) / np.float32(areas[1]) >= 0.7:
-                covered |= small > 0
+            for level, mask in enumerate(logits[0].numpy()):
+                areas = [(mask > offset).sum() for offset in (0.1, -0.1)]
+                if iou[0, level] > 0.5 and areas[1] and np.float32(areas[0]) / np.float32(areas[1]) >= 0.7:
+                    counts = large if level else small
+                    counts += mask > 0
+                    break
     np.testing.assert_allclose(asked, wanted)
     whole = automatic_masks(image, MadeUp(seed), replace(chosen, points_per_batch=50))
     assert all((found[level].dense() == whole[level].dense()).all() for level in found)
+
+
+class Tiles:
+    """A point model of a picture whose colours are objects: a point's object is its mask s, m half of the picture."""
+
+    def __init__(self, unsure: int = -1) -> None:
+        self.unsure = unsure  # colour of an object of which s is not sure
+        self.points = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"segmenter": "tiles"}
+
+    def encode(self, image: np.ndarray) -> Tiles:
+        self.colors = torch.from_numpy(image[..., 0].copy())
+        return self
+
+    def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        self.points += len(points)
+        columns, rows = points.long().T
+        own = self.colors[rows, columns]
+        masks = torch.ones(len(points), 3, *self.colors.shape)
+        masks[:, 0] = self.colors == own[:, None, None]
+        half = torch.arange(self.colors.shape[1]) < self.colors.shape[1] // 2
+        masks[:, 1] = (half == half[columns][:, None])[:, None]
+        sure = torch.ones(len(points), 3)
+        sure[own == self.unsure, 0] = 0
+        return masks * 20 - 10, sure
+
+    def without_padding(self, logits: Tensor) -> Tensor:
+        return logits
+
+    def upscale(self, logits: Tensor) -> Tensor:
+        return logits
+
+
+@pytest.mark.parametrize(("unsure", "side", "most"), [(-1, 5, 240), (0, 9, 500)])
+def test_by_need_finds_the_objects_of_the_whole_grid(unsure: int, side: int, most: int) -> None:
+    """Twenty squares on a ground: all are found, with some of 1024 points, also where the ground itself is unsure."""
+    image = np.zeros((96, 128, 3), np.uint8)
+    for number in range(20):
+        row, column = 19 * (number // 5) + 7, 25 * (number % 5) + 5
+        image[row : row + side, column : column + side] = number + 1
+    chosen = replace(mask_settings("fast"), least_area=0, inside=2.0)
+    whole, needed = Tiles(unsure), Tiles(unsure)
+    expected = automatic_masks(image, whole, replace(chosen, by_need=False))
+    found = automatic_masks(image, needed, chosen)
+    assert len(expected["s"]) == (21 if unsure < 0 else 20)
+    assert whole.points == 1024
+    assert needed.points < most
+    for level in expected:
+        sets = [{mask.tobytes() for mask in some[level].dense()} for some in (expected, found)]
+        assert sets[0] == sets[1], level
+
+
+@pytest.mark.parametrize("side", [1, 2, 7, 20, 32])
+def test_points_from_coarse_to_fine(side: int) -> None:
+    rounds = np.stack(coarse_to_fine(side))
+    assert (rounds.sum(0) == 1).all()
+    if side == 32:
+        assert rounds.sum(1).tolist() == [16, 16, 32, 64, 128, 256, 512]
+        assert np.flatnonzero(rounds[0])[:5].tolist() == [99, 107, 115, 123, 355]
 
 
 def test_batches_and_chunks_change_nothing(monkeypatch) -> None:

@@ -28,7 +28,7 @@ def photograph(data_folder: Path) -> np.ndarray:
 @pytest.mark.data
 def test_masks_are_those_of_the_authors_code(photograph, mobile_sam: Path, data_folder: Path) -> None:
     """The regions beside the photographs come from their encoder and decoder, 20 x 20 points and all of them."""
-    settings = replace(mask_settings("fast", points_per_side=20), skip_covered=False)
+    settings = replace(mask_settings("fast", points_per_side=20), by_need=False)
     found = open_segmenter(str(mobile_sam), settings).segment(photograph)
     cameras = scoup.load_cameras(data_folder / "desk")
     kept = scoup.load_regions(data_folder / "desk" / "language_features", cameras)

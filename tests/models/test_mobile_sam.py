@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -76,8 +77,10 @@ def encoded(opened: Sam) -> SamImage:
 
 
 def test_weights_find_their_places(model, opened: Sam, encoded: SamImage) -> None:
-    own = opened.model.state_dict()
-    assert all(torch.equal(own[name], value) for name, value in model.state_dict().items())
+    own, folded = opened.model.state_dict(), deepcopy(model)
+    folded.vision_encoder.fold()
+    assert own.keys() == folded.state_dict().keys()
+    assert all(torch.equal(own[name], value) for name, value in folded.state_dict().items())
     logits, iou = encoded.predict(POINTS)
     assert logits.shape == (2, 3, 256, 256)
     assert iou.shape == (2, 3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.extract.grids import Box, crop_boxes, point_grid, touches_inner_edge
+from scoup.extract.grids import Box, coarse_to_fine, crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
 from scoup.extract.settings import MaskSettings
@@ -20,6 +20,7 @@ from scoup.models.sam import EncodedImage, PointModel
 from scoup.scene.regions import LEVELS
 
 CHUNK_BYTES = 128 << 20  # of logits at the size of the image in memory at once
+MANY = 8  # see ``_known``
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,7 @@ class _Coarse:
     iou: Tensor  # [N]
     stability: Tensor
     channels: Tensor
+    smallest: Tensor  # [N] of the masks of its point
 
 
 class SamSegmenter:
@@ -113,7 +115,9 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
             stable = _stability(encoded.without_padding(logits[good]), settings)
             kept = stable >= settings.stability
             good = good[kept]
-            coarse.append(_Coarse(logits[good].half(), iou[good], stable[kept], channels[good]))
+            point = good // len(LEVELS)
+            smallest = point != torch.cat([point[:1] - 1, point[:-1]])
+            coarse.append(_Coarse(logits[good].half(), iou[good], stable[kept], channels[good], smallest))
         else:
             parts += _upscaled(encoded, logits, iou, channels, good, settings, crop_size)
     if settings.coarse_filters:
@@ -126,33 +130,32 @@ def _candidates(image: NDArray[np.uint8], box: Box, model: PointModel, settings:
 def _batches(encoded: EncodedImage, coarse: list[_Coarse], settings: MaskSettings) -> Iterator[Tensor]:
     """Yield points [P, 2] in 0..1 to predict at a time; ``coarse`` has the results of earlier points.
 
-    Where points may be skipped, every second row and column of the grid comes first, then the points between both,
-    then the rest: whether a point is skipped is decided before its round and does not depend on the batches.
+    By need, the grid is asked from coarse to fine: whether a point is left out is decided before its round and does
+    not depend on the batches.
     """
-    side = settings.points_per_side
-    grid = point_grid(side).reshape(side, side, 2)
-    rounds = [grid.reshape(-1, 2)]
-    if settings.skip_covered:
-        odd_rows, odd_columns = grid[1::2, ::2].reshape(-1, 2), grid[::2, 1::2].reshape(-1, 2)
-        rounds = [
-            grid[::2, ::2].reshape(-1, 2),
-            grid[1::2, 1::2].reshape(-1, 2),
-            np.concatenate([odd_rows, odd_columns]),
-        ]
-    for number, points in enumerate(rounds):
-        if number:
-            points = points[~_covered(points, encoded, coarse)]
-        yield from torch.from_numpy(points).split(settings.points_per_batch) if len(points) else ()
+    grid = point_grid(settings.points_per_side)
+    if not settings.by_need:
+        yield from torch.from_numpy(grid).split(settings.points_per_batch)
+        return
+    rounds = coarse_to_fine(settings.points_per_side)
+    for chosen in rounds:
+        needed = torch.from_numpy(grid[chosen])
+        needed = needed[~_known(needed, encoded, coarse, last=chosen is rounds[-1])]
+        yield from needed.split(settings.points_per_batch) if len(needed) else ()
 
 
-def _covered(points: NDArray[np.float64], encoded: EncodedImage, coarse: list[_Coarse]) -> NDArray[np.bool_]:
-    """Return [P] whether points lie in masks of level s found so far."""
-    inside = np.zeros(len(points), np.bool_)
+def _known(points: Tensor, encoded: EncodedImage, coarse: list[_Coarse], last: bool) -> Tensor:
+    """Return [P] whether points lie in a mask of level s found so far; in the last round, also whether they lie in many
+    larger masks of points without one: such ground, textured for instance, would be asked at every point."""
+    small, large = torch.zeros(2, len(points), dtype=torch.int64)
     for found in coarse:
-        covered = (encoded.without_padding(found.logits[found.channels == 0]) > 0).any(0).cpu().numpy()
-        columns, rows = (points * covered.shape[::-1]).astype(np.int64).T
-        inside |= covered[rows, columns]
-    return inside
+        logits = encoded.without_padding(found.logits[found.smallest])
+        rows, columns = (points.flip(1) * torch.tensor(logits.shape[1:])).long().to(logits.device).unbind(1)
+        inside = (logits[:, rows, columns] > 0).cpu()
+        is_small = (found.channels[found.smallest] == 0).cpu()
+        small += inside[is_small].sum(0)
+        large += inside[~is_small].sum(0)
+    return (small > 0) | (large >= MANY) & last
 
 
 def _upscaled(
@@ -189,7 +192,8 @@ def _from_coarse(
 ) -> list[Candidates]:
     """Suppress boxes among the low-resolution masks of each channel, and upscale the rest."""
     logits, iou, stability, channels = (
-        torch.cat([getattr(batch, part.name) for batch in batches]) for part in fields(_Coarse)
+        torch.cat([getattr(batch, name) for batch in batches])
+        for name in ("logits", "iou", "stability", "channels")
     )
     small = [
         Masks.from_dense((part > 0).cpu().numpy()) for part in encoded.without_padding(logits).split(256)

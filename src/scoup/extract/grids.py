@@ -8,6 +8,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+_COARSEST = 8  # rows and columns between the first points
+
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in pixels, x1 and y1 one past the last
 
 
@@ -15,6 +17,16 @@ def point_grid(points_per_side: int) -> NDArray[np.float64]:
     """Return [n^2, 2] x, y in 0..1: the centres of n x n equal cells, row by row."""
     line = (np.arange(points_per_side) + 0.5) / points_per_side
     return np.stack([np.tile(line, points_per_side), np.repeat(line, points_per_side)], axis=1)
+
+
+def coarse_to_fine(points_per_side: int) -> list[NDArray[np.bool_]]:
+    """Return masks [n^2] of the grid's points by round: every eighth row and column, then the points in the middle of
+    four, then the points in the middle of the sides between, and so on; a round may be empty."""
+    y, x = np.indices((points_per_side, points_per_side)) - (_COARSEST // 2 - 1)
+    step = np.gcd(np.gcd(y, x), _COARSEST)
+    middle = (y // step % 2 == 1) & (x // step % 2 == 1) & (step < _COARSEST)
+    rounds = (2 * np.log2(_COARSEST // step).astype(np.int64) - middle).ravel()
+    return [rounds == number for number in range(2 * int(np.log2(_COARSEST)) + 1)]
 
 
 def crop_boxes(height: int, width: int, layers: int, share: float) -> list[Box]:

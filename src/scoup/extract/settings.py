@@ -41,9 +41,9 @@ class MaskSettings:
     covered: float = 0.5
     coarse_filters: bool = False
     """Filter by stability and boxes on the model's low-resolution masks, and upscale only the rest."""
-    skip_covered: bool = False
-    """Predict every second point in x and y first, and leave out further ones that lie in a mask of level s found so
-    far. Needs coarse_filters."""
+    by_need: bool = False
+    """Predict the points of the grid from coarse to fine, and leave out those of which earlier ones found the masks.
+    Needs coarse_filters."""
     drop_hidden: bool = False
     """Leave out masks that later ones paint over entirely."""
     cut_last: bool = True
@@ -57,8 +57,8 @@ class MaskSettings:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not 0 <= self.crop_layers <= 4:
             raise InputError(f"crop_layers must be 0 to 4, got {self.crop_layers}")
-        if self.skip_covered and not self.coarse_filters:
-            raise InputError("skip_covered needs coarse_filters")
+        if self.by_need and not self.coarse_filters:
+            raise InputError("by_need needs coarse_filters")
         if self.least_area < 0:
             raise InputError(f"least_area must not be negative, got {self.least_area}")
 
@@ -74,7 +74,7 @@ _FAST = replace(
     points_per_batch=256,
     crop_layers=0,
     coarse_filters=True,
-    skip_covered=True,
+    by_need=True,
     drop_hidden=True,
     cut_last=False,
     half=True,
@@ -84,8 +84,8 @@ _FAST = replace(
 def mask_settings(preset: Preset = "langsplat", **changes: Any) -> MaskSettings:
     """Return a preset with changes; changes that are None are ignored.
 
-    ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, leaves out points that lie in masks
-    found before, filters the model's low-resolution masks before upscaling them, and runs in 16 bits on a GPU.
+    ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, leaves out points that would find known
+    masks, filters the model's low-resolution masks before upscaling them, and runs in 16 bits on a GPU.
     """
     if preset not in get_args(Preset):
         raise InputError(f"there is no preset {preset!r}; use one of {', '.join(get_args(Preset))}")

@@ -69,6 +69,7 @@ def _fill(model: Any, weights: Any) -> Any:
                 f"it is not MobileSAM's checkpoint: weight {name!r} is missing, unknown or of another shape"
             )
     model.load_state_dict(given)
+    model.vision_encoder.fold()
     return model
 
 

@@ -76,8 +76,11 @@ class SamImage:
         return logits[..., :high, :wide]
 
     def upscale(self, logits: Tensor) -> Tensor:
-        whole = _resize(logits, (self.side, self.side))
-        return _resize(whole[..., : self.scaled[0], : self.scaled[1]], self.size)
+        factor = self.side // logits.shape[-1]
+        # A pixel beyond the image too, from which its last pixels are interpolated.
+        rows, columns = (min(-(-length // factor) + 1, logits.shape[-1]) for length in self.scaled)
+        square = _resize(logits[..., :rows, :columns], (factor * rows, factor * columns))
+        return _resize(square[..., : self.scaled[0], : self.scaled[1]], self.size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 OUTSIDE = -20.0  # logits of the padding
-POINTS_AT_ONCE = 4  # more are slower: the tokens of a few images fit into the caches of a CPU
+POINTS_AT_ONCE = 2  # more are slower: the tokens of a few images fit into the caches of a CPU
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,14 @@ class SharedDecoder:
         for layer in transformer.layers[1:]:
             tokens, image = self._later_layer(layer, tokens, places, image, placed)
             torch.add(image, self._image.places, out=placed)
+        # Of the last attention's tokens only those of the quality and of the three masks are used.
+        networks = decoder.output_hypernetworks_mlps
+        used = [0, *range(2, 1 + len(networks))]
+        tokens, places = tokens[:, used], places[:, used]
         seen = _to_image(transformer.final_attn_token_to_image, tokens + places, placed, image)
         tokens = transformer.layer_norm_final_attn(tokens + seen)
         iou = decoder.iou_prediction_head(tokens[:, 0])[:, 1:]
-        networks = decoder.output_hypernetworks_mlps
-        weights = torch.stack([networks[n](tokens[:, 1 + n]) for n in range(1, len(networks))], dim=1)
+        weights = torch.stack([networks[n](tokens[:, n]) for n in range(1, len(networks))], dim=1)
         return self._upscale(image, weights), iou
 
     def _first_layer(self, places: Tensor) -> tuple[Tensor, Tensor]:
@@ -79,12 +82,13 @@ class SharedDecoder:
         tokens = layer.layer_norm1(_attend(layer.self_attn, places, places, places))
         to_image = layer.cross_attn_token_to_image
         queries = _heads(to_image, to_image.q_proj(tokens + places))
-        mixed = _mix(to_image, queries, image.keys, image.values)
+        scores = _with_shared(queries * to_image.scaling, image.keys.transpose(2, 3))
+        mixed = _with_shared(scores.softmax(-1), image.values)
         tokens = layer.layer_norm2(tokens + to_image.out_proj(_join_heads(mixed)))
         tokens = layer.layer_norm3(tokens + layer.mlp(tokens))
         from_image = layer.cross_attn_image_to_token
         keys = _heads(from_image, from_image.k_proj(tokens + places))
-        scores = (keys * from_image.scaling) @ image.queries.transpose(2, 3)
+        scores = _with_shared(keys * from_image.scaling, image.queries.transpose(2, 3))
         changed = _from_tokens(from_image, scores, tokens)
         return tokens, layer.layer_norm4(changed.add_(image.tokens))
 
@@ -146,18 +150,19 @@ def _join_heads(heads: Tensor) -> Tensor:
 
 
 def _attend(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
-    mixed = _mix(
-        attention,
+    mixed = functional.scaled_dot_product_attention(
         _heads(attention, attention.q_proj(queries)),
         _heads(attention, attention.k_proj(keys)),
         _heads(attention, attention.v_proj(values)),
+        scale=attention.scaling,
     )
     return attention.out_proj(_join_heads(mixed))
 
 
-def _mix(attention: Any, queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
-    """Scaled attention of heads; unlike torch's, it makes no copies where the image is shared by all points."""
-    return (queries * attention.scaling @ keys.transpose(2, 3)).softmax(-1) @ values
+def _with_shared(heads: Tensor, shared: Tensor) -> Tensor:
+    """Heads [B, h, N, c] of points by a matrix [1, h, c, T] shared by all points, which torch's product would copy."""
+    rows = heads.transpose(0, 1).flatten(1, 2) @ shared[0]
+    return rows.unflatten(1, (len(heads), -1)).transpose(0, 1)
 
 
 def _through(weight: Tensor, heads: Tensor) -> Tensor:
