@@ -77,7 +77,8 @@ def overlaps(found: Detections, view: ThingsInView) -> Tensor:
         scale = torch.tensor([width / found.size[0], height / found.size[1]]).repeat(2)
         ious = box_ious(found.boxes * scale, view.boxes)
     else:
-        mine, theirs = found.masks_at(width, height).flatten(1), view.masks.flatten(1).float()
+        masks = torch.nn.functional.interpolate(found.masks[:, None].float(), (height, width), mode="area")
+        mine, theirs = masks.flatten(1), view.masks.flatten(1).float()
         both = mine @ theirs.T
         ious = both / (mine.sum(1)[:, None] + theirs.sum(1) - both).clamp(min=1)
     return torch.where(view.seen, ious, 0.0)
