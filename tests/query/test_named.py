@@ -46,7 +46,7 @@ def named_room(votes: dict[str, dict[int, float]], presence: float = 0.9) -> Lan
 
 
 @pytest.mark.parametrize(
-    ("votes", "presence", "things"),
+    ("votes", "sure", "things"),
     [
         ({LAMP: 0.6}, LIKELY - 0.01, {MUG, OTHER_MUG}),  # the field alone
         ({MUG: 0.3, LAMP: 0.3 / (AGREES + 0.1)}, 0.9, {MUG}),  # they agree; a mug without votes is left out
@@ -55,10 +55,8 @@ def named_room(votes: dict[str, dict[int, float]], presence: float = 0.9) -> Lan
         ({LAMP: 0.6, BALL: 0.6 * (TOGETHER + 0.2), LAPTOP: 0.02}, 0.9, {LAMP, BALL}),
     ],
 )
-def test_votes_and_the_field_answer_together(
-    votes: dict[int, float], presence: float, things: set[int]
-) -> None:
-    answer = named_room({"mug": votes}, presence).answer("mug")
+def test_votes_and_the_field_answer_together(votes: dict[int, float], sure: float, things: set[int]) -> None:
+    answer = named_room({"mug": votes}, sure).answer("mug")
     assert set(answer.things) == things
     assert answer.presence
     assert bool(answer.mask.any())
@@ -66,10 +64,8 @@ def test_votes_and_the_field_answer_together(
 
 def test_presence_joins_the_odds_of_the_photographs_and_of_the_field() -> None:
     named = Named(names_of({"mug": {MUG: 0.4, LAMP: 0.1}}, presence=0.8), 0, 6)
-    assert named.score() == pytest.approx(0.8)
-    assert named.score(0.5) == pytest.approx(0.8)
-    odds = 4 * 9**FIELD_POWER
-    assert named.score(0.9) == pytest.approx(odds / (1 + odds))
+    assert named.score() == pytest.approx(named.score(0.5)) == pytest.approx(0.8)
+    assert named.score(0.9) == pytest.approx(1 - 1 / (1 + 4 * 9**FIELD_POWER))
     assert named.score(0.0) == named.score(0.01) > 0
     assert named.score(0.9, LAMP) == pytest.approx(named.score(0.9) / 4)
 

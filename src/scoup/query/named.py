@@ -3,8 +3,7 @@
 Detectors and embeddings fail on different words. Where the photographs do not show a text likely, the field answers
 alone. Where the things that the field would answer with have nearly as many votes as any, both agree: these answer,
 without those that have few votes. Otherwise the things with most votes answer, lowered where they fit the text badly.
-The odds that a text is present are those of the photographs, times a power of those of the field. Measured in
-docs/answers.md.
+Presence has the odds of the photographs, times a power of the field's. Measured in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -56,10 +55,10 @@ class Named:
     def score(self, by_field: float | None = None, thing: int | None = None) -> float:
         """Return the presence of the text, 0 to 1, or of it in one thing, from the field's score of it."""
         presence = float(self.names.presence[self.number])
-        if by_field is not None and presence < 1:
+        if by_field is not None:
             bounded = min(max(by_field, 0.01), 0.99)
-            odds = presence / (1 - presence) * (bounded / (1 - bounded)) ** FIELD_POWER
-            presence = odds / (1 + odds)
+            raised = presence * (bounded / (1 - bounded)) ** FIELD_POWER
+            presence = raised / (raised + 1 - presence)
         if thing is None or not self.is_sure:
             return presence
         return presence * float(self.votes[thing] / self.votes.max())
