@@ -103,8 +103,10 @@ class Concepts(Study):
             asked.thing_table = replace(table, names=given)
             answers = answer_scene(asked, question_of(scene, texts, everyday))
             drawn = {each.text: DrawnAnswer(each.mask, counting_gaussians(asked, each)) for each in answers}
+            sure = {each.text: each.score or 0.0 for each in answers}
             if way == "detector alone" and given is not None:
                 drawn = {text: voted(asked, table, given, text) for text in labels}
+                sure = dict(zip(given.texts, given.presence.tolist(), strict=True))
             scores = []
             for frame, view in scene.frames:
                 masks = drawn_masks([drawn[label] for label in frame.labels], view)
@@ -115,10 +117,7 @@ class Concepts(Study):
             figures[way] = {
                 "mIoU": round(mean(scores), 4),
                 "presence": round(
-                    auc(
-                        *(np.array([found[text].score or 0.0 for text in some]) for some in (labels, absent))
-                    ),
-                    4,
+                    auc(*(np.array([sure[text] for text in some]) for some in (labels, absent))), 4
                 ),
                 "counts": [
                     [scene.counts[label], len(found[label].instances)]

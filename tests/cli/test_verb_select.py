@@ -154,7 +154,9 @@ def test_nothing_to_write():
 
 
 def test_a_relation_that_nothing_has_says_what_was_found():
-    message = refused("select", "f.scoup", "mug right of the mug", "--always", "--out", "n.ply", "--seen-from", "view_01")
+    message = refused(
+        "select", "f.scoup", "mug right of the mug", "--always", "--out", "n.ply", "--seen-from", "view_01"
+    )
     assert re.search(r"found mug: \d+, but none that is so; left, right, .* as seen from view_01", message)
 
 

@@ -16,11 +16,12 @@ from query.planted_room import BACK, FRONT, planted_room
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.query.matching import Choice, compare_things
-from scoup.query.named import AGREES, KEPT, SURE, TOGETHER, joined
+from scoup.query.named import AGREES, FIELD_POWER, TOGETHER, Named, joined
+from scoup.query.presence import LIKELY
 from scoup.query.refine import choose_views, refine
 from scoup.scene.cameras import Cameras
 from scoup.scene.names import Detections, NameTable
-from scoup.uplift.naming import things_in_view
+from scoup.uplift.naming import EVEN_SCORE, things_in_view
 
 MUG, OTHER_MUG, LAPTOP, LAMP, BALL = 1, 2, 3, 4, 5  # of ROOM
 
@@ -45,36 +46,43 @@ def named_room(votes: dict[str, dict[int, float]], presence: float = 0.9) -> Lan
 
 
 @pytest.mark.parametrize(
-    ("votes", "things"),
+    ("votes", "sure", "things"),
     [
-        ({LAMP: 0.9 * SURE}, {MUG, OTHER_MUG}),  # not sure: the field alone
-        ({MUG: 0.3, LAMP: 0.3 / (AGREES + 0.1)}, {MUG}),  # they agree; the mug without a vote is left out
-        ({MUG: 0.3, OTHER_MUG: 0.3 * (KEPT + 0.01)}, {MUG, OTHER_MUG}),
-        ({LAMP: 0.6, MUG: 0.02}, {LAMP}),
-        ({LAMP: 0.6, BALL: 0.6 * (TOGETHER + 0.2), LAPTOP: 0.02}, {LAMP, BALL}),
+        ({LAMP: 0.6}, LIKELY - 0.01, {MUG, OTHER_MUG}),  # the field alone
+        ({MUG: 0.3, LAMP: 0.3 / (AGREES + 0.1)}, 0.9, {MUG}),  # they agree; a mug without votes is left out
+        ({MUG: 0.3, OTHER_MUG: 0.3 * (TOGETHER + 0.01)}, 0.9, {MUG, OTHER_MUG}),
+        ({LAMP: 0.6, MUG: 0.02}, 0.8, {LAMP}),
+        ({LAMP: 0.6, BALL: 0.6 * (TOGETHER + 0.2), LAPTOP: 0.02}, 0.9, {LAMP, BALL}),
     ],
 )
-def test_votes_and_the_field_answer_together(votes: dict[int, float], things: set[int]) -> None:
-    answer = named_room({"mug": votes}).answer("mug")
+def test_votes_and_the_field_answer_together(votes: dict[int, float], sure: float, things: set[int]) -> None:
+    answer = named_room({"mug": votes}, sure).answer("mug")
     assert set(answer.things) == things
     assert answer.presence
-    assert answer.score == pytest.approx(0.9)
     assert bool(answer.mask.any())
 
 
+def test_presence_joins_the_odds_of_the_photographs_and_of_the_field() -> None:
+    named = Named(names_of({"mug": {MUG: 0.4, LAMP: 0.1}}, presence=0.8), 0, 6)
+    assert named.score() == pytest.approx(named.score(0.5)) == pytest.approx(0.8)
+    assert named.score(0.9) == pytest.approx(1 - 1 / (1 + 4 * 9**FIELD_POWER))
+    assert named.score(0.0) == named.score(0.01) > 0
+    assert named.score(0.9, LAMP) == pytest.approx(named.score(0.9) / 4)
+
+
 def test_things_that_fit_badly_are_lowered() -> None:
-    """Two things with equal votes: the one that fits the text like the median thing counts a third as much."""
+    """Two things with equal votes: the one that fits the text like the median thing counts less than half as much."""
     field = planted_room()
     question = field.question("mug")
     known = compare_things(field, question)
     assert known is not None
     fits = torch.full((len(known.counts),), 1.0)
-    fits[[LAMP, BALL, MUG]] = torch.tensor([4.0, 1.0, 5.0])
+    fits[[LAMP, BALL, MUG]] = torch.tensor([4.5, 1.0, 5.0])
     votes = torch.zeros(len(fits))
     votes[[LAMP, BALL]] = 0.5
     chosen = joined(known, Choice(torch.tensor([MUG]), 5.0, None), fits, votes)
     assert chosen.things.tolist() == [LAMP]
-    assert (chosen.runner_up, chosen.fit) == (MUG, 4.0)
+    assert (chosen.runner_up, chosen.fit) == (MUG, 4.5)
 
 
 def test_presence_is_that_of_the_photographs() -> None:
@@ -133,7 +141,9 @@ def test_on_demand_the_thing_that_the_model_sees_answers() -> None:
     assert field.answer(question).things == (BALL,)
     assert model.looked == [(48, 64, 3)] * 2, "both cameras were rendered at their size"
     assert field.answer("lamp").things == (BALL,), "the next question needs no model"
-    assert field.answer(question.texts[0]).score == pytest.approx(0.8 / 0.885)
+    score = field.answer(question.texts[0]).score
+    assert score is not None
+    assert LIKELY < score < 0.8 / (0.8 + EVEN_SCORE), "the ball hardly fits a lamp"
     with pytest.raises(InputError, match="not for vectors"):
         field.question(torch.ones(1, 32), refine=model)
     with pytest.raises(InputError, match="contains no things to name"):
@@ -142,7 +152,7 @@ def test_on_demand_the_thing_that_the_model_sees_answers() -> None:
 
 def test_what_the_model_does_not_see_is_absent() -> None:
     field = planted_room()
-    said = refine(field, ["lamp"], Finder(field, BALL, score=0.01))
+    said = refine(field, ["lamp"], Finder(field, BALL, score=0.001))
     assert not field.answer("lamp").presence
     assert said.describe().startswith("looked for lamp in 0 photographs and 2 rendered views, ")
 

@@ -160,7 +160,8 @@ class AskedScan:
         """Return the score of a thing for a text, and its rank."""
         number = self.search.question.texts.index(text)
         fit, named = float(self.fits[thing, number]), self.named[number]
-        score = self.scores[number](fit) if named is None else named.score(thing)
+        score = self.scores[number](fit)
+        score = score if named is None else named.score(score, thing)
         return score, rank_of(score, fit)
 
     def things(self) -> list[tuple[int, str]]:
@@ -187,7 +188,8 @@ class AskedScan:
                 yield []
                 continue
             named, size = self.named[number], int(self.known.counts[choice.things].sum())
-            score = self.scores[number](choice.fit) if named is None else named.score()
+            score = self.scores[number](choice.fit)
+            score = score if named is None else named.score(score)
             things = choice.things
             if self.search.counted:
                 things = instances_of(self.known, self.fits[:, number], choice, named)

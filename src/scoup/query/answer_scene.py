@@ -70,18 +70,19 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
             yield Answer(text, nothing, level, 0.0 if question.can_judge_presence else None)
             continue
         level = int(known.things.levels[choice.things[0]])
-        rival = choice.runner_up
+        rival, sure = choice.runner_up, score(choice.fit)
+        of_rival = None if rival is None else score(float(fits[rival, number]))
         instances = instances_of(known, fits[:, number], choice, named)
         yield Answer(
             text=text,
             mask=known.things.members(choice.things).cpu(),
             level=field.levels[level],
-            score=score(choice.fit) if named is None else named.score(),
+            score=sure if named is None else named.score(sure),
             things=tuple(choice.things.tolist()),
             instances=tuple(instances.tolist()),
             runner_up=None
             if rival is None
-            else RunnerUp(rival, score(float(fits[rival, number])) if named is None else named.score(rival)),
+            else RunnerUp(rival, of_rival if named is None else named.score(of_rival, rival)),
         )
 
 

@@ -1,9 +1,9 @@
 """Answers to texts that a model with words was asked in photographs: one rule joins its votes with the field's answer.
 
-Detectors and embeddings fail on different words. Where the model is not sure, the field answers alone. Where the things
-that the field would answer with have nearly as many votes as any, both agree: these answer, without those that have
-hardly a vote. Otherwise the things with most votes answer, lowered where they fit the text badly. Measured in
-docs/answers.md.
+Detectors and embeddings fail on different words. Where the photographs do not show a text likely, the field answers
+alone. Where the things that the field would answer with have nearly as many votes as any, both agree: these answer,
+without those that have few votes. Otherwise the things with most votes answer, lowered where they fit the text badly.
+Presence has the odds of the photographs, times a power of the field's. Measured in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -17,18 +17,17 @@ from torch import Tensor
 
 from scoup.field.language_field import LanguageField
 from scoup.query.matching import Choice, ComparedTable, choose_things, find_instances
+from scoup.query.presence import LIKELY
 from scoup.query.question import Question
 from scoup.scene.names import NameTable
 from scoup.scene.things import ThingTable
 
-SURE = 0.03
-"""The model is sure of a text if a thing has at least this vote."""
 AGREES = 0.85
 """Both agree if a thing of the field's answer has at least this share of the largest vote."""
-KEPT = 0.4
-"""Of these, those with at least this share of their own largest vote answer."""
-TOGETHER = 0.5
-"""Where they disagree, things with at least this share of the largest vote answer together, and are instances."""
+TOGETHER = 0.45
+"""Things with at least this share of the largest vote answer together, and are instances."""
+FIELD_POWER = 1 / 3
+"""Of the field's odds of presence; they are 1 to 99 at least and 99 to 1 at most."""
 NAMES = 3
 """Names kept per thing: the best and the next best ones."""
 HUB_THINGS, HUB_SHARE = 10, 0.5
@@ -52,11 +51,15 @@ class Named:
     @property
     def is_sure(self) -> bool:
         """Return whether the votes say which things it means."""
-        return bool((self.votes >= SURE).any())
+        return float(self.names.presence[self.number]) >= LIKELY and bool(self.votes.any())
 
-    def score(self, thing: int | None = None) -> float:
-        """Return the presence of the text, 0 to 1, or of it in one thing."""
+    def score(self, by_field: float | None = None, thing: int | None = None) -> float:
+        """Return the presence of the text, 0 to 1, or of it in one thing, from the field's score of it."""
         presence = float(self.names.presence[self.number])
+        if by_field is not None:
+            bounded = min(max(by_field, 0.01), 0.99)
+            raised = presence * (bounded / (1 - bounded)) ** FIELD_POWER
+            presence = raised / (raised + 1 - presence)
         if thing is None or not self.is_sure:
             return presence
         return presence * float(self.votes[thing] / self.votes.max())
@@ -86,7 +89,7 @@ def choose(
         level: the one that answers; None: the best.
     """
     return [
-        choice if choice is None or own is None else joined(known, choice, fits[:, number], own.votes, level)
+        joined(known, choice, fits[:, number], own.votes, level) if choice and own and own.is_sure else choice
         for number, (choice, own) in enumerate(zip(choose_things(known, fits, level), named, strict=True))
     ]
 
@@ -98,11 +101,11 @@ def joined(
     levels = known.things.levels.cpu()
     votes = torch.where(known.usable & (levels == level) if level is not None else known.usable, votes, 0.0)
     most = votes.max()
-    if most < SURE:
+    if most == 0:
         return choice
     mine = votes[choice.things]
     if mine.max() >= AGREES * most:
-        return _chosen(choice, choice.things[mine >= KEPT * mine.max()], fits)
+        return _chosen(choice, choice.things[mine >= TOGETHER * mine.max()], fits)
     usable = fits[known.usable]
     best = usable.max()
     # A thing that fits like the median thing has e times fewer votes than one that fits best.
@@ -148,11 +151,12 @@ def voted_names(
     votes = names.matrix(len(table))[:, usable]
     if not usable:
         return {}
+    sure = (votes > 0) & (votes >= TOGETHER * votes.amax(0)) & (names.presence[usable] >= LIKELY)
     found = {}
     for thing, row in enumerate(best_words(votes).tolist()):
-        mine = [usable[word] for word in row if votes[thing, word] >= SURE]
+        mine = [usable[word] for word in row if sure[thing, word]]
         if mine:
-            score = Named(names, mine[0], len(table)).score(thing)
+            score = Named(names, mine[0], len(table)).score(thing=thing)
             found[thing] = tuple(names.texts[word] for word in mine), score
     return found
 

@@ -149,7 +149,7 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
     (score,) = null_scores(asked.question, known.best_fits)
     (named,) = named_texts(field.thing_table, asked.question)
     scores = {
-        number: score(fit) if named is None else named.score(number)
+        number: score(fit) if named is None else named.score(score(fit), number)
         for number, fit in zip(numbers, fits, strict=True)
     }
     return [

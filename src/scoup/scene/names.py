@@ -24,23 +24,6 @@ class Detections:
 
     __repr__ = brief
 
-    def above(self, least: float) -> Detections:
-        """Return those with at least this score."""
-        kept = self.scores >= least
-        masks = None if self.masks is None else self.masks[kept]
-        return Detections(self.texts[kept], self.scores[kept], self.boxes[kept], self.size, masks)
-
-    def masks_at(self, width: int, height: int) -> Tensor:
-        """Return masks [M, height, width] float32 at another size of the picture; boxes are filled."""
-        if self.masks is not None:
-            masks = self.masks[:, None].float()
-            return torch.nn.functional.interpolate(masks, (height, width), mode="area")[:, 0]
-        x = (torch.arange(width) + 0.5) * self.size[0] / width
-        y = (torch.arange(height) + 0.5) * self.size[1] / height
-        left, top, right, bottom = self.boxes.T[:, :, None]
-        across, down = (x >= left) & (x <= right), (y >= top) & (y <= bottom)
-        return (down[:, :, None] & across[:, None]).float()
-
 
 def number_of(texts: Iterable[str], text: str) -> int | None:
     """Return the position of a text among others, whatever its capitals; None if it is not there."""
