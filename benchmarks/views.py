@@ -150,7 +150,7 @@ def _even(total: int, count: int) -> list[int]:
 def _miou(scene: AnswerScene, views: Sequence[int]) -> float:
     """Return the mIoU of the field of some views."""
     there = sorted(views)
-    levels = [level.kept(np.isin(level.views, there)) for level in scene.levels]
+    levels = [level.kept(np.isin(level.views, there)) for level in scene.levels(1.0)]
     levels = [replace(level, views=np.searchsorted(there, level.views)) for level in levels]
     sums = as_region_sums(levels)
     sums.means = scene.gaussians.means

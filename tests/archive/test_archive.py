@@ -24,7 +24,7 @@ from scoup.base.errors import FileFormatError, InputError, ScoupWarning, Unknown
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
-from scoup.query.named import SURE
+from scoup.query.presence import LIKELY
 from support import unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
@@ -115,8 +115,8 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     assert encoder.names is not None
     table = dict(zip(encoder.names, encoder.encode(encoder.names), strict=True))
     table["beaker"] = unit(table["mug"] + 0.1 * table["ball"])  # near to a name
-    votes = {"mug": {MUG: 0.6, BALL: 0.5}, "lamp": {LAMP: 0.9 * SURE}, ABSENT: {}, "pen": {LAPTOP: 0.3}}
-    presence = {"mug": 0.9, "lamp": 0.8, ABSENT: 0.1, "pen": 0.3}
+    votes = {"mug": {MUG: 0.6, BALL: 0.5}, "lamp": {BALL: 0.3}, ABSENT: {}, "pen": {LAPTOP: 0.3}}
+    presence = {"mug": 0.9, "lamp": 0.9 * LIKELY, ABSENT: 0.1, "pen": 0.3}
     archive, field = scoup.Archive(tmp_path / "a", table), planted_room()
     archive.add(fields["hall"])
     assert field.thing_table is not None
@@ -137,7 +137,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
         assert_answers_are_those_of(found, {"named": field}, question)
         if question in asked:
             assert {each.thing for each in found if each.scan == "named"} == asked[question]
-    assert archive.find("mug")[0].score == pytest.approx(0.9)
+    assert archive.find("mug")[0].score == pytest.approx(field.answer("mug").score)
     field.thing_table = replace(things, names=names_of({"mug": {BALL: 0.6}}, {"mug": 0.9}))
     field.save(tmp_path / "named.scoup", overwrite=True)
     with pytest.warns(ScoupWarning, match="has changed since"):

@@ -22,7 +22,7 @@ from scoup.query import matching
 from scoup.query.answer_scene import answers_of
 from scoup.query.expression import parse_expression
 from scoup.query.matching import ComparedTable, compared_words, hub_cosines
-from scoup.query.named import Named, choose, instances_of, named_texts
+from scoup.query.named import Named, choose, instances_of, joined_presence, named_texts
 from scoup.query.phrases import Phrase, texts_of
 from scoup.query.presence import LEAST_GAUSSIANS, NullScores, is_present, other_words, presence_threshold
 from scoup.query.question import Question, make_question, near_names, text_vectors
@@ -119,7 +119,7 @@ class Search:
             name = number_of(record.names, near[number] or text if near else text) if record.names else None
             score = None if math.isnan(share) else share
             if name is not None:
-                score = [*record.names.values()][name][0]
+                score = joined_presence([*record.names.values()][name][0], score)
             if fit > -math.inf and is_present(score, LEAST_GAUSSIANS, least):
                 ranks[text] = rank_of(score, fit)
         found = [

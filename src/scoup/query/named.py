@@ -55,14 +55,19 @@ class Named:
 
     def score(self, by_field: float | None = None, thing: int | None = None) -> float:
         """Return the presence of the text, 0 to 1, or of it in one thing, from the field's score of it."""
-        presence = float(self.names.presence[self.number])
-        if by_field is not None:
-            bounded = min(max(by_field, 0.01), 0.99)
-            raised = presence * (bounded / (1 - bounded)) ** FIELD_POWER
-            presence = raised / (raised + 1 - presence)
+        presence = joined_presence(float(self.names.presence[self.number]), by_field)
         if thing is None or not self.is_sure:
             return presence
         return presence * float(self.votes[thing] / self.votes.max())
+
+
+def joined_presence(presence: float, by_field: float | None) -> float:
+    """Return the presence of a text, from that of the photographs and the field's score of it."""
+    if by_field is None:
+        return presence
+    bounded = min(max(by_field, 0.01), 0.99)
+    raised = presence * (bounded / (1 - bounded)) ** FIELD_POWER
+    return raised / (raised + 1 - presence)
 
 
 def named_texts(table: ThingTable | None, question: Question) -> list[Named | None]:
