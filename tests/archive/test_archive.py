@@ -116,7 +116,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     table = dict(zip(encoder.names, encoder.encode(encoder.names), strict=True))
     table["beaker"] = unit(table["mug"] + 0.1 * table["ball"])  # near to a name
     votes = {"mug": {MUG: 0.6, BALL: 0.5}, "lamp": {BALL: 0.3}, ABSENT: {}, "pen": {LAPTOP: 0.3}}
-    presence = {"mug": 0.9, "lamp": 0.9 * LIKELY, ABSENT: 0.1, "pen": 0.3}
+    presence = {"mug": 0.9, "lamp": 0.9 * LIKELY, ABSENT: 0.05, "pen": 0.05}
     archive, field = scoup.Archive(tmp_path / "a", table), planted_room()
     archive.add(fields["hall"])
     assert field.thing_table is not None
