@@ -71,7 +71,7 @@ def test_damaged_inputs_of_verbs_that_ask(verb, damage):
         ("scene", BUILD, "scene", "check the path"),
         (PLY, BUILD, "scene: contains no trained splat", "--gaussians"),
         ("scene/sparse", BUILD, "scene: contains no cameras", "COLMAP"),
-        ("scene/language_features", BUILD, "scene/language_features", "--features"),
+        ("scene/language_features", (*BUILD, "--sums", "s"), "scene/language_features", "--features"),
         (None, (*BUILD, "--gaussians", "no.ply"), "no.ply", "check the path"),
         (None, (*BUILD, "--features", "no"), "no: there is no such folder", "check the path"),
         (None, (*BUILD, "--images", "no"), "no: there is no such folder of images", "check the path"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import torch
 
 import scoup
 from cli_support import BUILD, QUICK, refused, run, run_json, snapshot, together
+from scoup.extract.pipeline import lacks_views
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, save_png, write_colmap
 from scoup.models.word_table import load_table, save_table
@@ -290,6 +292,26 @@ def test_black_photographs():
         "only zero embeddings, as the embedder colors makes of black photographs; check the photographs"
         in message
     )
+
+
+# ---- photographs without regions
+
+
+def test_regions_are_made_and_resumed():
+    pytest.importorskip("skimage")
+    made, models = Path("scene/language_features"), ("--segmenter", "felzenszwalb", "--embedder", "colors")
+    shutil.rmtree(made)
+    code, out, err = run("build", "scene", *models, *QUICK, "--out", "a.scoup")
+    assert code == 0, err
+    assert re.search(r"s in all; ask it: scoup query a\.scoup", out)
+    assert not lacks_views(made, Path("scene"), None, "colors")
+    next(made.glob("*.regions")).unlink()
+    assert lacks_views(made, Path("scene"), None, "colors")
+    assert not lacks_views(made, Path("scene"), None, "a model of their own")
+    said = run_json("build", "scene", *QUICK, "--out", "b.scoup")
+    assert ("extraction" in said, said["views"]) == (False, 3)
+    said = run_json("build", "scene", *models, *QUICK, "--out", "c.scoup")
+    assert (said["extraction"]["made"], said["extraction"]["kept"], said["views"]) == (1, 3, 4)
 
 
 # ---- absurd Gaussians

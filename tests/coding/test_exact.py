@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 import sys
 from dataclasses import replace
 from types import ModuleType
@@ -13,6 +12,7 @@ import torch
 from coders import clip_like
 from torch import Tensor
 
+from children import finished
 from scoup.coding import exact, fit_codes
 from scoup.coding.adam import AdamSettings, solve_adam
 from scoup.coding.backends import coding_backend
@@ -202,7 +202,5 @@ print(len(os.listdir("/proc/self/task")) - before)
 @pytest.mark.skipif(sys.platform != "linux", reason="counts threads in /proc")
 def test_steps_start_no_threads_of_torch() -> None:
     """Beside other work those wait for each other at every operation (but every 25th step may)."""
-    ended = subprocess.run(
-        [sys.executable, "-c", STEPS], capture_output=True, text=True, check=True, timeout=100
-    )
+    ended = finished([sys.executable, "-c", STEPS], check=True)
     assert ended.stdout.strip() == "0"

@@ -17,6 +17,7 @@ from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query.answer import Answer
 from scoup.query.field_view import INSIDE
+from scoup.query.matching import SAME
 from scoup.query.question import Question
 from scoup.query.view_answer import ViewAnswer, main_parts
 from scoup.scene.cameras import Camera
@@ -116,9 +117,14 @@ def check_catalog(field: LanguageField, answers: Sequence[Answer]) -> None:
     named = [thing for thing in catalog.things if thing.text]
     assert named
     assert set(catalog.objects) <= {thing.number for thing in catalog.things}
-    for thing in named:  # whoever asks for a name finds its thing
-        scores = {each.number: each.score for each in field.things(of_text[thing.text].asked[0].question)}
-        assert scores[thing.number] == thing.score
+    # Whoever asks for a name finds its thing, or one of another level with the same Gaussians.
+    for thing in named:
+        found = field.things(of_text[thing.text].asked[0].question)
+        scores = {each.number: each.score for each in found}
+        assert scores.get(thing.number, thing.score) == thing.score
+        own = set(thing.gaussians.tolist())
+        alike = [len(own & (of := set(each.gaussians.tolist()))) / len(own | of) for each in found]
+        assert max(alike) >= SAME
 
 
 def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequence[Camera]) -> None:

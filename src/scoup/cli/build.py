@@ -121,6 +121,7 @@ class Build(BuildOptions, ViewOptions):
         """Cut the photographs into regions unless that is done; returns what the result says of it."""
         from scoup.base.errors import InputError
         from scoup.cli.extract import Extract
+        from scoup.extract.pipeline import lacks_views
         from scoup.io import load_cameras
         from scoup.io.scene_parts import find_splat, usual_features
 
@@ -131,7 +132,9 @@ class Build(BuildOptions, ViewOptions):
                     "--segmenter and --embedder make regions, --features names some; pass either"
                 )
             return {}
-        if self.sums is not None or (not named and usual_features(self.scene).is_dir()):
+        made, embedder = usual_features(self.scene), self.embedder or CLIP_MODEL
+        is_done = made.is_dir() and not lacks_views(made, self.scene, self.images, embedder)
+        if self.sums is not None or (not named and is_done):
             return {}
         # Mistakes show before the long work.
         source = find_splat(self.scene, self.gaussians)
@@ -143,7 +146,7 @@ class Build(BuildOptions, ViewOptions):
             "undistort" if self.undistort else "refuse",
             dataparser_transforms=self.dataparser_transforms,
         )
-        models = {"segmenter": self.segmenter, "embedder": self.embedder or CLIP_MODEL}
+        models = {"segmenter": self.segmenter, "embedder": embedder}
         scene = {"scene": self.scene, "gaussians": self.gaussians, "images": self.images}
         return Extract(**scene, device=self.device, **models).make(console)
 

@@ -21,8 +21,8 @@ from scoup.base.progress import Progress, no_progress
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint
-from scoup.extract.photographs import Photograph, Pixels, read_ahead
-from scoup.io.regions.manifest import RegionManifest
+from scoup.extract.photographs import Photograph, Pixels, find_photographs, read_ahead
+from scoup.io.regions.manifest import RegionManifest, read_manifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import ViewRegions
 
@@ -108,6 +108,21 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
         progress("regions", done, len(mine))
     _warn_of_skipped(report, len(mine))
     return report
+
+
+def lacks_views(folder: Path, scene: Path, images: Path | None, embedder: str) -> bool:
+    """Return whether a folder is what an extraction with an embedder left that was interrupted.
+
+    Args:
+        folder: of region features.
+        scene, images: as of ``find_photographs``.
+        embedder: name of the model.
+    """
+    manifest = read_manifest(folder)
+    if manifest is None or manifest.layout != "compact" or manifest.embedding_model != embedder:
+        return False
+    names = manifest.views or tuple(item.name for item in find_photographs(scene, images))
+    return len(RegionStore.open(folder).views(names)) < len(names)
 
 
 def describe_masks(

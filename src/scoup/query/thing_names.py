@@ -2,7 +2,8 @@
 
 Every thing has a word that fits it best, so this alone names walls "fire extinguisher". A thing and a word have to
 choose each other: the scene's answer to the word contains the thing, and hardly any everyday word is nearer to the
-thing. So whoever asks for a name finds its thing. Everything else is unnamed.
+thing. So whoever asks for a name finds its thing. A thing of another level with the same Gaussians has this name, too;
+everything else is unnamed.
 
 Things of several levels nest: a part in an object in a group. Of each such tree, those things are the objects whose
 names fit best, each weighed by its share of what it is a part of. Ours; measured in docs/things.md.
@@ -10,12 +11,12 @@ names fit best, each weighed by its share of what it is a part of. Ours; measure
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 from scoup.field.language_field import LanguageField
 from scoup.query.answer_scene import each_answer, null_scores
-from scoup.query.matching import compare_things, compared_words
+from scoup.query.matching import SAME, ComparedTable, compare_things, compared_words
 from scoup.query.named import NAMES, less_common, voted_names
 from scoup.query.question import Question
 from scoup.query.things import Thing
@@ -56,16 +57,28 @@ def thing_names(field: LanguageField, question: Question[Any]) -> dict[int, Thin
             fit = near[thing, number]
             if int((words[thing] > fit + 1e-6).sum()) <= NEARER_WORDS * len(everyday):
                 found.setdefault(thing, []).append((-float(fit), number))
+    best = {thing: [number for _, number in sorted(numbers)[:NAMES]] for thing, numbers in found.items()}
     fits, names = known.fits(queries), {}
-    for thing, numbers in found.items():
-        best = [number for _, number in sorted(numbers)[:NAMES]]
-        (score,) = null_scores(question.one(best[0]), known.best_fits)
-        texts = tuple(question.texts[number] for number in best)
-        names[thing] = ThingName(texts, score(float(fits[thing, best[0]])))
+    for thing, like in _alike(known, best).items():
+        (score,) = null_scores(question.one(best[like][0]), known.best_fits)
+        texts = tuple(question.texts[number] for number in best[like])
+        names[thing] = ThingName(texts, score(float(fits[thing, best[like][0]])))
     for thing, (texts, voted_score) in voted_names(field, question.texts).items():
         others = names[thing].texts if thing in names else ()
         names[thing] = ThingName(tuple(dict.fromkeys([*texts, *others]))[:NAMES], voted_score)
     return names
+
+
+def _alike(known: ComparedTable, named: Collection[int]) -> dict[int, int]:
+    """Return the named things, and those of other levels with the same Gaussians, each with the named one."""
+    (rows, columns), shared = known.shared.indices().tolist(), known.shared.values().tolist()
+    counts = known.counts.tolist()
+    best: dict[int, tuple[float, int]] = {}
+    for one, other, both in zip(rows, columns, shared, strict=True):
+        share = both / max(1.0, counts[one] + counts[other] - both)
+        if one in named and (one == other or (other not in named and share >= SAME)):
+            best[other] = max(best.get(other, (0.0, one)), (share, one))
+    return {thing: one for thing, (_, one) in best.items()}
 
 
 def find_objects(things: Sequence[Thing]) -> list[int]:

@@ -41,7 +41,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
         FileFormatError: a file is damaged, belongs to another image, or holds NaN (some only when loaded).
 
     Warns:
-        ScoupWarning: some cameras have no features; says how many.
+        ScoupWarning: some cameras have no features, though their photographs were to be extracted; says how many.
 
     Example:
         >>> regions = scoup.load_regions("scene", scoup.load_cameras("scene"))
@@ -59,9 +59,11 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
     views = {camera.name: (camera, stored[camera.name]) for camera in cameras if camera.name in stored}
     if not views:
         raise _without_features(store, cameras)
-    if len(views) < len(cameras):
+    chosen = {camera.name for camera in cameras} if store.manifest is None else set(store.manifest.views)
+    wanted = [camera.name for camera in cameras if not chosen or camera.name in chosen]
+    if lacking := sum(name not in views for name in wanted):
         warnings.warn(
-            f"{store.folder}: skipped {len(cameras) - len(views)} of {len(cameras)} cameras that have no features",
+            f"{store.folder}: skipped {lacking} of {len(wanted)} cameras that have no features",
             ScoupWarning,
             stacklevel=2,
         )
