@@ -29,6 +29,7 @@ from benchmarks.documents_summaries import ablations, answers, baselines, scales
 from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
 from benchmarks.gpu import Gpu
+from benchmarks.laptop import Laptop
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import Query
 from benchmarks.study import Study
@@ -96,14 +97,11 @@ def extraction() -> str:
     return markdown(["masks", "objects with a region", "mean IoU", "CPU seconds per photograph"], rows)
 
 
-def whole_way() -> str:
-    """Return the time of each step from photographs to answers."""
-    masks = next(row for row in record("extract")["rows"] if row["way"] == "fast")["seconds"]
+def single_steps() -> str:
+    """Return the time of steps of scenes as large as LERF's."""
     dense = record("embed")["rows"]["clip/dense"]
     build, query = record("lerf_sized"), record("query")["least"]
     rows = [
-        ["masks, `scoup extract`, MobileSAM", "one photograph of 953 x 535", f"{masks:.1f} CPU s"],
-        ["masks of a whole scene (computed)", "200 such photographs", f"{200 * masks / 60:.0f} CPU min"],
         [
             "embeddings, CLIP ViT-B/16, `dense:MODEL`",
             f"{dense['regions']} regions of one photograph of 988 x 731",
@@ -176,6 +174,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "real": (Real, "real"),
     "concepts": (Concepts, "concepts"),
     "constants": (Answers, "answers_fit"),
+    "laptop": (Laptop, "laptop"),
     "query": (Query, "query"),
     "views": (Views, "views"),
     "viewer": (ViewerCost, "viewer"),
@@ -187,7 +186,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
     "readme, extraction": extraction,
-    "whole way": whole_way,
+    "single steps": single_steps,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
     "scales": lambda: scales(record),
     "baselines": lambda: baselines(record),

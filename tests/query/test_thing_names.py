@@ -1,0 +1,51 @@
+"""Names of things, and the things that are one object each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from query.planted_room import ABSENT, ROOM, planted_room
+from scoup.query.boxes import OrientedBox
+from scoup.query.thing_names import LEAST_REGIONS, UNNAMED, find_objects, thing_names
+from scoup.query.things import Thing
+
+
+def test_a_word_names_only_what_it_finds() -> None:
+    field = planted_room()
+    names = thing_names(field, field.question(["mug", "laptop", ABSENT]))
+    wanted = {number: box.name for number, box in enumerate(ROOM) if box.name in ("mug", "laptop")}
+    assert {number: name.texts[0] for number, name in names.items()} == wanted
+    assert thing_names(field, field.question([ABSENT])) == {}
+
+
+def thing(number: int, parent: int | None, score: float | None, size: int, regions: int = 9) -> Thing:
+    box = OrientedBox(torch.zeros(3).double(), torch.eye(3).double(), torch.ones(3).double())
+    name = "" if score is None else "mug"
+    return Thing(number, "m", parent, name, score, torch.zeros(3).double(), box, torch.arange(size), regions)
+
+
+@pytest.mark.parametrize(
+    ("tree", "objects"),
+    [
+        (
+            [(0, None, 0.9, 100), (1, 0, 0.8, 60), (2, 0, 0.8, 40)],
+            [0],
+        ),  # an object better named than its parts
+        ([(0, None, 0.7, 100), (1, 0, 0.9, 50), (2, 0, 0.9, 50)], [1, 2]),  # a group of better named objects
+        ([(0, None, 0.7, 100), (1, 0, 0.9, 30)], [0]),  # what has a name is a small part
+        ([(0, None, None, 100), (1, 0, 0.9, 90)], [1]),
+        ([(0, None, None, 100), (1, 0, UNNAMED + 0.1, 50)], [0]),
+        ([(0, None, None, 100), (1, 0, None, 100)], [0]),
+        ([(0, 7, 0.5, 100)], [0]),  # its parent is not listed
+    ],
+)
+def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], objects: list[int]) -> None:
+    assert find_objects([thing(*each) for each in tree]) == objects
+
+
+def test_fragments_without_a_name_are_no_objects() -> None:
+    assert find_objects([thing(0, None, None, 9, LEAST_REGIONS - 1)]) == []
+    assert find_objects([replace(thing(0, None, 0.5, 9, 1), score=None)]) == [0]
