@@ -122,7 +122,6 @@ class Build(BuildOptions, ViewOptions):
         from scoup.base.errors import InputError
         from scoup.cli.extract import Extract
         from scoup.extract.pipeline import lacks_views
-        from scoup.io import load_cameras
         from scoup.io.scene_parts import find_splat, usual_features
 
         named = self.segmenter is not None or self.embedder is not None
@@ -133,19 +132,14 @@ class Build(BuildOptions, ViewOptions):
                 )
             return {}
         made, embedder = usual_features(self.scene), self.embedder or CLIP_MODEL
-        is_done = made.is_dir() and not lacks_views(made, self.scene, self.images, embedder)
-        if self.sums is not None or (not named and is_done):
+        if self.sums is not None:
+            return {}
+        if not named and made.is_dir() and not lacks_views(made, self.scene, self.images, embedder):
             return {}
         # Mistakes show before the long work.
         source = find_splat(self.scene, self.gaussians)
         self.settings(source.preset)
-        load_cameras(
-            self.scene,
-            self.images,
-            self.downscale,
-            "undistort" if self.undistort else "refuse",
-            dataparser_transforms=self.dataparser_transforms,
-        )
+        self.load_cameras(self.scene)
         models = {"segmenter": self.segmenter, "embedder": embedder}
         scene = {"scene": self.scene, "gaussians": self.gaussians, "images": self.images}
         return Extract(**scene, device=self.device, **models).make(console)

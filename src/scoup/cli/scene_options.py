@@ -38,18 +38,23 @@ class ViewOptions(WritesCommon):
     no_check_fit: Flag = False
     """Skip the check that small renders of the splat match the photographs."""
 
-    def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
-        """Return cameras and regions of a scene, and the folder of the regions."""
-        from scoup.io import load_cameras, load_regions
-        from scoup.io.scene_parts import find_features
+    def load_cameras(self, scene: Path) -> Cameras:
+        """Return the cameras of a scene."""
+        from scoup.io import load_cameras
 
-        distorted = "undistort" if self.undistort else "refuse"
-        cameras = load_cameras(
+        return load_cameras(
             scene,
             self.images,
             self.downscale,
-            distorted,
+            "undistort" if self.undistort else "refuse",
             dataparser_transforms=self.dataparser_transforms,
         )
+
+    def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
+        """Return cameras and regions of a scene, and the folder of the regions."""
+        from scoup.io import load_regions
+        from scoup.io.scene_parts import find_features
+
+        cameras = self.load_cameras(scene)
         features = find_features(scene, self.features)
         return cameras, load_regions(features, cameras), features
