@@ -239,10 +239,10 @@ def word_forms(phrase: str) -> list[str]:
     folded = phrase.strip().casefold()
     article, _, rest = folded.partition(" ")
     bare = rest.strip() if article in ARTICLES and rest.strip() else folded
-    endings = (("ies", "y"), ("es", ""), ("s", ""))
+    endings = (("s", ""), ("es", ""), ("ies", "y"))
     singular = [
         bare.removesuffix(ending) + instead
-        for ending, instead in reversed(endings)
+        for ending, instead in endings
         if bare.endswith(ending) and len(bare) > len(ending) + 1
     ]
     return list(dict.fromkeys([folded, bare, *singular]))

@@ -203,20 +203,23 @@ def _card(
 def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit: float | None) -> str:
     """A page of the objects, and folded, of all other things, with a box that filters them; it loads nothing but its
     pictures."""
-    by_number = {thing.number: thing for thing in catalog.things}
-
-    def named(number: int | None) -> str:
-        return by_number[number].text if number in by_number else ""
-
+    text_of: dict[int | None, str] = {thing.number: thing.text for thing in catalog.things}
+    parts: dict[int | None, set[str]] = {}
+    for thing in catalog.things:
+        parts.setdefault(thing.parent, set()).add(thing.text)
+    objects = frozenset(catalog.objects)
     cards: tuple[list[str], list[str]] = [], []
     ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda each: -(each[0].score or 0))
     for thing, names in ordered:
-        inside = {each.text for each in catalog.things if each.parent == thing.number} - {"", thing.text}
+        inside = parts.get(thing.number, set()) - {"", thing.text}
         related = f", with {_shown(', '.join(sorted(inside)))}" if inside else ""
-        related += f", in {_shown(whole)}" if (whole := named(thing.parent)) not in ("", thing.text) else ""
-        is_object = thing.number in catalog.objects
-        cards[not is_object].append(_card(thing, names, related, drawn, metres_per_unit))
-    objects, others = ("\n".join(each) for each in cards)
+        related += (
+            f", in {_shown(whole)}"
+            if (whole := text_of.get(thing.parent, "")) not in ("", thing.text)
+            else ""
+        )
+        cards[thing.number not in objects].append(_card(thing, names, related, drawn, metres_per_unit))
+    shown, folded = ("\n".join(each) for each in cards)
     heading = _shown(title)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Things of {heading}</title>\n'
@@ -225,7 +228,7 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit:
         '<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
         '<select aria-label="Sort by"><option value="score">sort by certainty<option value="name">by name'
         '<option value="size">by size</select> '
-        f"<output>{len(catalog.things)} things</output></p>\n<ul>\n{objects}\n</ul>\n"
-        f"<details><summary>Parts, groups and fragments ({len(cards[1])})</summary><ul>\n{others}\n</ul></details>\n"
+        f"<output>{len(catalog.things)} things</output></p>\n<ul>\n{shown}\n</ul>\n"
+        f"<details><summary>Parts, groups and fragments ({len(cards[1])})</summary><ul>\n{folded}\n</ul></details>\n"
         f"<script>{_SCRIPT}</script>\n"
     )

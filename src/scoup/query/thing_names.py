@@ -58,11 +58,10 @@ def thing_names(field: LanguageField, question: Question[Any]) -> dict[int, Thin
             if int((words[thing] > fit + 1e-6).sum()) <= NEARER_WORDS * len(everyday):
                 found.setdefault(thing, []).append((-float(fit), number))
     best = {thing: [number for _, number in sorted(numbers)[:NAMES]] for thing, numbers in found.items()}
-    fits, names = known.fits(queries), {}
+    fits, scores, names = known.fits(queries), null_scores(question, known.best_fits), {}
     for thing, like in _alike(known, best).items():
-        (score,) = null_scores(question.one(best[like][0]), known.best_fits)
-        texts = tuple(question.texts[number] for number in best[like])
-        names[thing] = ThingName(texts, score(float(fits[thing, best[like][0]])))
+        texts, first = tuple(question.texts[number] for number in best[like]), best[like][0]
+        names[thing] = ThingName(texts, scores[first](float(fits[thing, first])))
     for thing, (texts, voted_score) in voted_names(field, question.texts).items():
         others = names[thing].texts if thing in names else ()
         names[thing] = ThingName(tuple(dict.fromkeys([*texts, *others]))[:NAMES], voted_score)
