@@ -20,6 +20,7 @@ from benchmarks.faults import as_region_sums
 from benchmarks.real_scenes import FOLDERS
 from benchmarks.scenes import find_layout
 from benchmarks.study import Record, Study
+from scoup.base.counts import spread
 from scoup.extract.photograph_choice import FEW, LEAST_GAIN, rank_views, sharpness
 from scoup.models.words import with_everyday
 from scoup.raster import render_colors
@@ -70,7 +71,7 @@ class Views(Study):
                 order = rank_views(cameras, scene.gaussians, torch.ones(len(cameras)), max(COUNTS))
                 for count in COUNTS:
                     row[f"{count} chosen"] = _miou(scene, order[:count])
-                    row[f"{count} even"] = _miou(scene, _even(len(cameras), count))
+                    row[f"{count} even"] = _miou(scene, spread(range(len(cameras)), count))
                 yield name, row
 
     def line(self, figures: Any) -> str:
@@ -118,7 +119,7 @@ def _dense(name: str, size: SceneSize) -> Record:
         "blurred of the chosen": round(float(blurred[chosen].mean()), 3),
         "all, mIoU": _miou(scene, range(len(cameras))),
         "chosen, mIoU": _miou(scene, chosen),
-        "even, mIoU": _miou(scene, _even(len(cameras), len(chosen))),
+        "even, mIoU": _miou(scene, spread(range(len(cameras)), len(chosen))),
     }
 
 
@@ -141,10 +142,6 @@ def _dwelling(layout: Layout, seed: int) -> Layout:
 def _sharpness(demo: DemoScene, camera: Camera, blurred: bool) -> float:
     image = Image.fromarray((render_colors(demo.gaussians, camera).clamp(0, 1) * 255).byte().numpy())
     return sharpness(np.asarray(image.filter(ImageFilter.GaussianBlur(1.5)) if blurred else image))
-
-
-def _even(total: int, count: int) -> list[int]:
-    return [int((place + 0.5) * total / count) for place in range(count)]
 
 
 def _miou(scene: AnswerScene, views: Sequence[int]) -> float:
