@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from scoup.extract.view_choice import Scores, ViewScorer, choose_views, gains_al
 from scoup.io import load_cameras, load_gaussians, read_points
 from scoup.io.camera_sources import find_cameras
 from scoup.io.scene_parts import find_splat
+from scoup.io.splats.rotation import spread_directions
 from scoup.raster import prepare_gaussians
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
@@ -117,7 +117,9 @@ def rank_views(
         count: as for ``choose_photographs``.
     """
     matter = measure_matter(gaussians, find_matter(gaussians), torch.tensor([0.0, 0.0, 1.0]).double())
-    scorer = ViewScorer.of(prepare_gaussians(gaussians), matter, spread_directions(SECTORS))
+    scorer = ViewScorer.of(
+        prepare_gaussians(gaussians), matter, torch.from_numpy(spread_directions(SECTORS)).float()
+    )
     found = [scorer.score(camera) for camera in reported(cameras, "choice", len(cameras), progress)]
     scores = Scores.of(list(cameras), found)
     worth = scores.shown.float() * relative_sharpness(sharp, scores.shown.float())[:, None]
@@ -135,14 +137,6 @@ def rank_views(
     taken = {*there, *chosen}
     rest = [view for view in alone.argsort(descending=True, stable=True).tolist() if view not in taken]
     return [*there, *chosen, *rest[: max(0, beside - len(chosen))]]
-
-
-def spread_directions(count: int) -> Tensor:
-    """Return [count, 3] unit vectors spread evenly over the sphere, along a spiral."""
-    step = torch.arange(count) + 0.5
-    height, turn = 1 - 2 * step / count, math.pi * (1 + 5**0.5) * step
-    across = (1 - height**2).sqrt()
-    return torch.stack([across * turn.cos(), across * turn.sin(), height], 1)
 
 
 def sharpness(image: NDArray[np.uint8]) -> float:

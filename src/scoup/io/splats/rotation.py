@@ -46,7 +46,7 @@ def rotated_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """
     if sh.shape[1] == 1:
         return sh
-    directions, most = _directions(), round(sh.shape[1] ** 0.5) - 1
+    directions, most = spread_directions(64), round(sh.shape[1] ** 0.5) - 1
     before, after = (
         sh_basis(torch.from_numpy(each), most).numpy() for each in (directions @ rotation, directions)
     )
@@ -60,7 +60,7 @@ def rotated_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return np.concatenate(turned, axis=1)
 
 
-def _directions(count: int = 64) -> np.ndarray:
+def spread_directions(count: int) -> np.ndarray:
     """Return [count, 3] unit vectors, spread evenly in a spiral."""
     steps = np.arange(count) + 0.5
     height, angle = 1 - 2 * steps / count, steps * np.pi * (1 + 5**0.5)
