@@ -192,6 +192,23 @@ class TextOptions(FieldOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class NamingOptions(TextOptions):
+    """Options of verbs that name things."""
+
+    option_groups: ClassVar[OptionGroups] = {"words": "words"}
+
+    words: OptionalPath = None
+    """Words to name things with, one per line. Default: all words of the table of --text, else everyday words."""
+
+    def naming_question(self, field: LanguageField) -> Question[Any]:
+        """The question of these words."""
+        from scoup.view.vocabulary import everyday_vocabulary, read_words
+
+        words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
+        return self.question(field, words)
+
+
+@dataclass(frozen=True, kw_only=True)
 class AnswerOptions(TextOptions):
     """Options of verbs that answer texts."""
 

@@ -87,9 +87,10 @@ def _save_pictures(
     progress("pictures", 0, len(catalog.things))
 
     def draw(view: FieldView, colors: Picture, thing: Thing) -> None:
-        picture = _crop(thing_mask(view, thing), colors)
-        if picture is not None:
-            Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
+        mask = thing_mask(view, thing)
+        window = crop_window(mask)
+        if window is not None:
+            Image.fromarray(cropped(colors, window, mask)).save(folder / _picture_name(thing), quality=85)
             drawn.add(thing.number)
             progress("pictures", len(drawn), len(catalog.things))
 
@@ -106,6 +107,12 @@ def _save_pictures(
             draw(view, as_picture(view.renders.colors().cpu()), thing)
     progress("pictures", len(catalog.things), len(catalog.things))
     return drawn
+
+
+def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
+    """Return the camera that sees a thing largest, if any sees it, and one of its own."""
+    best = _best_view(thing, cameras)
+    return [*(() if best is None else (cameras[best],)), _own_view(thing, cameras)]
 
 
 def _own_view(thing: Thing, cameras: Sequence[Camera]) -> Camera:
@@ -141,16 +148,22 @@ def _best_view(thing: Thing, cameras: Sequence[Camera]) -> int | None:
     return sizes.index(max(sizes)) if max(sizes, default=0.0) > 0 else None
 
 
-def _crop(mask: torch.Tensor, colors: Picture) -> Picture | None:
+def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:
+    """Return the rows and columns around a mask [H, W] with a margin; None if it is empty."""
     rows, columns = np.nonzero(mask.numpy())
     if not len(rows):
         return None
     margin = int(MARGIN * max(np.ptp(rows), np.ptp(columns))) + 8
-    part = (
+    return (
         slice(max(0, rows.min() - margin), rows.max() + margin + 1),
         slice(max(0, columns.min() - margin), columns.max() + margin + 1),
     )
-    picture = Image.fromarray(mask_overlay(mask.numpy()[part], colors[part]))
+
+
+def cropped(colors: Picture, window: tuple[slice, slice], mask: torch.Tensor | None = None) -> Picture:
+    """Return a window of a picture, small, with the mask [H, W] drawn over it."""
+    part = colors[window] if mask is None else mask_overlay(mask.numpy()[window], colors[window])
+    picture = Image.fromarray(np.ascontiguousarray(part))
     picture.thumbnail((SIDE, SIDE))
     return np.asarray(picture)
 
@@ -159,25 +172,25 @@ _STYLE = """body{font:14px/1.4 system-ui,sans-serif;margin:1.5rem;color-scheme:l
 input,select{font:inherit;padding:.4rem .6rem}input{width:min(26rem,100%)}summary{margin:1rem 0;cursor:pointer}
 ul{display:grid;grid-template-columns:repeat(auto-fill,minmax(14rem,1fr));gap:1rem;list-style:none;padding:0}
 li{border:1px solid #8886;border-radius:.5rem;padding:.6rem}img{width:100%;height:11rem;object-fit:contain}
-b{font-size:1.05rem}small{opacity:.75}[hidden]{display:none}"""
+.pairs{grid-template-columns:repeat(auto-fill,minmax(24rem,1fr))}.pairs div{display:grid;grid-template-columns:1fr 1fr}
+figure{margin:0;text-align:center}b{font-size:1.05rem}small,figcaption{opacity:.75}[hidden]{display:none}"""
 _SCRIPT = """const box=document.querySelector("input"),sort=document.querySelector("select");
 const lists=[...document.querySelectorAll("ul")],items=[...document.querySelectorAll("li")];
 box.addEventListener("input",()=>{const wanted=box.value.toLowerCase();let count=0;
 for(const item of items){item.hidden=!item.textContent.toLowerCase().includes(wanted);count+=!item.hidden}
 if(wanted)document.querySelector("details").open=true;
-document.querySelector("output").textContent=`${count} of ${items.length} things`});
+document.querySelector("output").textContent=`${count} of ${items.length}`});
 sort.addEventListener("change",()=>{for(const list of lists)list.append(...[...list.children].sort((a,b)=>
 sort.value==="name"?(a.dataset.name||"\\uffff").localeCompare(b.dataset.name||"\\uffff"):
 b.dataset[sort.value]-a.dataset[sort.value]))});"""
 
 
-def _shown(text: str) -> str:
+def shown(text: str) -> str:
     return html.escape(printable(text))
 
 
-def size_in_words(thing: Thing, metres_per_unit: float | None) -> str:
-    """Return length, width and height for people: "about 12 x 8 x 8 cm"; in units of the scene without metres."""
-    sides = thing.box.extent.tolist()
+def in_words(sides: Sequence[float], metres_per_unit: float | None) -> str:
+    """Return lengths for people: "about 12 x 8 x 8 cm"; in units of the scene without metres."""
     if metres_per_unit is None:
         return f"{' x '.join(f'{side:.2g}' for side in sides)} units"
     metres = [side * metres_per_unit for side in sides]
@@ -189,20 +202,16 @@ def _card(
     thing: Thing, names: Sequence[str], related: str, drawn: set[int | None], metres_per_unit: float | None
 ) -> str:
     image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
-    alternatives = f"or {_shown(', '.join(names[1:]))}<br>" if names[1:] else ""
+    alternatives = f"or {shown(', '.join(names[1:]))}<br>" if names[1:] else ""
     sure = certainty(thing.score, True) or ""
-    data = (
-        f'data-name="{_shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{thing.score or 0:.4f}"'
-    )
+    data = f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{thing.score or 0:.4f}"'
     return (
-        f"<li {data}>{image}<b>{_shown(thing.text) or 'unnamed'}</b> <small>{sure}</small><br><small>{alternatives}"
-        f"{_shown(size_in_words(thing, metres_per_unit))}<br>thing {thing.number}{related}</small></li>"
+        f"<li {data}>{image}<b>{shown(thing.text) or 'unnamed'}</b> <small>{sure}</small><br><small>{alternatives}"
+        f"{in_words(thing.box.extent.tolist(), metres_per_unit)}<br>thing {thing.number}{related}</small></li>"
     )
 
 
 def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit: float | None) -> str:
-    """A page of the objects, and folded, of all other things, with a box that filters them; it loads nothing but its
-    pictures."""
     text_of: dict[int | None, str] = {thing.number: thing.text for thing in catalog.things}
     parts: dict[int | None, set[str]] = {}
     for thing in catalog.things:
@@ -212,23 +221,26 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit:
     ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda each: -(each[0].score or 0))
     for thing, names in ordered:
         inside = parts.get(thing.number, set()) - {"", thing.text}
-        related = f", with {_shown(', '.join(sorted(inside)))}" if inside else ""
+        related = f", with {shown(', '.join(sorted(inside)))}" if inside else ""
         related += (
-            f", in {_shown(whole)}"
-            if (whole := text_of.get(thing.parent, "")) not in ("", thing.text)
-            else ""
+            f", in {shown(whole)}" if (whole := text_of.get(thing.parent, "")) not in ("", thing.text) else ""
         )
         cards[thing.number not in objects].append(_card(thing, names, related, drawn, metres_per_unit))
-    shown, folded = ("\n".join(each) for each in cards)
-    heading = _shown(title)
+    objects_list, folded = ("<ul>\n" + "\n".join(each) + "\n</ul>" for each in cards)
+    summary = f"Parts, groups and fragments ({len(cards[1])})"
+    return cards_page(f"Things of {title}", f"{len(catalog.things)} things", objects_list, summary, folded)
+
+
+def cards_page(heading: str, count: str, lists: str, summary: str, folded: str) -> str:
+    """Return a page of lists of cards, the last folded, with a box that filters them; it loads nothing but its
+    pictures."""
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Things of {heading}</title>\n'
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{shown(heading)}</title>\n'
         f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style>\n'
-        f"<h1>Things of {heading}</h1>\n"
+        f"<h1>{shown(heading)}</h1>\n"
         '<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
         '<select aria-label="Sort by"><option value="score">sort by certainty<option value="name">by name'
         '<option value="size">by size</select> '
-        f"<output>{len(catalog.things)} things</output></p>\n<ul>\n{shown}\n</ul>\n"
-        f"<details><summary>Parts, groups and fragments ({len(cards[1])})</summary><ul>\n{folded}\n</ul></details>\n"
-        f"<script>{_SCRIPT}</script>\n"
+        f"<output>{count}</output></p>\n{lists}\n"
+        f"<details><summary>{summary}</summary>{folded}</details>\n<script>{_SCRIPT}</script>\n"
     )
