@@ -29,6 +29,7 @@ STUDIES = Family(
         "viewer": "benchmarks.viewer:ViewerCost",
         "city": "benchmarks.city:Cities",
         "archive": "benchmarks.archive:Archives",
+        "compare": "benchmarks.compare:Compare",
     },
 )
 
