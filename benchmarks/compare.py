@@ -67,15 +67,18 @@ class Compare(Study):
     @staticmethod
     def table(record: Record) -> str:
         """Return precision, recall and false changes, over the pairs of each sort."""
-        rows = record["rows"].values()
-        body = []
+        rows, body = record["rows"].values(), []
         for pair in PAIRS:
-            of_pair = [row[pair] for row in rows if pair in row]
-            for kind in KINDS if of_pair else ():
-                right, found, true = (sum(of[kind][place] for of in of_pair) for place in range(3))
-                of_kind = f"{right} of {found}" if found else "none"
-                body.append([pair, str(len(of_pair)), kind, of_kind, f"{right} of {true}" if true else ""])
-        return markdown(["pairs", "number", "reported as", "right", "found"], body)
+            pairs = [row[pair] for row in rows if pair in row]
+            known = any(of[kind][2] for of in pairs for kind in KINDS)
+            for kinds in [(kind,) for kind in KINDS] if known else [KINDS]:
+                right, reported, true = (
+                    sum(of[kind][place] for of in pairs for kind in kinds) for place in range(3)
+                )
+                title = " or ".join(kinds)
+                found = f"{right} of {true}" if known else ""
+                body.append([f"{pair} ({len(pairs)})", title, f"{right} of {reported}", found])
+        return markdown(["pairs of captures", "reported as", "right", "of the true ones found"], body)
 
 
 PAIRS = (

@@ -24,6 +24,7 @@ import tyro
 from benchmarks.answers import Answers, Real
 from benchmarks.archive import Archives
 from benchmarks.city import Cities
+from benchmarks.compare import Compare
 from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
 from benchmarks.embed import Embedding
@@ -180,6 +181,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
     "archive": (Archives, "archive"),
+    "compare": (Compare, "compare"),
     "gpu": (Gpu, "gpu-nvidia-h200"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""

@@ -191,11 +191,10 @@ def shown(text: str) -> str:
 
 def in_words(sides: Sequence[float], metres_per_unit: float | None) -> str:
     """Return lengths for people: "about 12 x 8 x 8 cm"; in units of the scene without metres."""
-    if metres_per_unit is None:
-        return f"{' x '.join(f'{side:.2g}' for side in sides)} units"
-    metres = [side * metres_per_unit for side in sides]
-    scale, unit = (1, "m") if max(metres) >= 1 else (100, "cm")
-    return f"about {' x '.join(f'{side * scale:.2g}' for side in metres)} {unit}"
+    metres = [side * (metres_per_unit or 1.0) for side in sides]
+    scale, unit = (100, "cm") if metres_per_unit is not None and max(metres) < 1 else (1, "m")
+    text = " x ".join(f"{float(f'{side * scale:.2g}'):g}" for side in metres)
+    return f"{text} units" if metres_per_unit is None else f"about {text} {unit}"
 
 
 def _card(
