@@ -21,7 +21,7 @@ from typing import Any
 
 import tyro
 
-from benchmarks.answers import Answers, Real
+from benchmarks.answers import Real
 from benchmarks.archive import Archives
 from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
@@ -53,6 +53,7 @@ def record(name: str) -> dict[str, Any]:
 def readme() -> str:
     """Return four ways of building on scenes with real models and on simulated ones; bold: the best of a column."""
     real, simulated = record("real"), record("answers")["ways"]
+    simulated = {way: {key.removesuffix(", clean"): of[key] for key in of} for way, of in simulated.items()}
     names = {
         "default": "`scoup build`",
         "votes": "the same without things",
@@ -66,7 +67,7 @@ def readme() -> str:
         }
         for name, title in REAL_COLUMNS.items()
     } | {
-        title: {way: simulated[way][f"{group}, clean"]["always"] for way in names if way in simulated}
+        title: {way: simulated[way][group]["always"] for way in names if way in simulated}
         for group, title in README_COLUMNS.items()
     }
     rows = []
@@ -169,7 +170,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "extract": (Extraction, "extract"),
     "real": (Real, "real"),
     "concepts": (Concepts, "concepts"),
-    "constants": (Answers, "answers_fit"),
     "laptop": (Laptop, "laptop"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
