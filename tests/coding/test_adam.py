@@ -17,7 +17,7 @@ from scoup.coding.step import Step
 def test_trajectory_equals_plain_autograd() -> None:
     # float64, where rounding cannot hide a wrong gradient: Adam turns even tiny ones into whole steps. A
     # learning rate above the paper's makes supports change and the slots grow within few epochs.
-    rows = clip_like(150, 24).double()
+    rows = torch.nn.functional.normalize(clip_like(150, 24).double(), dim=1)
     atoms = spherical_kmeans(rows, 20, seed=0)
     settings = AdamSettings(epochs=60, learning_rate=0.02)
     solution = solve_adam(rows, 20, 3, settings=settings, initial_atoms=atoms)
