@@ -25,6 +25,7 @@ from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
 from scoup.uplift.storage.paths import view_file
 from support import KINDS, examples, random_gaussians, small_scene
+from uplift.random_votes import sums_of_triplets
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def sums_of_views() -> RegionSums:
         level, region = np.divmod(key.ravel()[chosen], stride)
         weight = rng.random(len(chosen)).astype(np.float32)
         parts = [torch.from_numpy(part) for part in (gaussian.ravel()[chosen], level, region, weight)]
-        sums.append(name, ViewSums.of_triplets(parts[0], parts[1], parts[2], parts[3], 2))
+        sums.append(name, sums_of_triplets(parts[0], parts[1], parts[2], parts[3], 2))
     sums.rows = rows
     return sums
 
