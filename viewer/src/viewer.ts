@@ -6,7 +6,7 @@ import { Eye } from "./camera";
 import { CameraList } from "./cameras";
 import { commandLine, python } from "./commands";
 import { completeFrom } from "./completion";
-import { byId, copy, counted, save } from "./dom";
+import { announce, byId, copy, counted, save } from "./dom";
 import { ExactPicture } from "./exact";
 import type { ExportedPage } from "./exported";
 import { Hovering } from "./hovering";
@@ -149,7 +149,11 @@ export class Viewer {
     const asking = byId("asking");
     const timer = window.setTimeout(() => (asking.textContent = `Looking for ${texts.join(", ")} …`), PATIENCE_SECONDS * 1000);
     try {
-      this.state.add(await this.source.ask(texts));
+      const answers = await this.source.ask(texts);
+      this.state.add(answers);
+      const told = answers.map(({ text, present, certainty, score, gaussians, chosen_things: things }) => (
+        { text, present, certainty, score, gaussians, things }));
+      announce("asked", { answers: told });
     } catch (error) {
       this.say((error as Error).message);
     } finally {
