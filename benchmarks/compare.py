@@ -182,23 +182,25 @@ def drawn_changes(
 
 
 def scored(found: Comparison, old: DemoScene, new: DemoScene, truth: Truth, in_part: bool) -> Record:
-    """Return [right, reported, true] of each kind of change; what a part of the path does not show is not known."""
+    """Return [right, reported, true] of each kind of change; what a part of the path does not show is not known.
+
+    A thing that moved to, or from, where no camera sees it was removed, or added.
+    """
     owners = Instances.of(old).of_gaussian, Instances.of(new).of_gaussian
+    of_old, of_new = (
+        {number for number in truth.removed | truth.added | truth.moved if _is_visible(scene, number)}
+        for scene in (old, new)
+    )
+    places = {
+        "removed": (truth.removed | truth.moved - of_new, of_old),
+        "added": (truth.added | truth.moved - of_old, of_new),
+        "moved": (truth.moved, of_old & of_new),
+    }
     figures: Record = {}
-    for kind in KINDS:
-        true = getattr(truth, kind)
+    for kind, (true, visible) in places.items():
         reported = [_instances(change, owners) for change in found.of_kind(kind)]
         right = {numbers.pop() for numbers in reported if len(numbers) == 1 and numbers <= true}
-        visible = {
-            number
-            for number in true
-            if all(
-                _is_visible(scene, number)
-                for scene, unseen in ((old, "added"), (new, "removed"))
-                if kind != unseen
-            )
-        }
-        figures[kind] = [len(right), len(found.of_kind(kind)), 0 if in_part else len(visible | right)]
+        figures[kind] = [len(right), len(reported), 0 if in_part else len(true & visible | right)]
     return figures
 
 
