@@ -15,7 +15,7 @@ from benchmarks.real_scenes import FOLDERS
 from benchmarks.scenes import LAYOUTS, find_layout
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import Instances
-from scoup.query.compare import Change, Comparison, compare
+from scoup.query.compare import Change, Comparison, Kind, compare
 from scoup.scene.cameras import Cameras
 from scoup_lab.bench import markdown
 from scoup_lab.synthetic.art.layout import Layout
@@ -30,7 +30,7 @@ MOVES = (0.5, 4.0)  # sizes of a thing that it moves
 SIZES_OF_VIEWS = 360, 270, 18, 0  # pixels, and views with and without regions
 PART = 0.4  # of the path of cameras
 LEAST_VIEWS, LEAST_PIXELS = 3, 75  # in which a thing that changes is visible
-KINDS = ("removed", "added", "moved")
+KINDS: tuple[Kind, ...] = ("removed", "added", "moved")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +191,7 @@ def scored(found: Comparison, old: DemoScene, new: DemoScene, truth: Truth, in_p
         {number for number in truth.removed | truth.added | truth.moved if _is_visible(scene, number)}
         for scene in (old, new)
     )
-    places = {
+    places: dict[Kind, tuple[frozenset[int], set[int]]] = {
         "removed": (truth.removed | truth.moved - of_new, of_old),
         "added": (truth.added | truth.moved - of_old, of_new),
         "moved": (truth.moved, of_old & of_new),
