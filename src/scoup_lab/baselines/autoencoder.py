@@ -51,6 +51,10 @@ class AutoencoderSettings:
     # outputs of the decoder's layers, but for the last, which has D
     decoder: tuple[int, ...] = (16, 32, 64, 128, 256, 256)
 
+    def departure(self) -> str:
+        """Return how the schedule departs from the published one; "" if it does not."""
+        return "" if self.epochs == LANGSPLAT.epochs else f"{self.epochs} of {LANGSPLAT.epochs} epochs"
+
 
 LANGSPLAT = AutoencoderSettings()
 

@@ -52,6 +52,11 @@ class JointSettings:
     learning_rate: float = 2.5e-3  # of Adam
     width: int = 120  # of the views learned from, in pixels; *choice*
 
+    def departure(self) -> str:
+        """Return how the schedule departs from the published one; "" if it does not."""
+        published = LANGSPLATV2.iterations
+        return "" if self.iterations == published else f"{self.iterations:,} of {published:,} steps"
+
 
 LANGSPLATV2 = JointSettings()
 
