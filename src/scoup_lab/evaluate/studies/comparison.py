@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any, ClassVar
@@ -87,7 +87,7 @@ class Comparison(Study[MethodResult]):
         for scene in scenes:
             inputs = [] if self.folder is None else _digests(scene)
             for method in self.methods:
-                found.append(self._kept_or_new(scene, method, inputs))
+                found.append(self._kept_or_new(scene, method, inputs, progress))
                 progress("compare", len(found), total)
         return found
 
@@ -113,10 +113,12 @@ class Comparison(Study[MethodResult]):
             self.stem, "Methods compared", [table for table in tables if table and table.rows], record
         )
 
-    def _kept_or_new(self, scene: StudyScene, method: Method, inputs: list[str]) -> MethodResult:
+    def _kept_or_new(
+        self, scene: StudyScene, method: Method, inputs: list[str], progress: Progress
+    ) -> MethodResult:
         path = None if self.folder is None else self.folder / scene.name / self._file(method, inputs)
         kept = path is not None and path.is_file()
-        result = MethodResult.read(path) if path and kept else self._result(scene, method)
+        result = MethodResult.read(path) if path and kept else self._result(scene, method, progress)
         if path and not kept:
             write_text(path, json.dumps(asdict(result)))
         scored = f"mIoU {100 * result.score.miou:.1f} %, fit in {result.fit.seconds:.1f} s"
@@ -131,12 +133,12 @@ class Comparison(Study[MethodResult]):
         key = hashlib.sha256(json.dumps(described).encode()).hexdigest()
         return f"{method.name}_{key[:16]}.json"
 
-    def _result(self, scene: StudyScene, method: Method) -> MethodResult:
+    def _result(self, scene: StudyScene, method: Method, progress: Progress) -> MethodResult:
         rasterised = scene.rasterised
         rasterised.inputs(method.pixels, method.views)  # not part of the fit
         rasterised.forget_codes()  # each method pays for its own
         with Meter() as meter:
-            fitted = method.fit(rasterised, self.settings)
+            fitted = method.fit(rasterised, replace(self.settings, progress=progress))
         return MethodResult(
             method.title(self.settings),
             scene.score(fitted, self.rule),
