@@ -86,10 +86,18 @@ class Batch(BuildOptions):
         return 2 if failed else 0
 
     def _folders(self) -> list[Path]:
-        from scoup.base.errors import MissingFileError
+        from scoup.base.errors import InputError, MissingFileError
+        from scoup.io.camera_sources import has_cameras
 
         if not self.scans.is_dir():
-            raise MissingFileError.of(self.scans, "a folder of scans")
+            problem = (
+                "is not a folder of scans" if self.scans.exists() else "there is no such folder of scans"
+            )
+            raise MissingFileError(self.scans, problem, "check the path")
+        if has_cameras(self.scans):
+            raise InputError(
+                f"{self.scans}: is a scan, expected a folder of scans; scoup build {self.scans} builds its field"
+            )
         folders = sorted(path for path in self.scans.iterdir() if path.is_dir() and path.name[0] != ".")
         if not folders:
             raise MissingFileError(self.scans, "contains no folders of scans", "check the path")

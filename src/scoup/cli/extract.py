@@ -102,6 +102,7 @@ class Extract(WritesCommon):
         """Extract and report; returns what the result says."""
         from scoup.base.errors import InputError
         from scoup.base.parts import Part
+        from scoup.cli.views import is_splat
         from scoup.extract import extract, find_photographs
         from scoup.extract.photograph_choice import total_wanted
         from scoup.extract.registry import open_pair
@@ -109,6 +110,10 @@ class Extract(WritesCommon):
 
         if self.scene is None:
             raise InputError("pass the folder of the scene, or --list")
+        if is_splat(self.scene):
+            raise InputError(
+                f"{self.scene}: is a splat, expected photographs; scoup build {self.scene} makes views of it first"
+            )
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
         words = self._words()  # a mistake shows before the long work
