@@ -79,6 +79,15 @@ def test_relations_are_one_text_for_a_model(monkeypatch):
     assert said == f"mug on the table: read as one text each; {SELECTS}"
 
 
+def test_no_option_is_said_to_take_none():
+    code, out, _ = run("views", PLY, "--views", "all", "--json")
+    assert (code, "--views: invalid literal for int() with base 10: 'all'" in out, "None" in out) == (
+        2,
+        True,
+        False,
+    )
+
+
 def test_a_field_that_names_nothing_to_encode_texts_is_warned_of():
     assert "a.scoup: names nothing that can encode texts; build with --model" in run(*BUILD)[2]
     assert "encode texts" not in run(*BUILD, "--model", TABLE, "--overwrite")[2]

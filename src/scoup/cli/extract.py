@@ -78,9 +78,7 @@ class Extract(WritesCommon):
     list_models: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
     """Print a table of segmenters, embedders and models with words, and whether their weights are on this machine; do
     nothing else."""
-    preset: Annotated[
-        Literal["langsplat", "fast"] | None, tyro.conf.arg(metavar="{langsplat,fast}", help_behavior_hint="")
-    ] = None
+    preset: Annotated[Literal["langsplat", "fast"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
     early filters, 16 bits on a GPU. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
