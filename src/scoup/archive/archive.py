@@ -133,9 +133,8 @@ class Archive:
         check_arguments("Archive", folder=(folder, PATH))
         self.folder = Path(folder)
         if self.folder.is_file():
-            raise FileFormatError(
-                self.folder, "is a file, expected the folder of an archive", "check the path"
-            )
+            problem = "is a file, expected the folder of an archive"
+            raise FileFormatError(self.folder, problem, "check the path")
         self._encoder: Encoder | None = encoder
         self._cached: Any = (None, None)
         self._connection = connect(self.folder)
@@ -255,12 +254,11 @@ class Archive:
                 raise MissingFileError(source, problem, "pass its new path as `encoder`")
         elif source is None and field is not None:
             source = field.encoder_source
+        if not source and about:
+            remedy = "pass a word table or model as `encoder`"
+            raise InputError(f"{self.folder}: does not say what encodes texts; {remedy}")
         if not source:
             problem = "contains no scan" if self.folder.is_dir() else "there is no such archive"
-            if about:
-                raise InputError(
-                    f"{self.folder}: does not say what encodes texts; pass a word table or model as `encoder`"
-                )
             raise InputError(f"{self.folder}: {problem}; add fields first")
         opened = source if isinstance(source, TextEncoder) else TextEncoder.open(source)
         if about and opened.dim != about["dim"]:

@@ -90,10 +90,10 @@ class Batch(BuildOptions):
         from scoup.io.camera_sources import has_cameras
 
         if not self.scans.is_dir():
-            problem = (
-                "is not a folder of scans" if self.scans.exists() else "there is no such folder of scans"
+            problem = "is a file" if self.scans.exists() else "there is no such folder"
+            raise MissingFileError(
+                self.scans, f"{problem} (a folder of scans was expected)", "check the path"
             )
-            raise MissingFileError(self.scans, problem, "check the path")
         if has_cameras(self.scans):
             raise InputError(
                 f"{self.scans}: is a scan, expected a folder of scans; scoup build {self.scans} builds its field"

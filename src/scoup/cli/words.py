@@ -26,9 +26,7 @@ class MakeWords(WritesCommon):
     model: str = CLIP_MODEL
     """The model that embedded the regions: a folder or hub id of a CLIP, SigLIP or TIPSv2, or
     open_clip:ARCH/PRETRAINED."""
-    word_list: Annotated[OptionalPath, tyro.conf.arg(name="list", metavar="FILE", help_behavior_hint="")] = (
-        None
-    )
+    word_list: Annotated[OptionalPath, tyro.conf.arg(name="list")] = None
     """Words to ask for, one per line. Default: everyday words alone."""
     out: Path = Path("words.npz")
     """The table to write, an .npz file."""
