@@ -13,7 +13,7 @@ from scoup.models.text import TextEncoder
 pytestmark = pytest.mark.usefixtures("here")
 
 TABLE, PLY = "scene/words.npz", "scene/point_cloud.ply"
-SELECT = ("--out", "a.ply")
+SELECT, FREE = ("--out", "a.ply"), ("--segmenter", "felzenszwalb", "--embedder", "colors")
 SELECTS = "relations, orders, and, or, not are for scoup select"
 
 
@@ -39,6 +39,7 @@ SELECTS = "relations, orders, and, or, not are for scoup select"
         (("build", "f.scoup", "--out", "a.scoup"), "f.scoup: is neither a scene nor a splat; pass the folder of cam"),
         (("extract", PLY), f"{PLY}: is a splat, expected photographs; scoup build {PLY} makes views of it first"),
         (("extract", "scene", "--views", "ten"), "invalid views 'ten'; expected a number such as 60, more as +40"),
+        (("extract", "scene", "--views", "+4", "--out", "r", *FREE), "r: contains no regions to add to; pass --views"),
         (("extract", "scene", "--images", "scene/sparse"), "folder that their names are relative to as --images"),
         (("views", PLY, "--out", "scene"), "scene: is a scene with other cameras; choose another folder with --out"),
         (("batch", "scene", "--out", "b"), "scene: is a scan, expected a folder of scans; scoup build scene builds"),

@@ -17,7 +17,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.build_options import BuildOptions
-from scoup.cli.console import Console
+from scoup.cli.console import Console, with_options
 from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
 
 REPORT = "batch.json"
@@ -72,7 +72,7 @@ class Batch(BuildOptions):
                         if self.overwrite or _is_older(archive.folder / f"{name}.parquet", file):
                             archive.add(file)
                     except ScoupError as error:
-                        record["error"] = str(error)
+                        record["error"] = with_options(str(error))
                 records[name] = record
                 self._write(records)
                 progress("scans", len(records), len(folders))

@@ -170,6 +170,8 @@ class Extract(WritesCommon):
         if self.views is not None and self.views.startswith("+"):
             if self.part is not None:
                 raise InputError("pass the number of all photographs as --views with --part, not of more")
+            if before is None:
+                raise InputError(f"{out}: contains no regions to add to; pass --views {self.views[1:]}")
             if len(RegionStore.open(out).views(there)) < len(there):
                 total = len(there)  # the same command was interrupted
         try:

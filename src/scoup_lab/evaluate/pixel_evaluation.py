@@ -60,7 +60,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
     ) -> PixelResult:
         vectors = encode_labels(scene, source, self.device)
         path = out / "fields" / f"{scene.name}.scoup"
-        field = self.field(scene, path, source, progress, say)
+        field = self.field(scene, path, source, progress)
         cache, digest = out / "cache", file_sha256(path)
         rule = self.protocol.rule(self.rules)
         maps = predict(scene, vectors, field, digest, cache, progress=progress)
