@@ -62,7 +62,9 @@ class ServeAgents(Common):
             from scoup.archive.agent_tool import archive_tool
             from scoup.archive.archive import Archive
 
-            more = [archive_tool(Archive(self.archive, self.text))]
+            archive = Archive(self.archive, self.text)
+            archive.text_encoder()  # as above
+            more = [archive_tool(archive)]
         server = make_server(SceneTools(fields, self.out, self.metres_per_unit), more)
         try:
             console.warn(f"serving {', '.join(names)} over standard input and output")
