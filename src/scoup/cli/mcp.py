@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import signal
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Common, OptionalNumber, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import (
+    Common,
+    OptionalInteger,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+)
 from scoup.cli.query_options import check_metres
 from scoup.cli.stop import Terminated
 
@@ -18,10 +26,10 @@ from scoup.cli.stop import Terminated
 @dataclass(frozen=True, kw_only=True)
 class ServeAgents(Common):
     """Serve fields to a language model over standard input and output (Model Context Protocol): list and find things,
-    relations, distances, views with marks, and export selections into one folder. A client starts this program; see
-    docs/agents.md."""
+    relations, distances, views with marks, and export selections into one folder. A client starts this program, or
+    several connect to it with --http; see docs/agents.md."""
 
-    option_groups: ClassVar[OptionGroups] = {"tools": "text out archive metres_per_unit"}
+    option_groups: ClassVar[OptionGroups] = {"tools": "text out archive metres_per_unit", "server": "http"}
 
     fields: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
@@ -37,15 +45,20 @@ class ServeAgents(Common):
     """Archive in which things are found too, written by scoup archive."""
     metres_per_unit: OptionalNumber = None
     """Length of the scenes' unit in metres."""
+    http: Annotated[OptionalInteger, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
+    """Serve several clients of this machine over HTTP, at this port (0: any). Address and token are printed."""
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
         from scoup.base.errors import InputError
         from scoup.field.language_field import LanguageField
+        from scoup.view.mcp_http import serve_http
         from scoup.view.mcp_server import make_server, serve
         from scoup.view.scene_tools import SceneTools
 
         check_metres(self.metres_per_unit)
+        if self.http is not None and not 0 <= self.http <= 65535:
+            raise InputError(f"--http must be a port, 0 to 65535, got {self.http}")
         names = [path.stem for path in self.fields]
         if not names or len(set(names)) < len(names):
             raise InputError(f"expected .scoup files with different names, got {', '.join(names) or 'none'}")
@@ -64,9 +77,18 @@ class ServeAgents(Common):
 
             more = [archive_tool(Archive(self.archive, self.text))]
         server = make_server(SceneTools(fields, self.out, self.metres_per_unit), more)
+        stopped = None
         try:
-            console.warn(f"serving {', '.join(names)} over standard input and output")
-            stopped = serve(server)
+            if self.http is not None:
+                serve_http(server, self.http, partial(_announce, console))
+            else:
+                console.warn(f"serving {', '.join(names)} over standard input and output")
+                stopped = serve(server)
         except KeyboardInterrupt as stop:
             return 143 if isinstance(stop, Terminated) else 0
         return 143 if stopped == signal.SIGTERM else 0
+
+
+def _announce(console: Console, address: str, token: str) -> None:
+    console.say(f"{address}\nheader of each request: Authorization: Bearer {token}\npress Ctrl-C to stop")
+    console.result({"address": address, "token": token})
