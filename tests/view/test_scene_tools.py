@@ -104,6 +104,8 @@ def test_a_scene_is_described_as_a_graph():
     assert {each["thing"] for each in around[0][1:]} == {1, 2, 3, 6}
     assert {each["thing"] for each in around[6]} == {6, 0, 7}
     assert tools.describe_scene("room", limit=1)["more"] == graph["count"] - 1
+    listed = SceneTools(tools.fields, words=("bowl", "ball")).list_things("room")["things"]
+    assert {each["text"]: each["thing"] for each in listed if each["text"]} == {"bowl": 6, "ball": 5}
 
 
 def test_a_view_marks_things(tools: SceneTools):
@@ -231,3 +233,5 @@ def test_what_cannot_be_served_is_refused(folder: Path, monkeypatch: pytest.Monk
     monkeypatch.chdir(folder)
     assert "different names" in refused("mcp", "f.scoup", "f.scoup")
     assert "f.scoup: is a file; name a folder" in refused("mcp", "f.scoup", "--out", "f.scoup")
+    Path("list.txt").write_text("dragon\n")
+    assert "no text embedding named 'dragon'" in refused("mcp", "f.scoup", "--words", "list.txt")

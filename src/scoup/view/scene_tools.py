@@ -48,6 +48,8 @@ class SceneTools:
     """Where selections are written; None: nowhere."""
     metres_per_unit: float | None = None
     """Length of the scenes' unit; positions and distances are given in metres, too."""
+    words: tuple[str, ...] | None = None
+    """That may be names of things; None: those that a page has."""
 
     def list_scenes(self) -> list[dict[str, Any]]:
         """List the scenes with their size, number of things, levels and cameras."""
@@ -211,20 +213,18 @@ class SceneTools:
         return looked_up("scene", scene, self.fields)
 
     def _named(self, scene: str) -> dict[int | None, Thing]:
-        """Return all things by number, the largest first, with their names and the scores of these.
-
-        The names are of the words that a page has; without an encoder there are none.
-        """
+        """Return all things by number, the largest first, with their names and the scores of these; without an
+        encoder there are no names."""
         field = self._field(scene)
 
         def made() -> dict[int, ThingName]:
             try:
-                words = everyday_vocabulary(field.text_encoder())
+                words = self.words or everyday_vocabulary(field.text_encoder())
                 return thing_names(field, field.question(words))
             except ScoupError:
                 return {}
 
-        names, things = field.kept((ThingName,), made), self._things(scene)
+        names, things = field.kept((ThingName, self.words), made), self._things(scene)
         for number, name in names.items():
             if number in things:
                 things[number] = replace(things[number], text=name.texts[0], score=name.score)
