@@ -18,6 +18,7 @@ STUDIES = Family(
         "answers": "benchmarks.answers:Answers",
         "real": "benchmarks.answers:Real",
         "things": "benchmarks.things:Things",
+        "agents": "benchmarks.agents:Agents",
         "concepts": "benchmarks.concepts:Concepts",
         "views": "benchmarks.views:Views",
         "laptop": "benchmarks.laptop:Laptop",
