@@ -188,9 +188,10 @@ def related_pairs(
         for other in np.flatnonzero((gaps <= CONTACT * heights[one]).all(1)).tolist():
             if other == one:
                 continue
-            what = next((what for what in ("inside", "on") if CONDITIONS[what](shapes, one, (other,))), "")
-            if what:
-                yield _number(thing), what, _number(things[other])
+            inside, on = (CONDITIONS[what](shapes, one, (other,)) for what in ("inside", "on"))
+            if inside or on:
+                is_inside = inside and (not on or shapes.encloses(other, one))
+                yield _number(thing), "inside" if is_inside else "on", _number(things[other])
 
 
 def _number(thing: Thing) -> int:
