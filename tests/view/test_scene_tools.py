@@ -96,11 +96,11 @@ def test_a_scene_is_described_as_a_graph():
         number: [0] for number in (1, 2, 3, 6)
     }
     assert [each for each in graph["things"] if "inside" in each] == [
-        {"thing": 7, "text": "apple", "inside": [6]}
+        {"thing": 7, "text": "apple", "certainty": "sure", "inside": [6]}
     ]
     around = {number: tools.describe_scene("room", number)["things"] for number in (0, 4, 6)}
-    assert around[4] == [{"thing": 4, "text": "lamp"}]
-    assert around[0][0] == {"thing": 0, "text": "table"}
+    assert around[4] == [{"thing": 4, "text": "lamp", "certainty": "sure"}]
+    assert around[0][0] == {"thing": 0, "text": "table", "certainty": "sure"}
     assert {each["thing"] for each in around[0][1:]} == {1, 2, 3, 6}
     assert {each["thing"] for each in around[6]} == {6, 0, 7}
     assert tools.describe_scene("room", limit=1)["more"] == graph["count"] - 1

@@ -19,6 +19,7 @@ from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
 from scoup.query.phrases import counted_text
+from scoup.query.presence import certainty
 from scoup.query.relations import related_pairs
 from scoup.query.thing_names import ThingName, find_objects, thing_names
 from scoup.query.things import Thing
@@ -79,7 +80,8 @@ class SceneTools:
     def list_things(self, scene: str, level: str | None = None, limit: int = 50) -> dict[str, Any]:
         """List the things of a scene in short, the largest first; `level` keeps those of one level of detail.
 
-        `more` is how many are not listed; `describe_thing` tells the rest of one.
+        `text` is the name of a thing, if it has one, and `certainty` that of the name; `more` is how many are not
+        listed; `describe_thing` tells the rest of one.
         """
         if level is not None:
             self._field(scene).level_index(level)
@@ -88,7 +90,8 @@ class SceneTools:
         def brief(thing: Thing) -> dict[str, Any]:
             record = thing.to_dict(self.metres_per_unit)
             return {
-                **{name: record[name] for name in ("thing", "text", "level")},
+                **_name(thing),
+                "level": thing.level,
                 f"position{metres}": record[f"position{metres}"],
                 f"extent{metres}": record["extent_metres"] if metres else record["box"]["extent"],
             }
@@ -99,8 +102,7 @@ class SceneTools:
     def describe_scene(self, scene: str, thing: int | None = None, limit: int = 50) -> dict[str, Any]:
         """Describe a scene as a graph: its objects, the largest first, and the numbers of what each is on or inside.
 
-        With `thing`, only that thing, what it is on or inside, and what is on or inside it. An object without a name
-        has the text "". `more` is how many are not listed.
+        With `thing`, only that one, what it is on or inside, and what is on or inside it. Names: as in `list_things`.
         """
         field, every = self._field(scene), self._named(scene)
         objects = list(every.values())
@@ -115,7 +117,7 @@ class SceneTools:
                 shown |= {one, other}
 
         def node(each: Thing) -> dict[str, Any]:
-            return {"thing": each.number, "text": each.text, **related.get(each.number or 0, {})}
+            return {**_name(each), **related.get(each.number or 0, {})}
 
         return _reply([each for each in objects if thing is None or each.number in shown], limit, node)
 
@@ -241,6 +243,11 @@ def _reply(
         raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
     listed = [describe(thing) for thing in things[:limit]]
     return {"count": len(things), "more": len(things) - len(listed), "things": listed}
+
+
+def _name(thing: Thing) -> dict[str, Any]:
+    sure = certainty(thing.score, True) if thing.text else None
+    return {"thing": thing.number, "text": thing.text, **({} if sure is None else {"certainty": sure})}
 
 
 def _numbered_thing(things: Mapping[int | None, Thing], number: int) -> Thing:
