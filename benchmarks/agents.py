@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -46,12 +46,12 @@ is meant. Of "which", the first is right. They were written before any answer wa
 
 @dataclass(frozen=True, kw_only=True)
 class Agents(Study):
-    """Ask two scenes of real models 12 questions of what, where, how many and which, and for an elephant, by the tools
-    of `scoup mcp`, called by the protocol's own client; fixed rules make answers of the replies.
+    """Ask two scenes of real models 12 questions, and for an elephant, by the tools of `scoup mcp` and the protocol's
+    own client; fixed rules make answers of the replies.
 
-    What is on the table: three names of the graph, largest things first, all truly on it. Where: the position lies in
-    the mask of the name in most labelled views. Which: of two phrases only the true one finds something. Names of
-    things are of one list for both scenes: the names that all scenes of real models are asked for.
+    What is on it: the three surest names of the graph, all true; of equally sure ones the largest things. Where: the
+    position lies in the mask of the name in most labelled views. Which: only the true one of two phrases finds
+    something. Things are named by the names of what is in the scene and of 40 or more things that are not.
     """
 
     data: Path = field(default_factory=data_folder)
@@ -70,10 +70,9 @@ class Agents(Study):
     @staticmethod
     def table(record: Record) -> str:
         """Return a row per question."""
+        every = [(scene, row) for scene, rows in record["rows"].items() for row in rows]
         body = [
-            [scene, row["question"], row["answer"], "yes" if row["right"] else "no"]
-            for scene, rows in record["rows"].items()
-            for row in rows
+            [scene, row["question"], row["answer"], "yes" if row["right"] else "no"] for scene, row in every
         ]
         return markdown(["scene", "question", "answer", "right"], body, left=4)
 
@@ -85,10 +84,9 @@ async def _asked(name: str, data: Path) -> list[Record]:
     gaussians = scoup.load_gaussians(data / FOLDERS[name] / "point_cloud.splat")
     built = scoup.build(gaussians, scene.cameras, scene.regions)
     built.text_encoder(data / "desk" / "desk_words.npz")
-    known = {word for folder in FOLDERS.values() for word in _names(data / folder)}
-    words = tuple(sorted(known.intersection(built.text_encoder().names or ())))
+    tools = SceneTools({"scene": built}, words=(*sorted(_labels(scene)), *scene.absent))
     rows = []
-    async with Client(make_server(SceneTools({"scene": built}, words=words))) as client:
+    async with Client(make_server(tools)) as client:
 
         async def call(tool: str, **arguments: Any) -> Any:
             reply: Any = await client.call_tool(tool, {"scene": "scene", **arguments})
@@ -104,11 +102,10 @@ async def _answer(call: Call, scene: RealScene, kind: str, asked: str, truth: An
     """Return the answer to a question, and whether it is right."""
     if kind.startswith("which is "):
         (one, other), relation = asked.split(" or "), kind.removeprefix("which is ")
-        phrases = [
-            f"{name} {relation.replace('the other', rest)}" for name, rest in ((one, other), (other, one))
-        ]
-        counts = [(await call("find", text=text, seen_from=truth))["count"] for text in phrases]
-        found = [name for name, count in zip((one, other), counts, strict=True) if count]
+        found = []
+        for name, rest in ((one, other), (other, one)):
+            phrase = f"{name} {relation.replace('the other', rest)}"
+            found += [name] if (await call("find", text=phrase, seen_from=truth))["count"] else []
         return " and ".join(found) or "neither", found == [one]
     reply = await call("find", text=f"how many {asked}" if kind == "how many" else asked)
     if kind == "how many":
@@ -116,23 +113,19 @@ async def _answer(call: Call, scene: RealScene, kind: str, asked: str, truth: An
     if not reply["count"]:
         certainty = reply["texts"][0]["certainty"]
         return certainty, kind == "is there" and certainty == "not here"
-    first = reply["things"][0]
+    first, place = reply["things"][0], reply["things"][0]["position"]
     if kind != "what is on":
-        place = "{:.2f}, {:.2f}, {:.2f}".format(*first["position"])
-        return place, kind == "where is" and _is_in(scene, asked, first["position"])
+        return str(place), kind == "where is" and _is_in(scene, asked, place)
     graph = (await call("describe_scene", thing=first["thing"]))["things"]
-    names = [each["text"] for each in graph if each["text"] and first["thing"] in each.get("on", ())]
-    three = list(dict.fromkeys(names))[:3]
-    on_it = _names(scene.folder, truth.split(","))
+    named = [each for each in graph if each["text"] and first["thing"] in each.get("on", ())]
+    named.sort(key=lambda each: ["sure", "likely", "doubtful"].index(each["certainty"]))
+    three = list(dict.fromkeys(each["text"] for each in named))[:3]
+    on_it = _labels(scene).difference(truth.split(","))
     return ", ".join(three) or "nothing", len(three) == 3 and on_it.issuperset(three)
 
 
-def _names(folder: Path, left_out: Sequence[str] = ()) -> set[str]:
-    """Return the names of what is in a scene, with other names of the same, but for some."""
-    meanings = json.loads((folder / "words.json").read_text())
-    if "asked" in meanings:  # desk
-        meanings = {name: meanings["other_names_of_asked"].get(name, []) for name in meanings["asked"]}
-    return {each for name, others in meanings.items() if name not in left_out for each in (name, *others)}
+def _labels(scene: RealScene) -> set[str]:
+    return {label for frame, _ in scene.frames for label in frame.labels}
 
 
 def _is_in(scene: RealScene, label: str, position: list[float]) -> bool:
@@ -140,9 +133,9 @@ def _is_in(scene: RealScene, label: str, position: list[float]) -> bool:
     hits = []
     for frame, camera in scene.frames:
         if label in frame.masks:
-            seen = camera.viewmat[:3, :3].double() @ torch.tensor(position).double() + camera.viewmat[:3, 3]
-            column, row = ((camera.K.double() @ seen)[:2] / seen[2]).floor().int().tolist()
-            mask = frame.masks[label]
-            inside = 0 <= row < mask.shape[0] and 0 <= column < mask.shape[1] and float(seen[2]) > 0
-            hits.append(inside and bool(mask[row, column]))
+            seen = camera.viewmat.double() @ torch.tensor([*position, 1.0]).double()
+            column, row = ((camera.K.double() @ seen[:3])[:2] / seen[2]).floor().int().tolist()
+            height, width = frame.masks[label].shape
+            inside = 0 <= row < height and 0 <= column < width
+            hits.append(inside and bool(frame.masks[label][row, column]))
     return sum(hits) > len(hits) / 2
