@@ -94,7 +94,8 @@ async def _asked(name: str, data: Path) -> list[Record]:
 
         for kind, asked, truth in QUESTIONS[name]:
             answer, right = await _answer(call, scene, kind, asked, truth)
-            rows.append({"question": f"{kind} {asked}?", "answer": answer, "right": right})
+            comma = "," * kind.startswith("which")
+            rows.append({"question": f"{kind}{comma} {asked}?", "answer": answer, "right": right})
     return rows
 
 
