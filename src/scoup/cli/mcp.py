@@ -59,7 +59,6 @@ class ServeAgents(Common):
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
-        from scoup.view.mcp_http import serve_http
         from scoup.view.mcp_server import make_server, serve
         from scoup.view.scene_tools import SceneTools
         from scoup.view.vocabulary import read_words
@@ -77,6 +76,8 @@ class ServeAgents(Common):
         stopped = None
         try:
             if self.http is not None:
+                from scoup.view.mcp_http import serve_http
+
                 serve_http(server, self.http, partial(_announce, console))
             else:
                 console.warn(f"serving {', '.join(fields)} over standard input and output")
