@@ -29,6 +29,7 @@ STUDIES = Family(
         "viewer": "benchmarks.viewer:ViewerCost",
         "city": "benchmarks.city:Cities",
         "archive": "benchmarks.archive:Archives",
+        "archive-times": "benchmarks.archive_times:ArchiveTimes",
     },
 )
 

@@ -23,6 +23,7 @@ import tyro
 
 from benchmarks.answers import Answers, Real
 from benchmarks.archive import Archives
+from benchmarks.archive_times import ArchiveTimes
 from benchmarks.city import Cities
 from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
@@ -180,6 +181,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "viewer": (ViewerCost, "viewer"),
     "city": (Cities, "city"),
     "archive": (Archives, "archive"),
+    "archive times": (ArchiveTimes, "archive_times"),
     "gpu": (Gpu, "gpu-nvidia-h200"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""
@@ -211,7 +213,6 @@ HIDDEN = {
     "query": "location in the scene, (same text again|ten further .*)",
     "viewer": "exported words.*|program, bytes",
     "city": "(load|coding|region sums|vote|save), s",
-    "archive": "seconds|exponential tail per scan",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 
