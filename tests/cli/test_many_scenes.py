@@ -15,7 +15,8 @@ from cli_support import RUN, run, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick_python")
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "many_scenes.md"
-RECIPES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```$", PAGE.read_text(), re.M | re.S))
+TOOLS = PAGE.read_text().partition("## Other tools")[2]
+RECIPES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```$", TOOLS, re.M | re.S))
 
 
 @pytest.fixture

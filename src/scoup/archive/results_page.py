@@ -24,7 +24,7 @@ def results_page(title: str, found: Sequence[FoundThing], place: Path) -> str:
 
     Args:
         title: above them.
-        found: each links to its scan's page, if `scoup view --export` has written one beside the field.
+        found: each links to its scan's page, if `scoup view` has exported one beside the field.
         place: of the page, for links.
     """
     pictures = {
