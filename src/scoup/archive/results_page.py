@@ -20,7 +20,7 @@ from scoup.query.things import things_of_table
 def results_page(title: str, found: Sequence[FoundThing], place: Path) -> str:
     """Return a page of things, with pictures of those whose fields are there and have cameras.
 
-    Pictures are drawn now, for these things only: drawing is slower than adding a scan, and most things are never shown.
+    Pictures are drawn now, for these things only: drawing all would slow adding scans, and most are never shown.
 
     Args:
         title: above them.

@@ -62,7 +62,6 @@ class SearchArchive(WritesCommon):
     """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: that of the first field."""
-
     page: OptionalPath = None
     """Write what was found to this HTML file, with pictures. Each thing links to itself in the page of its scan that
     scoup view FIELD.scoup --export FIELD.html wrote, if there is one."""
