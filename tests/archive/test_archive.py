@@ -439,7 +439,7 @@ def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch:
     assert run("archive", "a", "mug", "--page", "found.html")[0] == 0
     page, mugs = Path("found.html").read_text(), scoup.Archive("a").find("mug")
     assert page.count("<li>") == len(mugs) > 5
-    assert page.count('<img alt="" src="data:image/png;base64,') == len(mugs) - 1, "one is too far away to be seen"
+    assert page.count('<img alt="" src="data:image/png;base64,') == len(mugs) - 1  # one is too far away
     links = [os.path.relpath(exported) + f"#thing={each.thing}" for each in mugs if each.scan == "kitchen"]
     assert re.findall('href="(.*?)"', page) == links
     assert "exists" in refused("archive", "a", "mug", "--page", "found.html")
