@@ -18,6 +18,7 @@ STUDIES = Family(
         "answers": "benchmarks.answers:Answers",
         "real": "benchmarks.answers:Real",
         "things": "benchmarks.things:Things",
+        "agents": "benchmarks.agents:Agents",
         "concepts": "benchmarks.concepts:Concepts",
         "laptop": "benchmarks.laptop:Laptop",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
@@ -26,6 +27,7 @@ STUDIES = Family(
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "archive": "benchmarks.archive:Archives",
+        "archive-times": "benchmarks.archive_times:ArchiveTimes",
         "compare": "benchmarks.compare:Compare",
     },
 )

@@ -21,8 +21,10 @@ from typing import Any
 
 import tyro
 
+from benchmarks.agents import Agents
 from benchmarks.answers import Real
 from benchmarks.archive import Archives
+from benchmarks.archive_times import ArchiveTimes
 from benchmarks.compare import Compare
 from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
@@ -166,6 +168,7 @@ def scannet() -> str:
 
 
 STUDIES: dict[str, tuple[type[Study], str]] = {
+    "agents": (Agents, "agents"),
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "extract": (Extraction, "extract"),
@@ -175,6 +178,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "archive": (Archives, "archive"),
+    "archive times": (ArchiveTimes, "archive_times"),
     "compare": (Compare, "compare"),
     "gpu": (Gpu, "gpu-nvidia-h200"),
 }
@@ -206,7 +210,6 @@ HIDDEN = {
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)",
     "viewer": "exported words.*|program, bytes",
-    "archive": "seconds|exponential tail per scan",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 

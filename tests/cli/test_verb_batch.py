@@ -35,6 +35,9 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     assert said["failed"] == ["broken"]
     assert "scans/broken/point_cloud.ply" in said["scans"]["broken"]["error"]
     assert json.loads(Path("fields/batch.json").read_text())["scans"] == said["scans"]
+    rows = [row.split("<td>")[1:] for row in Path("fields/batch.html").read_text().split("<tr>")[2:]]
+    assert [row[:2] for row in rows] == [["a", "done"], ["b", "done"], ["broken", "failed"]]
+    assert "scans/broken/point_cloud.ply" in rows[2][3]
     for name in "ab":
         assert not said["scans"][name]["kept"]
         assert LanguageField.load(f"fields/{name}.scoup").n_atoms == 8
@@ -64,6 +67,14 @@ def test_regions_are_extracted_first(tmp_path: Path, monkeypatch: pytest.MonkeyP
     said = run_json("batch", "scans", "--out", "fields", *models, *QUICK)
     assert said["failed"] == []
     assert Path("scans/a/language_features").is_dir()
+
+
+def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "scans" / "a")
+    code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive", *QUICK)
+    assert code == 2
+    assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
 
 
 @pytest.mark.parametrize(

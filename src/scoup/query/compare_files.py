@@ -11,6 +11,7 @@ from PIL import Image
 
 from scoup.base.atomic import write_text
 from scoup.base.counts import counted
+from scoup.base.html import shown
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.pictures import as_picture
@@ -22,7 +23,6 @@ from scoup.query.catalog_files import (
     crop_window,
     cropped,
     in_words,
-    shown,
     thing_mask,
     viewing_cameras,
 )
@@ -66,14 +66,14 @@ def save_comparison(
     lists = {kind: "<ul class=pairs>\n" + "\n".join(each) + "\n</ul>" for kind, each in cards.items()}
     titles = {kind: f"{title} ({len(cards[kind])})" for kind, title in TITLES.items()}
     heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
-    page = cards_page(
+    content = cards_page(
         f"Changes between {heading}",
         counted(len(comparison.changes) - len(cards["unseen"]), "change"),
         "\n".join(f"<h2>{titles[kind]}</h2>\n{lists[kind]}" for kind in KINDS if kind != "unseen"),
         titles["unseen"],
         lists["unseen"],
     )
-    write_text(folder / PAGE, page)
+    write_text(folder / PAGE, content)
 
 
 def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float | None]) -> str:
