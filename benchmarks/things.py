@@ -231,7 +231,7 @@ def relations(built: scoup.LanguageField, frame: Frame, cases: Cases, most: int)
         for wanted in (True, False):
             clear = [phrase for holds, phrase in of if holds is wanted]
             asked = [clear[place] for place in rng.permutation(len(clear))[:most]]
-            answered = sum(bool(built.things(phrase, frame)) for phrase in asked)
+            answered = sum(bool(built.things(built.question(phrase, frame=frame))) for phrase in asked)
             tally += [answered, len(asked) - answered]
         found[relation] = tally
     return found
@@ -246,8 +246,8 @@ def of_desk(data: Path) -> Record:
     frame = built.frame(VIEWER)
     texts = sorted({label for labelled, _ in desk.frames for label in labelled.labels})
     _, times = _asked(built, texts)
-    missed = [fact for fact in FACTS if not built.things(fact, frame)]
-    wrong = [converse for converse in FACTS.values() if built.things(converse, frame)]
+    missed = [fact for fact in FACTS if not built.things(built.question(fact, frame=frame))]
+    wrong = [each for each in FACTS.values() if built.things(built.question(each, frame=frame))]
     return {
         "facts": [len(FACTS) - len(missed), len(FACTS)],
         "converses": [len(wrong), len(FACTS)],

@@ -159,6 +159,7 @@ export class Panel {
 
   private certainty({ answer }: Query): [string, string] {
     const { score, certainty, present, runner_up: rival } = answer;
+    if (answer.remark) return [answer.remark, ""];
     if (score === null) return ["not here", ""];
     const number = score.toFixed(2);
     const title = [`${SCORE_TITLE}; present from ${this.metadata.present_from}, if enough Gaussians answer`];

@@ -24,6 +24,8 @@ RELATIONS: dict[str, tuple[str, ...]] = {
     "inside": ("inside of", "inside", "within", "in"),
 }
 """Relations between two things (for "between" three), and the words for each."""
+DIRECTED = ("left of", "right of", "in front of", "behind")
+"""Relations that depend on where they are seen from."""
 SIDES = ("left", "right", "top", "bottom", "front", "back")
 SIZES = {"largest": "largest", "biggest": "largest", "smallest": "smallest"}
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
@@ -38,6 +40,12 @@ _UNKNOWN = frozenset(
 _COUNTING = re.compile(
     r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE
 )
+_ANYTHING = frozenset(
+    ["what", "what's", "thing", "things", "object", "objects", "anything", "everything", "something"]
+)
+"""Words before a relation that stand for all objects of the scene."""
+_FILLERS = ("is", "are", "that", "which", "there")
+"""Words before a relation that say nothing."""
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
@@ -49,7 +57,7 @@ KNOWN_PHRASES = (
 class Phrase:
     """A text, and what singles out some of the things that answer it. Relations count first, then the order."""
 
-    text: str
+    text: str  # "" before a relation: any object
     relation: str = ""  # a key of RELATIONS; "" for none
     anchors: tuple[Target, ...] = ()  # what the relation refers to: one, for "between" two
     order: str = ""  # "largest", "smallest", or one of SIDES to count from; "" keeps all
@@ -58,11 +66,24 @@ class Phrase:
     @property
     def texts(self) -> tuple[str, ...]:
         """Return all texts to look for, its own first."""
-        return self.text, *(text for anchor in self.anchors for text in texts_of(anchor))
+        own = (self.text,) if self.text else ()
+        return *own, *(text for anchor in self.anchors for text in texts_of(anchor))
+
+    @property
+    def parts(self) -> tuple[Phrase, ...]:
+        """Return itself and the phrases in it."""
+        inner = (part for anchor in self.anchors if isinstance(anchor, Phrase) for part in anchor.parts)
+        return self, *inner
+
+    @property
+    def is_seen(self) -> bool:
+        """Return whether its things depend on where it is seen from."""
+        sides = ("left", "right", "front", "back")
+        return any(part.relation in DIRECTED or part.order in sides for part in self.parts)
 
     def __str__(self) -> str:
         ordinal = ORDINALS[self.rank - 1] if self.rank <= len(ORDINALS) else f"{self.rank}th"
-        text = self.text
+        text = self.text or ("thing" if self.order else "what is")
         if self.order in SIZES:
             text = f"{self.order} {text}" if self.rank == 1 else f"{ordinal} {self.order} {text}"
         elif self.order in SIDES:
@@ -120,6 +141,8 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
         return Phrase(_noun(head, source), order=order, rank=rank) if order else text
     _, relation, length = place
     rest = words[end + length :]
+    while head and head[-1].lower() in _FILLERS:
+        head = head[:-1]
     if relation == "between":
         middle = next((k for k, word in enumerate(rest) if word.lower() == "and"), None)
         if middle is None:
@@ -128,7 +151,8 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
     else:
         parts = [rest]
     anchors = tuple(_anchor(part, source, depth) for part in parts)
-    return Phrase(_noun(head, source), relation, anchors, order, rank)
+    noun = _noun(head, source)
+    return Phrase("" if noun.lower() in _ANYTHING else noun, relation, anchors, order, rank)
 
 
 def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
