@@ -145,12 +145,10 @@ def make_question(
     def made() -> Question[Any]:
         asked = _parsed([texts] if isinstance(texts, (str, Expression)) else texts, source.names)
         alone = [each.root for _, each in asked if isinstance(each.root, str) and not each.counted]
-        if len(alone) == len(asked):
-            vectors = _vectors(field, alone or texts)
-            asked = ()
-        else:
-            vectors = _vectors(field, [*dict.fromkeys(text for _, each in asked for text in each.texts)])
-        everything = _named_words(field, source) if any(each.wants_everything for _, each in asked) else None
+        every = [*dict.fromkeys(text for _, each in asked for text in each.texts)]
+        words = alone if len(alone) == len(asked) else every
+        vectors = _vectors(field, words or texts)
+        wants_everything = any(each.wants_everything for _, each in asked)
         return Question.from_vectors(
             vectors.with_everyday(),
             threshold=threshold,
@@ -158,8 +156,8 @@ def make_question(
                 None if always else presence_threshold(len(vectors.everyday), vectors.source, present_from)
             ),
             is_single=isinstance(texts, (str, Expression)),
-            asked=asked,
-            everything=everything,
+            asked=() if words is alone else asked,
+            everything=_named_words(field, source) if wants_everything else None,
             frame=frame,
             level=None if level is None else field.level_index(level),
             near=_near_names(field, vectors),
@@ -245,13 +243,12 @@ def near_names(
     )
 
 
-def _vectors(field: LanguageField, texts: str | Several) -> TextVectors:
+def _vectors(field: LanguageField, texts: Any) -> TextVectors:
     encoder, source = field.text_encoder(), field.encoder_name
-    words = [texts] if isinstance(texts, str) else texts
-    if isinstance(words, (list, tuple)) and all(isinstance(word, str) for word in words):
-        if not words:
+    if isinstance(texts, (list, tuple)) and all(isinstance(text, str) for text in texts):
+        if not texts:
             raise InputError('pass at least one text, for example "kettle"')
-        return encode_texts(encoder, field, words, source)
+        return encode_texts(encoder, field, texts, source)
     queries = query_vectors(_as_vectors(texts), field.dim)
     names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
     return replace(encode_texts(encoder, field, [], source), texts=names, queries=queries)
