@@ -123,12 +123,15 @@ def test_left_and_right_are_seen_from_one_camera_which_answers_name(path: Path, 
     assert (other["places"][0]["things"], other["places"][0]["seen_from"]) == ([RIGHT], "back.png")
 
 
-def test_an_empty_relation_says_what_was_found(path: Path, said, tmp_path: Path) -> None:
+def test_answers_say_what_was_found(path: Path, said, tmp_path: Path) -> None:
     text, found = (
         "laptop right of the lamp",
         "found laptop: 1, lamp: 1, but none that is so, as seen from front.png",
     )
     assert found in run("select", path, text, "--out", tmp_path / "a.ply")[2]
     assert said["page"][text]["remark"] == said["agents"][text]["remark"] == found
+    assert said["page"]["what is on the table"]["remark"].startswith(
+        "2 x mug, laptop, bowl, salt and pepper; sure"
+    )
     absent = f"mug left of the {ABSENT}"
     assert said["page"][absent]["remark"].startswith(f"{ABSENT}: not in this scene")

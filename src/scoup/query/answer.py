@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -109,16 +110,24 @@ class Answer:
         return certainty(self.score, self.presence)
 
     def remark(self) -> str:
-        """Return score and certainty in a few words; of an expression that nothing answers, what was found."""
+        """Return score and certainty in a few words, after the names of things that were not asked for by name; of an
+        expression that nothing answers, what was found.
+        """
         seen = f", as seen from {self.seen_from}" if self.seen_from else ""
         if not self.presence and any(part.text != self.text for part in self.parts):
             absent = [f"{part.text}: {part.remark()}" for part in self.parts if not part.presence]
             found = ", ".join(f"{part.text}: {len(part.things) or 1}" for part in self.parts)
             return "; ".join(absent) or f"found {found}, but none that is so{seen}"
+        texts = {part.text for part in self.parts}
+        named = Counter(
+            thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
+        )
+        names = ", ".join(name if count == 1 else f"{count} x {name}" for name, count in named.items())
+        start = f"{names}; " if names else ""
         if self.score is None:
-            return f"presence not judged{seen}" if self.presence else "not in this scene"
+            return f"{start}presence not judged{seen}" if self.presence else "not in this scene"
         where = "not in this scene" if not self.presence else str(self.certainty)
-        return f"{where} (score {self.score:.2f}){seen}"
+        return f"{start}{where} (score {self.score:.2f}){seen}"
 
     def relevancy(self) -> Tensor:
         """Return the relevancy of every Gaussian at the level of the answer, [N] float32.
