@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from concurrent.futures import Executor
-from dataclasses import replace
 from types import ModuleType
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.coding.backends import RowCodes
@@ -38,45 +34,6 @@ def native_coder(core: ModuleType) -> Coder:
         return RowCodes(support.long(), weights.double(), cosines.double())
 
     return run
-
-
-def interpreted_coder(worker: Executor) -> Coder:
-    """The Triton kernel, interpreted in a process of ``interpreting.interpreter``."""
-
-    def run(
-        similarities: Tensor,
-        gram: Tensor,
-        k: int,
-        swap_passes: int = 0,
-        warm: Tensor | None = None,
-        block_rows: int | None = None,
-    ) -> RowCodes:
-        start = None if warm is None else warm.int().numpy()
-        task = worker.submit(
-            _interpreted, similarities.numpy(), gram.numpy(), k, swap_passes, start, block_rows
-        )
-        support, weights, cosines = (torch.from_numpy(array) for array in task.result())
-        return RowCodes(support.long(), weights.double(), cosines.double())
-
-    return run
-
-
-def _interpreted(
-    similarities: NDArray[np.float32],
-    gram: NDArray[np.float32],
-    k: int,
-    swap_passes: int,
-    warm: NDArray[np.int32] | None,
-    block_rows: int | None,
-) -> tuple[NDArray, ...]:
-    from scoup.coding.triton import coder as gpu
-
-    sizes = gpu.launch_sizes(len(gram), k)
-    if block_rows is not None:  # rows of a block cost the interpreter little
-        sizes = replace(sizes, block_rows=block_rows)
-    start = None if warm is None else torch.from_numpy(warm)
-    coded = gpu.code(torch.from_numpy(similarities), torch.from_numpy(gram), k, swap_passes, start, sizes)
-    return tuple(part.numpy() for part in coded)
 
 
 def clip_like(count: int, dim: int = 32, objects: int = 12, seed: int = 0) -> Tensor:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from types import ModuleType
 
 import pytest
-from coders import Coder, interpreted_coder, native_coder, reference_coder
+from coders import Coder, native_coder, reference_coder
 
 
 @pytest.fixture(scope="session")
@@ -16,12 +15,6 @@ def core() -> ModuleType:
     if module is None:
         pytest.skip("the compiled core is not built")
     return module
-
-
-@pytest.fixture(scope="session")
-def interpreted(triton_interpreter: ProcessPoolExecutor) -> Coder:
-    """The coder for GPUs, interpreted on the CPU; slow, so give it few rows."""
-    return interpreted_coder(triton_interpreter)
 
 
 @pytest.fixture(params=["reference", "native"])

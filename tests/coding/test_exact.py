@@ -21,7 +21,7 @@ from scoup.coding.exact_start import starting_atoms
 from scoup.coding.reference import code
 from scoup.coding.report import report_on
 
-REFERENCE = coding_backend(torch.device("cpu"), "reference")
+REFERENCE = coding_backend("reference")
 QUICK = ExactSettings(steps=30, batch=100, passes=3)
 
 
@@ -126,7 +126,7 @@ def test_the_start_spreads_over_clusters(backend: str) -> None:
     centres = torch.linalg.qr(torch.randn(16, 6, generator=generator)).Q.T
     rows = centres.repeat_interleave(1000, 0) + 0.05 * torch.randn(6000, 16, generator=generator)
     unit = torch.nn.functional.normalize(rows, dim=1)
-    atoms = starting_atoms(unit, 6, torch.Generator().manual_seed(3), coding_backend(unit.device, backend))
+    atoms = starting_atoms(unit, 6, torch.Generator().manual_seed(3), coding_backend(backend))
     nearest = (centres @ atoms.T).max(1)
     assert sorted(nearest.indices.tolist()) == list(range(6))
     assert float(nearest.values.min()) > 0.99
@@ -188,7 +188,7 @@ from scoup.coding.backends import coding_backend
 from scoup.coding.exact import FAST, Learner
 torch.set_num_threads(1)
 rows = torch.nn.functional.normalize(torch.randn(200, 512), dim=1)
-learner = Learner(rows, 128, 4, 0, coding_backend(rows.device, "native"))
+learner = Learner(rows, 128, 4, 0, coding_backend("native"))
 steps = learner.steps(FAST)
 next(steps)
 torch.set_num_threads(2)

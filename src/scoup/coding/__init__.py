@@ -91,7 +91,7 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
         epochs: full-batch optimisation steps of "adam" at most; "exact" has a schedule of its own (``solve_exact``).
         tolerance: "adam" stops early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
         effort: "fast" or "best" (the default): how long "exact" learns; see ``scoup.coding.exact.EFFORTS``.
-        backend: of "exact", by name (``scoup.coding.backends``); by default the fastest for the device.
+        backend: of "exact", by name (``scoup.coding.backends``); by default the compiled core if there is one.
         progress: called after each epoch or step. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
 
     Raises:

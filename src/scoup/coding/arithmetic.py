@@ -1,4 +1,4 @@
-"""Arithmetic on tensors whose result does not depend on the number of threads."""
+"""Arithmetic on CPU tensors whose result does not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ from torch import Tensor
 
 
 def ordered_sum(values: Tensor, dim: int) -> Tensor:
-    """Sums along one axis, in an order that does not depend on the number of threads."""
-    if values.device.type == "cpu":
-        # On a CPU torch may cut a long sum into one part a thread.
-        return torch.as_tensor(values.numpy().sum(dim))
-    return values.sum(dim)
+    """Sums along one axis. torch may cut a long sum into one part a thread."""
+    return torch.as_tensor(values.numpy().sum(dim))
 
 
 def elementwise(function: Callable[..., Any]) -> Callable[..., Tensor]:
-    """Return a function of operators that is called with arrays in place of CPU tensors.
+    """Return a function of operators that is called with arrays in place of tensors.
 
     torch would share out the numbers of a codebook to its threads, and on a busy machine these wait for each other much
     longer than the arithmetic takes.
@@ -29,8 +26,6 @@ def elementwise(function: Callable[..., Any]) -> Callable[..., Tensor]:
 
     @wraps(function)
     def call(*values: Any) -> Tensor:
-        if values[0].device.type != "cpu":
-            return function(*values)
         return torch.from_numpy(
             function(*(part.numpy() if isinstance(part, Tensor) else part for part in values))
         )
@@ -42,15 +37,10 @@ product, quotient = elementwise(operator.mul), elementwise(operator.truediv)
 
 
 def square_root(values: Tensor) -> Tensor:
-    """Square roots, on a CPU the nearest numbers: there torch's are one rounding off, by the build of torch."""
-    if values.device.type == "cpu":
-        return torch.from_numpy(np.sqrt(values.numpy()))
-    return values.sqrt()
+    """Square roots, the nearest numbers: torch's are one rounding off, by the build of torch."""
+    return torch.from_numpy(np.sqrt(values.numpy()))
 
 
 def take_rows(rows: Tensor, chosen: Tensor) -> Tensor:
-    """[n, D]: some of the rows [R, D], by number [n]."""
-    if rows.device.type == "cpu":
-        # See ``elementwise``.
-        return torch.from_numpy(rows.numpy().take(chosen.numpy(), 0))
-    return rows.index_select(0, chosen)
+    """[n, D]: some of the rows [R, D], by number [n]; an array, see ``elementwise``."""
+    return torch.from_numpy(rows.numpy().take(chosen.numpy(), 0))

@@ -1,7 +1,7 @@
 """What the exact solver computes with: the contract of its backends, and how one is chosen.
 
-A backend is one module with the functions of ``CodingBackend``, chosen by the device of the rows or by name
-(``base.backends``). The same input gives the same bytes again, on the same kind of device.
+A backend is one module with the functions of ``CodingBackend``, chosen by name (``base.backends``). Regions are coded
+on the CPU, whatever the device of the build: the same input gives the same codes everywhere.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from scoup.scene.codes import SparseCodes, index_dtype
 BACKENDS = {
     "native": "scoup.coding.native",
     "reference": "scoup.coding.reference",
-    "triton": "scoup.coding.triton.coder",
 }
 
 
@@ -33,7 +32,7 @@ class RowCodes(NamedTuple):
 
 
 class CodingBackend(Protocol):
-    """The costly parts of the exact solver. All tensors are contiguous and on one device; float32 but for supports
+    """The costly parts of the exact solver. All tensors are contiguous and on the CPU; float32 but for supports
     (int32) and the sums that a codebook is learned from (float64).
     """
 
@@ -62,14 +61,9 @@ class CodingBackend(Protocol):
         ...
 
 
-def coding_backend(device: torch.device, name: str | None = None) -> CodingBackend:
-    """The backend of that name, or by default the fastest for tensors on a device."""
-    return cast(CodingBackend, load_backend(BACKENDS, device, name, "coding")[1])
-
-
-def working_device(rows: Tensor) -> torch.device:
-    """Return the device on which rows are coded: their own, or the CPU for devices without float64."""
-    return rows.device if rows.device.type in ("cpu", "cuda") else torch.device("cpu")
+def coding_backend(name: str | None = None) -> CodingBackend:
+    """The backend of that name, or by default the compiled core if there is one."""
+    return cast(CodingBackend, load_backend(BACKENDS, torch.device("cpu"), name, "coding")[1])
 
 
 def as_sparse_codes(codes: RowCodes, n_atoms: int, k: int, device: torch.device) -> SparseCodes:

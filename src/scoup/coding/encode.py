@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from scoup.coding.backends import as_sparse_codes, coding_backend, working_device
+from scoup.coding.backends import as_sparse_codes, coding_backend
 from scoup.scene.codes import SparseCodes
 
 SWAP_PASSES = 1
@@ -23,7 +23,6 @@ def encode(
     positive inner product, get empty codes; atoms of norm zero are never used. The codes have K columns even if there
     are fewer atoms.
     """
-    device = working_device(rows)
-    ours, codebook = (part.detach().to(device).float().contiguous() for part in (rows, atoms))
-    codes = coding_backend(device, backend).code_rows(ours, codebook, min(k, len(atoms)), SWAP_PASSES)
+    ours, codebook = (part.detach().cpu().float().contiguous() for part in (rows, atoms))
+    codes = coding_backend(backend).code_rows(ours, codebook, min(k, len(atoms)), SWAP_PASSES)
     return as_sparse_codes(codes, len(atoms), k, rows.device)

@@ -31,7 +31,6 @@ from scoup.coding.backends import (
     RowCodes,
     as_sparse_codes,
     coding_backend,
-    working_device,
 )
 from scoup.coding.exact_start import starting_atoms, unit
 from scoup.scene.codes import SparseCodes
@@ -85,15 +84,14 @@ def solve_exact(
 ) -> ExactSolution:
     """Learn unit atoms and K-sparse codes of unit rows (method.md, stage 1) by exact coding.
 
-    The work is done on the device of the rows (on the CPU where torch has no float64 on that device). The same seed
-    gives the same bytes on the same kind of device; on a CPU with the compiled core, whatever the number of threads.
-    Beyond the rows it takes memory for the codes and for L x (L + D) numbers, and on a GPU for a block of similarities.
+    The work is done on the CPU, wherever the rows are. The same seed gives the same bytes; with the compiled core,
+    whatever the number of threads. Beyond the rows it takes memory for the codes and for L x (L + D) numbers.
 
     ``k`` above L counts as L. ``FAST`` takes about half the time of ``BEST``. ``progress`` is called after every step
     and pass, as stage "sparse coding".
     """
-    ours = rows.detach().to(working_device(rows)).float().contiguous()
-    learner = Learner(ours, n_atoms, min(k, n_atoms), seed, coding_backend(ours.device, backend))
+    ours = rows.detach().cpu().float().contiguous()
+    learner = Learner(ours, n_atoms, min(k, n_atoms), seed, coding_backend(backend))
     total = settings.steps + settings.passes + 1
     progress("sparse coding", 0, total)
     done = 0
@@ -110,7 +108,6 @@ class Learner:
     def __init__(self, rows: Tensor, n_atoms: int, k: int, seed: int, backend: CodingBackend) -> None:
         self.rows = rows
         self._k = k
-        # On the CPU, so that every device draws the same.
         self._random = torch.Generator().manual_seed(seed)
         self._backend = backend
         self.atoms = starting_atoms(rows, n_atoms, self._random, backend)
@@ -172,7 +169,7 @@ class Learner:
     def _batches(self, size: int) -> Iterator[Tensor]:
         """Yield row numbers [size] without end, every row once before any comes again, but for a last few."""
         while True:
-            order = torch.randperm(len(self.rows), generator=self._random).to(self.rows.device)
+            order = torch.randperm(len(self.rows), generator=self._random)
             for start in range(0, len(order) - size + 1, size):
                 yield order[start : start + size]
 
@@ -224,13 +221,12 @@ def _stepped(atoms: Any, first: Any, root: Any, rate: float) -> Any:
 
 @elementwise
 def _transposed(atoms: Any) -> Any:
-    return np.ascontiguousarray(atoms.T) if isinstance(atoms, np.ndarray) else atoms.T.contiguous()
+    return np.ascontiguousarray(atoms.T)
 
 
 @elementwise
 def _mean_gradient(toward: Any, products: Any, count: int) -> Any:
-    single = toward.astype("float32") if isinstance(toward, np.ndarray) else toward.float()
-    return (products - single) / count
+    return (products - toward.astype("float32")) / count
 
 
 def _loss(codes: RowCodes) -> float:

@@ -21,12 +21,11 @@ _SAME = 1e-6  # 1 - cosine under which two rows are the same
 def starting_atoms(rows: Tensor, n_atoms: int, random: torch.Generator, backend: CodingBackend) -> Tensor:
     """[L, D] unit vectors: greedy k-means++ (Arthur and Vassilvitskii 2007, the best of 4 candidates a step) on a
     sample of the unit rows [R, D], then Lloyd iterations. With fewer distinct rows than atoms some atoms are equal.
-    ``random`` is on the CPU, whatever the device of the rows.
     """
     sample = rows
     if len(rows) > SAMPLE:
         chosen = torch.randperm(len(rows), generator=random)[:SAMPLE].sort().values
-        sample = take_rows(rows, chosen.to(rows.device))
+        sample = take_rows(rows, chosen)
     atoms = sample[_plus_plus(sample, n_atoms, random, backend)]
     for _ in range(ITERATIONS):
         atoms = _lloyd(sample, atoms, backend)
@@ -38,18 +37,14 @@ def unit(vectors: Tensor, otherwise: Tensor) -> Tensor:
     norms = square_root(ordered_sum(product(vectors, vectors), 1))[:, None]
     scaled = quotient(vectors, norms.clamp(min=1e-6))
     whole = norms > 1e-6
-    # Nearly always all are, and on a CPU the question costs nothing; a GPU would have to be waited for.
-    if norms.device.type == "cpu" and bool(whole.all()):
-        return scaled
-    return torch.where(whole, scaled, otherwise)
+    return scaled if bool(whole.all()) else torch.where(whole, scaled, otherwise)
 
 
 def _plus_plus(rows: Tensor, n_atoms: int, random: torch.Generator, backend: CodingBackend) -> list[int]:
     chosen = [int(torch.randint(len(rows), (1,), generator=random))]
     distance = _distances(rows, chosen, backend)[:, 0]
     while len(chosen) < n_atoms:
-        # On the CPU, because running sums on a GPU round differently from time to time.
-        cumulative = distance.cpu().double().cumsum(0)
+        cumulative = distance.double().cumsum(0)
         draws = torch.rand(TRIALS, generator=random, dtype=torch.float64)
         if cumulative[-1] > 0:
             picks = torch.searchsorted(cumulative, draws * cumulative[-1], right=True)

@@ -1,6 +1,6 @@
-"""Coding in plain torch, on any device that has float64: the readable specification of the faster backends.
+"""Coding in plain torch: the readable specification of the faster backend.
 
-The coder works in Gram space and in float64, batched over rows. On a CPU rounding may depend on the number of threads.
+The coder works in Gram space and in float64, batched over rows. Rounding may depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -83,8 +83,7 @@ def code_moments(rows: Tensor, codes: RowCodes, scale: Tensor, n_atoms: int) -> 
     toward = rows.new_zeros(n_atoms, rows.shape[1], dtype=torch.float64)
     for first in range(0, len(rows), _BLOCK_ROWS):
         part = slice(first, first + _BLOCK_ROWS)
-        # One column more takes the slots that are not used. Nothing is added up here: on a GPU sums that
-        # threads scatter come out in any order.
+        # One column more takes the slots that are not used.
         support = codes.support[part].long()
         dense = rows.new_zeros(len(support), n_atoms + 1)
         dense.scatter_(1, support.where(support >= 0, n_atoms), codes.weights[part])

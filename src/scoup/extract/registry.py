@@ -52,7 +52,7 @@ _NAFLEX = "google/siglip2-base-patch16-naflex"
 _TIPS = "google/tipsv2-b14"
 SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     ModelEntry(
-        sam.MOBILE_SAM, _open_sam, size="41 MB", seconds=10.6, file=(mobile_sam.HUB_ID, mobile_sam.FILE),
+        sam.MOBILE_SAM, _open_sam, size="41 MB", seconds=11.8, file=(mobile_sam.HUB_ID, mobile_sam.FILE),
         help="MobileSAM: the default without a GPU", licence="Apache-2.0", extra="models",
     ),
     _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),
@@ -65,7 +65,7 @@ SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     _sam("sam3", "sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
     HubEntry("FOLDER or hub id", _open_sam, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
     ModelEntry(
-        f"{ONNX}FOLDER", _open_sam, seconds=45.7, extra="onnx",
+        f"{ONNX}FOLDER", _open_sam, seconds=55.4, extra="onnx",
         help="SAM or SAM 2 exported to ONNX, on the CPU (seconds: SAM 2 tiny)",
     ),
     felzenszwalb.ENTRY,

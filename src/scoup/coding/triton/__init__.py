@@ -1,1 +1,0 @@
-"""Coding for GPUs, in Triton."""
