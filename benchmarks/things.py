@@ -22,7 +22,7 @@ from benchmarks.study import Record, Study
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
 from scoup.field.part_sizes import part_sizes
 from scoup.query.frame import Frame
-from scoup.query.phrases import is_plain_text
+from scoup.query.phrases import quoted
 from scoup_lab.bench import markdown, torch_threads
 
 PAIRS = ("left of", "right of", "in front of", "behind", "on", "above", "under", "near", "inside")
@@ -201,7 +201,7 @@ def relation_cases(boxes: Mapping[str, NDArray[np.float64]], relations: Sequence
 
     Names that are phrases themselves ("tea in a glass") are left out.
     """
-    names, rng = list(filter(is_plain_text, boxes)), np.random.default_rng(0)
+    names, rng = [name for name in boxes if quoted(name) == name], np.random.default_rng(0)
     cases = {
         relation: [
             (is_true(relation, boxes[one], boxes[other], other), f"{one} {relation} {other}")

@@ -52,6 +52,7 @@ PHRASES: dict[str, set[int]] = {
     "mug and not mug left of the laptop": {RIGHT},
     "(mug or pen) and not (mug behind laptop)": {LEFT, PEN},
     "Salt and pepper": {SALT},
+    'mug nearest to "salt and pepper"': {RIGHT},
     "mug and laptop": set(),
     "mug near the laptop": set(),
     "laptop right of the lamp": set(),

@@ -11,9 +11,8 @@ from typing import TypeAlias
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.query.phrases import Phrase, counted_text, is_plain_text, parse_phrase, texts_of
+from scoup.query.phrases import OPERATORS, Phrase, counted_text, parse_phrase, protected, quoted, texts_of
 
-OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
 _TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
 _GRAMMAR = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
 _DEEPEST = 50  # operators within operators
@@ -108,7 +107,7 @@ def parse_expression(words: Iterable[str], names: Collection[str] | None = None)
     for word in given:
         text = word.strip()
         if text.casefold() in known:
-            part = ["(", f'"{text}', ")"]
+            part = ["(", f"={protected(text)}", ")"]
         elif text.lower() in OPERATORS:
             part = [text.lower()]
         else:
@@ -126,18 +125,18 @@ def parse_expression(words: Iterable[str], names: Collection[str] | None = None)
 
 
 def _tokens(text: str) -> list[str]:
-    """Operators as they are, and texts after a mark, `=` or a double quote, that tells them from operators."""
+    """Operators as they are, and texts after a mark, `=`, that tells them from operators."""
     tokens: list[str] = []
-    quotes = text.count('"')
-    if quotes % 2:
+    if text.count('"') % 2:
         raise InputError(f"{text}: a double quote is not closed; {_GRAMMAR}")
-    for quoted, bracket, word in _TOKEN.findall(text):
+    for inside, bracket, word in _TOKEN.findall(text):
+        piece = word or protected(inside)
         if bracket or word.lower() in OPERATORS:
             tokens.append(bracket or word.lower())
-        elif word and tokens and tokens[-1].startswith("="):
-            tokens[-1] += f" {word}"
-        elif word or quoted.strip():
-            tokens.append(f"={word}" if word else f'"{quoted.strip()}')
+        elif piece and tokens and tokens[-1][0] == "=":
+            tokens[-1] += f" {piece}"
+        elif piece:
+            tokens.append(f"={piece}")
     return tokens
 
 
@@ -186,8 +185,6 @@ class _Reader:
         if not token or (token in OPERATORS and token not in ("not", "(")):
             where = f" after {self.before!r}" if self.before else f" before {token!r}" if token != ")" else ""
             raise self.refusal(f"a text is missing{where}")
-        if token[0] == '"':
-            return token[1:]
         if token[0] == "=":
             while (
                 token.lower().count(" between ") > token.count(" and ")
@@ -235,14 +232,8 @@ def _text_of(node: Node, outer: str = "") -> str:
     if isinstance(node, Phrase):
         return str(node)
     if isinstance(node, str):
-        return node if parses_as_text(node) else f'"{node}"'
+        return quoted(node)
     if node.operator == "not":
         return f"not {_text_of(node.parts[0], 'not')}"
     text = f" {node.operator} ".join(_text_of(part, node.operator) for part in node.parts)
     return f"({text})" if outer not in ("", node.operator) else text
-
-
-def parses_as_text(text: str) -> bool:
-    """Return whether a text is read as itself without double quotes."""
-    is_text = '"' not in text and not text.endswith("?") and counted_text(text) is None
-    return is_text and _tokens(text) == [f"={text}"] and is_plain_text(text)

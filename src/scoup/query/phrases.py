@@ -46,6 +46,8 @@ _ANYTHING = frozenset(
 """Words before a relation that stand for all objects of the scene."""
 _FILLERS = ("is", "are", "that", "which", "there")
 """Words before a relation that say nothing."""
+OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
+_SPACE = "\0"  # before each word of what stands in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
@@ -83,12 +85,12 @@ class Phrase:
 
     def __str__(self) -> str:
         ordinal = ORDINALS[self.rank - 1] if self.rank <= len(ORDINALS) else f"{self.rank}th"
-        text = self.text or ("thing" if self.order else "what is")
+        text = quoted(self.text) if self.text else "thing" if self.order else "what is"
         if self.order in SIZES:
             text = f"{self.order} {text}" if self.rank == 1 else f"{ordinal} {self.order} {text}"
         elif self.order in SIDES:
             text = f"{ordinal} {text} from the {self.order}"
-        anchors = " and ".join(map(str, self.anchors))
+        anchors = " and ".join(quoted(each) if isinstance(each, str) else str(each) for each in self.anchors)
         return f"{text} {self.relation} {anchors}" if self.relation else text
 
 
@@ -119,12 +121,19 @@ def parse_phrase(text: str) -> Target:
     return _parse(text.split(), text, 0)
 
 
-def is_plain_text(text: str) -> bool:
-    """Return whether a text stands for itself, without relation or order."""
+def quoted(text: str) -> str:
+    """Return a text as it is written: in double quotes where it would be read as a phrase or expression."""
+    is_text = not (set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith("?"))
     try:
-        return parse_phrase(text) == text
+        is_text = is_text and counted_text(f"{text} x") is None and parse_phrase(text) == text
     except InputError:
-        return False
+        is_text = False
+    return text if is_text else f'"{text}"'
+
+
+def protected(text: str) -> str:
+    """Return a text as one word, which ``parse_phrase`` takes as it is."""
+    return "".join(_SPACE + word for word in text.split())
 
 
 def _parse(words: Sequence[str], source: str, depth: int) -> Target:
@@ -137,8 +146,7 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
     end = len(words) if place is None else place[0]
     head, order, rank = _ordered(words[:end], source)
     if place is None:
-        text = " ".join(words)
-        return Phrase(_noun(head, source), order=order, rank=rank) if order else text
+        return Phrase(_noun(head, source), order=order, rank=rank) if order else _joined(words)
     _, relation, length = place
     rest = words[end + length :]
     while head and head[-1].lower() in _FILLERS:
@@ -200,7 +208,11 @@ def _noun(words: Sequence[str], source: str) -> str:
     words = words[1:] if words and words[0].lower() in ARTICLES else words
     if not words:
         raise _refusal(source, "a thing is missing")
-    return " ".join(words)
+    return _joined(words)
+
+
+def _joined(words: Sequence[str]) -> str:
+    return " ".join(words).replace(_SPACE, " ").strip()
 
 
 def _anchor(words: Sequence[str], source: str, depth: int) -> Target:
