@@ -51,7 +51,8 @@ def one_answer(field: LanguageField, question: Question[Any]) -> Answer:
     nodes = [expression.root for _, expression in question.asked] or list(question.texts)
     expression = Expression.of(nodes, any(each.counted for _, each in question.asked))
     answers = answer_scene(field, question) if question.asked else answers_of(field, question)
-    return _joined(field, question, str(expression), expression, answers)
+    whole = _joined(field, question, str(expression), expression, answers)
+    return replace(whole, parts=whole.parts or (whole,))
 
 
 def things(field: LanguageField, question: Question[Any] | str | Several | None) -> list[Thing]:
@@ -80,7 +81,7 @@ def _joined(
     of_text = {answer.text: answer for answer in answers}
     parts = tuple(of_text[text] for text in expression.texts)
     if expression.root == parts[0].text and not expression.counted:
-        return replace(parts[0], parts=parts)
+        return parts[0]
     by_things = parts[0].threshold is None
     frame = (question.frame or scene_frame(field)) if expression.phrases else None
     of_leaf: dict[Any, list[Thing]] = {leaf: [] for leaf in expression.leaves()}

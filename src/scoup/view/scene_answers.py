@@ -29,7 +29,7 @@ class PageAnswer:
     """
 
     text: str
-    verdict: dict[str, Any]  # of ``Answer.to_dict``: ``VERDICT``; "remark" in words, of what is no text alone
+    verdict: dict[str, Any]  # of ``Answer.to_dict``: ``VERDICT``; "remark" in words, of all but texts alone
     level: int  # position of the level that answers
     # If presence is not judged: the page shows absent texts on demand, and a level of choice for what is present.
     chosen_things: list[int] | None  # that answer if no level is chosen; None in a field without things
@@ -61,19 +61,14 @@ def scene_answers(field: LanguageField, question: Question) -> Iterator[PageAnsw
         field: to be queried.
         question: from ``field.question``.
     """
-    step = len(question.texts) if question.asked else AT_A_TIME
-    for start in range(0, len(question.texts), step):
-        yield from _some_answers(
-            field, question if question.asked else question.some(slice(start, start + step))
-        )
+    starts = range(0, len(question.texts), AT_A_TIME)
+    batches = (question.some(slice(start, start + AT_A_TIME)) for start in starts)
+    for some in [question] if question.asked else batches:
+        yield from _some_answers(field, some)
 
 
 def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
-    coded, answers, levels = (
-        field.coded_levels().cpu(),
-        answers_of(field, question),
-        (None, *range(len(field.levels))),
-    )
+    coded, answers = field.coded_levels().cpu(), answers_of(field, question)
     by_things = answers[0].threshold is None
     if question.asked and not by_things:
         raise InputError(
@@ -81,7 +76,7 @@ def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnsw
         )
     of_levels = [
         made_answers(field, replace(question, present_from=None, level=level)) if by_things else answers
-        for level in levels
+        for level in (None, *range(len(field.levels)))
     ]
     for answer, of_any, *others in zip(answers, *of_levels, strict=True):
         asked, record = answer.asked[0], answer.to_dict()
