@@ -32,7 +32,8 @@ def test_the_main_path():
         "labels.npy", "labels.json", "labels.ply", "colored.ply", "labels.png",
     }  # fmt: skip
     assert np.load(folder / "labels.npy").tolist() == labels.ids.tolist()
-    assert read_ply_table(folder / "labels.ply").rows["label"].tolist() == labels.ids.tolist()
+    for name, numbers in (("label", labels.ids), ("thing", labels.instances)):
+        assert read_ply_table(folder / "labels.ply").rows[name].tolist() == numbers.tolist()
     before = read_ply_table("scene/point_cloud.ply").rows
     after = read_ply_table(folder / "labels.ply").rows
     assert all((before[name] == after[name]).all() for name in before.dtype.names or ())

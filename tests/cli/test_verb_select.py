@@ -65,6 +65,8 @@ def test_an_absent_text_is_said_once():
 
 def test_a_thing_is_removed_and_the_field_stays():
     kept = run_json("select", "f.scoup", "kettle", "--out", "without.scoup", "--edit", "remove")
+    said = run("select", "f.scoup", "kettle", "--out", "a.ply", "--edit", "remove")[1]
+    assert "nothing was photographed behind it" in said
     alone = run_json("select", "f.scoup", "kettle", "--out", "kettle.scoup")
     assert kept["written"] + alone["written"] == 150
     Path("scene/point_cloud.ply").unlink()  # the Gaussians are in the files
@@ -72,23 +74,23 @@ def test_a_thing_is_removed_and_the_field_stays():
     assert again["gaussians"] == alone["written"]
     assert run_json("query", "without.scoup", "mug", "--out", "answers")["answers"]
     assert run_json("info", "without.scoup")["gaussians"] == kept["written"]
-    message = refused("select", "f.scoup", "kettle", "--out", "ids.scoup", "--edit", "ids")
-    assert "no column of ids" in message
+    message = refused("select", "f.scoup", "kettle", "--out", "live.scoup", "--edit", "state")
+    assert "no column of states" in message
     message = refused("select", "kettle.scoup", "kettle", "--out", "kettle.scoup", "--overwrite")
     assert "is the field that is queried" in message
 
 
-def test_ids_of_several_texts():
-    record = run_json("select", "f.scoup", "kettle", "mug", "--out", "ids.ply", "--edit", "ids")
-    table = read_ply_table("ids.ply")
-    ids = table.rows["selected"]
-    assert table.names[-1] == "selected"
+def test_a_selection_stays_live_in_supersplat():
+    options = ("select", "f.scoup", "kettle", "-", "mug", "--grow", "1")
+    record = run_json(*options, "--out", "live.ply", "--edit", "state")
+    header = Path("live.ply").read_bytes().split(b"end_header")[0]
+    assert header.endswith(b"property uchar state\n")
+    table, before = read_ply_table("live.ply"), read_ply_table("scene/point_cloud.ply")
+    assert all((table.rows[name] == before.rows[name]).all() for name in before.names)
+    assert set(table.rows["state"]) == {0, 1}
     assert len(table) == record["written"] == 150
-    assert (ids == 2).sum() == record["chosen"]["mug"]
-    assert 0 < (ids == 1).sum() <= record["chosen"]["kettle"]
-    assert len(load_gaussians("ids.ply")) == 150
-    both = run_json("select", "f.scoup", "kettle", "mug", "--out", "both.ply")
-    assert both["written"] == (ids > 0).sum()
+    run_json(*options, "--out", "kept.ply")
+    assert before.select(table.rows["state"] == 1).rows.tobytes() == read_ply_table("kept.ply").rows.tobytes()
 
 
 def test_rows_that_are_not_finite_belong_to_nobody():
@@ -98,11 +100,11 @@ def test_rows_that_are_not_finite_belong_to_nobody():
     write_ply_table(table.__class__(table.path, data), "scene/point_cloud.ply", overwrite=True)
     code, _, err = run("build", "scene", *QUICK, "--out", "a.scoup", "--model", "scene/words.npz")
     assert (code, len(err.splitlines())) == (0, 1)
-    code, _, err = run("select", "a.scoup", "kettle", "--out", "ids.ply", "--edit", "ids")
+    code, _, err = run("select", "a.scoup", "kettle", "--out", "live.ply", "--edit", "state")
     assert code == 0
     assert len(err.splitlines()) == 1  # one warning, though the file is read twice
-    assert len(read_ply_table("ids.ply")) == 150
-    assert read_ply_table("ids.ply").rows["selected"][7] == 0
+    assert len(read_ply_table("live.ply")) == 150
+    assert read_ply_table("live.ply").rows["state"][7] == 0
     rest = run("select", "a.scoup", "kettle", "--out", "rest.ply", "--edit", "remove")
     assert rest[0] == 0
     assert np.isfinite(read_ply_table("rest.ply").rows["x"]).all()
@@ -266,9 +268,7 @@ def test_a_picture_shows_before_and_after():
         (["--out", "a.ply", "--opacity", "2"], "--opacity must be 0 to 1"),
         (["--out", "a.ply", "--picture", "a.jpg"], "ends in .png"),
         (["--out", "a.ply", "--metres-per-unit", "0"], "--metres-per-unit must be above 0"),
-        (["--out", "a.splat", "--edit", "ids"], "no column of ids"),
-        (["--out", "a.ply", "--edit", "ids", "--grow", "1"], "numbers texts"),
-        (["-", "mug", "--out", "a.ply", "--edit", "ids"], "numbers texts"),
+        (["--out", "a.splat", "--edit", "state"], "no column of states"),
         (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
         (["--out", "a.ply", "--threshold", "nan"], "threshold must be 0 to 1"),
         (["--out", "a.ply", "--presence", "1.5"], "presence must be 0 to 1, got 1.5"),

@@ -57,6 +57,9 @@ def test_labels_are_the_answers(queried: Queried, voted: Queried) -> None:
             assert sum(counts.values()) == len(asked.field)
             for number, name in enumerate(found.names):
                 assert counts[name] == int(found.mask(name).sum()) == int((found.ids == number).sum())
+                assert set(found.instances[found.ids == number].tolist()) <= set(
+                    found.things[number] or [NONE]
+                )
             assert found.mask("none").equal(found.ids == NONE)
     with pytest.raises(UnknownNameError, match="word 1"):
         found.mask("word one")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +17,13 @@ from scoup import raster
 from scoup.io import read_ply_table
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
+from scoup.query.boxes import PointSets
 from scoup.query.label_files import label_files, label_record, labelled_colors, save_label_views, save_labels
 from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label, label_map
 from scoup.scene.gaussians import SH_C0
+from scoup.scene.up import estimate_up
 
-ALL = ("sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet")
+ALL = ("sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet")
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +53,8 @@ def test_maps_of_more_words_than_are_rendered_together(queried: Queried) -> None
     count = 2 * AT_A_TIME + 5
     ids = torch.arange(len(queried.field)).int() % (count + 1) - 1
     names = tuple(f"thing {number}" for number in range(count))
-    many = GaussianLabels(ids, names, (None,) * count, (True,) * count, ("m",) * count, ((),) * count)
+    facts = (None,) * count, (True,) * count, ("m",) * count, ((),) * count
+    many = GaussianLabels(ids, names, *facts, torch.full_like(ids, NONE))
     found = label_map(queried.field.at(queried.camera), many)
     assert np.array_equal(found.numpy(), literal_map(queried, many))
 
@@ -65,7 +70,8 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
     assert ids.tolist() == labels.ids.tolist()
     table = read_ply_table(tmp_path / "labels.ply")
     assert table.rows["label"].tolist() == labels.ids.tolist()
-    assert table.rows["label"].dtype.kind == "i"
+    assert table.rows["thing"].tolist() == labels.instances.tolist()
+    assert table.rows["label"].dtype == table.rows["thing"].dtype == np.int32
     record = json.loads((tmp_path / "labels.json").read_text())
     assert record == json.loads(json.dumps(label_record(labels)))
     for entry in record["classes"]:
@@ -94,6 +100,42 @@ def test_ids_in_a_glb(queried: Queried, labels: GaussianLabels, tmp_path: Path) 
     assert features.ids.tolist() == labels.ids.tolist()
     assert features.names == labels.names
     assert read_gltf(tmp_path / "labels.glb").means.equal(queried.field.gaussians.means)
+
+
+@pytest.mark.parametrize("asked", ["queried", "voted"])
+def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdValidation = (
+        import_module(f"pxr.{name}")
+        for name in ("Usd", "UsdGeom", "UsdPhysics", "UsdSemantics", "UsdValidation")
+    )
+    scene: Queried = request.getfixturevalue(asked)
+    labels = label(scene.field, scene.texts)
+    save_labels(scene.field, labels, tmp_path, ("usd",))
+    stage = Usd.Stage.Open(str(tmp_path / "labels.usdc"))
+    checks = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    assert [error.GetMessage() for error in checks.Validate(stage)] == []
+    means = lambda prim: np.array(prim.GetAttribute("positions").Get()) * [1, -1, -1]  # noqa: E731
+    expected = scene.field.gaussians.means.numpy()
+    root, found, up = stage.GetDefaultPrim(), 0, estimate_up(scene.field.cameras or ())
+    for prim in root.GetChildren():
+        if prim.GetName() == "Rest":
+            assert np.array_equal(means(prim), expected[labels.mask("none")])
+            continue
+        (name,) = UsdSemantics.LabelsAPI(prim, "class").GetLabelsAttr().Get()
+        thing = int(prim.GetName().rsplit("_", 1)[1])
+        mine = labels.mask(name) & (labels.instances == (thing if asked == "queried" else NONE))
+        assert np.array_equal(means(prim.GetChild("Splat")), expected[mine])
+        box = UsdGeom.Cube(prim.GetChild("Box"))
+        assert box.GetPrim().HasAPI(UsdPhysics.CollisionAPI)
+        assert box.GetPurposeAttr().Get() == "guide"
+        (wanted,) = PointSets.of(scene.field.gaussians, [mine.nonzero()[:, 0]]).boxes(up)
+        assert wanted is not None
+        place = UsdGeom.Imageable(box).ComputeLocalToWorldTransform(0)
+        corners = [place.Transform(tuple(corner)) for corner in itertools.product((-0.5, 0.5), repeat=3)]
+        assert np.allclose(corners, wanted.corners() * torch.tensor([1, -1, -1]), atol=1e-6)
+        found += int(mine.sum())
+    assert found == int((labels.ids != NONE).sum()) > 0
 
 
 def test_colours_are_those_of_the_words(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:

@@ -26,11 +26,9 @@ def test_rows_are_those_of_the_splat(queried: Queried, tmp_path: Path) -> None:
     assert rows.select(mask).rows.tobytes() == stored.rows[mask.numpy()].tobytes()
 
 
-def test_ids_number_the_masks_and_the_last_counts(queried: Queried) -> None:
+def test_a_column_of_all_rows(queried: Queried) -> None:
     rows = SplatTable.of(queried.field)
     whole = SplatTable(rows.table, torch.arange(len(rows.table)) >= 2)  # the first two rows are no Gaussians
-    first = torch.arange(len(rows.table) - 2) < 3
-    second = torch.arange(len(rows.table) - 2) == 2
-    ids = whole.with_ids([first, second]).rows["selected"]
-    assert ids[:6].tolist() == [0, 0, 1, 1, 2, 0]
-    assert ids[6:].sum() == 0
+    column = whole.with_column("state", torch.ones(len(rows.table) - 2, dtype=torch.uint8), 4).rows["state"]
+    assert column.dtype == "u1"
+    assert column.tolist() == [4, 4, *[1] * (len(column) - 2)]

@@ -56,6 +56,7 @@ def exported(viewed: ViewedField, tmp_path_factory: pytest.TempPathFactory) -> s
     return page.as_uri()
 
 
+LEVEL_WORDS = {"s": "fine", "m": "medium", "l": "coarse"}
 both_pages = pytest.mark.parametrize("visit", KINDS, indirect=True)
 """In every run; other tests visit the exported page in `make test-all` only: it shares all code but that of answers."""
 
@@ -178,19 +179,27 @@ def test_the_legend_says_what_the_library_says(visit: Visit, viewed: ViewedField
     assert not legend.is_visible()
     mug, absent = viewed.field.answer(["mug", ABSENT])
     facts = [visit.row(text).locator(".facts") for text in ("mug", ABSENT)]
-    size = f"level {mug.level}, {int(mug.mask.sum())} Gaussians"
-    assert facts[0].inner_text() == f"{mug.certainty} {mug.score:.2f}, {size}"
-    assert facts[1].inner_text() == f"not here ({absent.score:.2f})"
+    size = f"{LEVEL_WORDS[mug.level]} level, {int(mug.mask.sum())} Gaussians"
+    assert facts[0].inner_text() == f"{mug.certainty}, {size}"
+    assert f"Level {mug.level}," in (facts[0].locator("span").nth(1).get_attribute("title") or "")
+    assert facts[1].inner_text() == "not here"
     title = facts[1].locator("span").get_attribute("title") or ""
-    assert "Share of everyday words" in title
+    assert f"Score {absent.score:.2f}: the share of everyday words" in title
     assert "present from 0.37" in title
     visit.choose("l (coarse)")  # whose score is another one
-    assert facts[0].inner_text() == "level l"
-    assert facts[1].inner_text() == f"not here ({absent.score:.2f})"
+    assert facts[0].inner_text() == "coarse level"
+    assert facts[1].inner_text() == "not here"
     visit.choose("automatic")
     assert str(mug.certainty) in facts[0].inner_text()
     visit.tab("View")
     assert "kettle 0." in visit.page.locator("#threshold-value").inner_text()
+    end = "document.querySelector('label[for=threshold]').getBoundingClientRect().right"
+    assert (
+        visit.page.evaluate(
+            f"document.querySelector('#threshold-value').getBoundingClientRect().left - {end}"
+        )
+        > 8
+    )
 
 
 @both_pages
@@ -254,11 +263,13 @@ def test_a_click_reads_what_is_there(visit: Visit, camera: Camera):
         said = visit.click(place)
         group = "dishes" if name in ("kettle", "mug") else "furniture"
         first = [
-            visit.page.locator(f"#place dd[data-level={level}]").inner_text().split()[0] for level in "sml"
+            visit.page.locator(f"#place dd[data-level={level}]").inner_text().split(",")[0] for level in "sml"
         ]
         assert first == [name, name, group]
         assert "position, distance" in said
-        assert "confidence" in said
+        assert "views agree" in said
+        title = visit.page.locator("#place dd span").first.get_attribute("title") or ""
+        assert title.startswith("Relevancy ")
     assert "nothing" in visit.click((0.5, 0.5))
 
 
@@ -327,7 +338,7 @@ def test_every_text_can_be_read(browser: Browser, live: str, camera: Camera, sch
         faint = [text for text in texts if text["ratio"] < text["needed"]]
         assert faint == []
     seen = {text["text"] for texts in states for text in texts}
-    assert {"Keys and gestures", "kettle, wooden table", "closed", "Heat", "Something went wrong."} <= seen
+    assert {"Keys and gestures", "kettle, mug", "closed", "Heat", "Something went wrong."} <= seen
 
 
 @pytest.mark.usefixtures("few_candidates")

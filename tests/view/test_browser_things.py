@@ -175,8 +175,13 @@ def test_certainty_and_the_next_best_thing_are_said(visit: Visit, viewed: Viewed
     kettle, absent = answers = viewed.field.answer(texts)
     assert [answer.presence for answer in answers] == [True, False]
     visit.ask(*texts)
-    names = {thing["number"]: thing["name"] for thing in viewed.things()}
-    for answer, start in ((kettle, f"{kettle.certainty} {kettle.score:.2f},"), (absent, "not here (")):
+    things = viewed.things()
+    names = {thing["number"]: thing["name"] for thing in things}
+    box = visit.page.get_by_label("What do you look for?")
+    visit.until("Boolean(document.getElementById('text').placeholder)")
+    largest = max(things, key=lambda thing: thing["gaussians"])
+    assert (box.get_attribute("placeholder") or "").split(", ")[0] == largest["name"]
+    for answer, start in ((kettle, f"{kettle.certainty}, "), (absent, "not here")):
         facts = visit.row(answer.text).locator(".facts")
         assert facts.inner_text().startswith(start)
         rival = answer.runner_up

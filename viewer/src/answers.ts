@@ -93,12 +93,3 @@ export interface Source {
   /** The facts of a scene without its Gaussians. */
   metadata(): Promise<Metadata>;
 }
-
-/** What only a server can do. */
-export interface Server extends Source {
-  picture(request: PictureRequest): Promise<Blob>;
-  point(camera: CameraRecord, pixel: [number, number]): Promise<Place>;
-  select(selection: Selection): Promise<{ blob: Blob; name: string }>;
-  /** Calls back when the server stops answering, when it answers again, and when it is another one. */
-  watch(onChange: (state: "alive" | "closed" | "other") => void): void;
-}

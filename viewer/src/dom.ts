@@ -42,6 +42,11 @@ export async function copy(text: string): Promise<void> {
   }
 }
 
+/** Tell the page around this one, which has its address and so its data (viewer/element). */
+export function announce(scoup: "asked" | "selected", detail: object): void {
+  if (window.parent !== window) window.parent.postMessage({ scoup, detail }, "*");
+}
+
 export function counted(count: number, thing: string): string {
   return `${count.toLocaleString("en")} ${thing}${count === 1 ? "" : "s"}`;
 }

@@ -1,8 +1,7 @@
 // The method's own picture of the current camera, rendered by the server, over the page's.
-import type { Server } from "./answers";
 import type { Eye } from "./camera";
 import { pause } from "./pause";
-import { NotNow } from "./server";
+import { NotNow, type LiveServer } from "./server";
 import type { State } from "./state";
 
 const REST_SECONDS = 0.4;
@@ -26,7 +25,7 @@ export class ExactPicture {
     private readonly button: HTMLElement,
     private readonly eye: Eye,
     private readonly state: State,
-    private readonly server: Server,
+    private readonly server: LiveServer,
     private readonly onError: (sentence: string) => void,
   ) {}
 

@@ -1,5 +1,5 @@
 // Starts the page: settings, source of answers, progress, and what tests may hold.
-import type { Server, Settings, Source } from "./answers";
+import type { Settings, Source } from "./answers";
 import { prepareAppearance } from "./appearance";
 import { byId } from "./dom";
 import { ExportedPage } from "./exported";
@@ -8,27 +8,9 @@ import type { Mode } from "./shader";
 import { prepareTabs } from "./tabs";
 import { Viewer } from "./viewer";
 
-/** What tests and other scripts may ask of the page. */
-export interface ViewerHandle {
-  /** Something is shown, and can be asked. */
-  ready: Promise<void>;
-  /** All parts of the scene are shown, and whole ones where the camera is near. To be read again after a movement. */
-  readonly whole: Promise<void>;
-  state(): object;
-  ask(texts: string[]): Promise<void>;
-  set(change: { mode?: Mode; level?: number | null; threshold?: number | null; opacity?: number }): void;
-  flyTo(name: string): Promise<void>;
-  /** Resolves when everything asked for is drawn. */
-  render(): Promise<void>;
-  /** What is seen, RGBA row by row from the top, with its width. */
-  pixels(): { data: number[]; width: number; height: number };
-  command(): string;
-  python(): string;
-}
-
 declare global {
   interface Window {
-    scoupViewer?: ViewerHandle;
+    scoupViewer?: ReturnType<typeof handle>;
   }
 }
 
@@ -49,7 +31,7 @@ function hasWebGL(): boolean {
 }
 
 async function start(settings: Settings): Promise<Viewer> {
-  const server: Server | null = settings.mode === "exported" ? null : new LiveServer(settings.identity);
+  const server = settings.mode === "exported" ? null : new LiveServer(settings.identity);
   const source: Source = server ?? new ExportedPage();
   const able = hasWebGL();
   if (!able && !server) throw new Error("This page needs WebGL 2, which this browser does not offer.");
@@ -61,14 +43,17 @@ async function start(settings: Settings): Promise<Viewer> {
   return viewer;
 }
 
-function handle(opening: Promise<Viewer>): ViewerHandle {
+/** What tests and other scripts may ask of the page. */
+function handle(opening: Promise<Viewer>) {
   let viewer: Viewer;
   const ready = opening.then((opened) => {
     viewer = opened;
   });
   return {
+    /** Something is shown, and can be asked. */
     ready,
-    get whole() {
+    /** All parts of the scene are shown, and whole ones where the camera is near. To be read again after a movement. */
+    get whole(): Promise<void> {
       return ready.then(() => viewer.whole);
     },
     state: () => {
@@ -79,10 +64,13 @@ function handle(opening: Promise<Viewer>): ViewerHandle {
       const camera = eye.at?.name ?? null;
       return { queries, things, mode, level, threshold, opacity, camera, gaussians: viewer.gaussians, drawing: viewer.drawing };
     },
-    ask: (texts) => viewer.ask(texts),
-    set: ({ mode, ...change }) => viewer.state.set(mode === undefined ? change : { ...change, chosenMode: mode }),
-    flyTo: (name) => viewer.flyTo(viewer.metadata.cameras.find((camera) => camera.name === name)!, false),
+    ask: (texts: string[]) => viewer.ask(texts),
+    set: ({ mode, ...change }: { mode?: Mode; level?: number | null; threshold?: number | null; opacity?: number }) =>
+      viewer.state.set(mode === undefined ? change : { ...change, chosenMode: mode }),
+    flyTo: (name: string) => viewer.flyTo(viewer.metadata.cameras.find((camera) => camera.name === name)!, false),
+    /** Resolves when everything asked for is drawn. */
     render: () => viewer.drawn(),
+    /** What is seen, RGBA row by row from the top, with its width. */
     pixels: () => {
       const canvas = viewer.stage.snapshot();
       const { width, height } = canvas;

@@ -12,10 +12,9 @@ export const MODE_NAMES: readonly [Mode, string][] = [
   ["codes", "Codes"],
   ["confidence", "Confidence"],
 ];
-const LEVEL_NAMES: Record<string, string> = { s: "s (fine)", m: "m (medium)", l: "l (coarse)" };
+const LEVEL_WORDS: Record<string, string> = { s: "fine", m: "medium", l: "coarse" };
 const HEAT_STOPS = HEAT.map((color) => `rgb(${color.join(",")})`).join(",");
-const LEVEL_TITLE = "How large the regions are that answer, fine to coarse: parts, objects, groups";
-const SCORE_TITLE = "Share of everyday words that fit this scene less well than the text";
+const SCORE_TITLE = "the share of everyday words that fit this scene less well than the text";
 /** Modes that only the page can show, not the server. */
 const PAGE_ONLY: readonly Mode[] = ["only", "except", "confidence"];
 
@@ -45,7 +44,7 @@ export class Panel {
   ) {
     const modes = MODE_NAMES.map(([mode, name], number): [string, string, string] => [mode, name, `key ${number + 1}`]);
     choices("modes", "mode", modes, (mode) => state.set({ chosenMode: mode as Mode }));
-    const levels = metadata.levels.map((name, level): [string, string, string] => [String(level), LEVEL_NAMES[name] ?? name, ""]);
+    const levels = metadata.levels.map((name, level): [string, string, string] => [String(level), name in LEVEL_WORDS ? `${name} (${LEVEL_WORDS[name]})` : name, ""]);
     choices("levels", "level", [["auto", "automatic", ""], ...levels], (level) =>
       state.set({ level: level === "auto" ? null : Number(level) }));
     if (remote) {
@@ -152,19 +151,18 @@ export class Panel {
     const { level, threshold } = this.state;
     const certainty = this.certainty(query);
     if (!answer.present) return [certainty];
-    const facts: [string, string][] = [[`level ${this.metadata.levels[this.state.levelOf(query)]}`, LEVEL_TITLE]];
+    const facts = [levelFact(this.metadata.levels[this.state.levelOf(query)])];
     if (level !== null || threshold !== null) return facts;
     return [...(answer.score === null ? [] : [certainty]), ...facts, [counted(answer.gaussians, "Gaussian"), ""]];
   }
 
   private certainty({ answer }: Query): [string, string] {
-    const { score, certainty, present, runner_up: rival } = answer;
+    const { score, certainty, runner_up: rival } = answer;
     if (answer.remark) return [answer.remark, ""];
     if (score === null) return ["not here", ""];
-    const number = score.toFixed(2);
-    const title = [`${SCORE_TITLE}; present from ${this.metadata.present_from}, if enough Gaussians answer`];
+    const title = [`Score ${score.toFixed(2)}: ${SCORE_TITLE}; present from ${this.metadata.present_from}, if enough Gaussians answer`];
     if (rival) title.push(`Next best: ${this.nameOf(rival.thing)}${rival.score === null ? "" : `, ${rival.score.toFixed(2)}`}`);
-    return [present ? `${certainty} ${number}` : `${certainty} (${number})`, `${title.join(". ")}.`];
+    return [certainty ?? "", `${title.join(". ")}.`];
   }
 
   private nameOf(thing: number): string {
@@ -172,6 +170,11 @@ export class Panel {
     const name = this.state.things?.nameOf(thing) ?? plain;
     return name === plain ? plain : `${name} (${plain})`;
   }
+}
+
+/** A level in words, with its name as the tooltip. */
+export function levelFact(level: string): [string, string] {
+  return [level in LEVEL_WORDS ? `${LEVEL_WORDS[level]} level` : `level ${level}`, `Level ${level}, of fine to coarse: parts, objects, groups`];
 }
 
 /** Radio buttons in a row. */
@@ -185,7 +188,7 @@ function choices(id: string, name: string, options: [string, string, string][], 
 }
 
 /** Facts with their tooltips, separated by commas. */
-function showFacts(out: HTMLElement, facts: [string, string][]): void {
+export function showFacts(out: HTMLElement, facts: [string, string][]): void {
   const parts = facts.map(([text, title]) => (title ? element("span", { title, class: "explained" }, text) : text));
   out.replaceChildren(...parts.flatMap((part, number) => (number ? [", ", part] : [part])));
 }

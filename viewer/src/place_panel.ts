@@ -1,6 +1,7 @@
 // What is said of a point that was clicked.
 import type { Place } from "./answers";
 import { byId, copy, element } from "./dom";
+import { levelFact, showFacts } from "./panel";
 
 export function showPlace(place: Place): void {
   const panel = byId("place");
@@ -15,9 +16,13 @@ export function showPlace(place: Place): void {
   }
   const list = element("dl");
   for (const { level, confidence, words } of place.levels) {
-    list.append(element("dt", {}, `level ${level}${words.length ? `, confidence ${confidence.toFixed(2)}` : ""}`));
-    const said = words.map(({ text, relevancy }) => `${text} ${relevancy.toFixed(2)}`).join(", ");
-    list.append(element("dd", { "data-level": level }, said || "no code here"));
+    const title = element("dt");
+    const agreement = confidence >= 0.9 ? "views agree" : confidence >= 0.6 ? "most views agree" : "views disagree";
+    const facts: [string, string][] = [levelFact(level), [agreement, `Confidence ${confidence.toFixed(2)}`]];
+    showFacts(title, words.length ? facts : facts.slice(0, 1));
+    const said = element("dd", { "data-level": level }, words.length ? "" : "no code here");
+    showFacts(said, words.map(({ text, relevancy }) => [text, `Relevancy ${relevancy.toFixed(2)}`]));
+    list.append(title, said);
   }
   const position = place.position.map((part) => part.toPrecision(5)).join(", ");
   const button = element("button", { type: "button" }, "Copy position");

@@ -34,12 +34,13 @@ function votes(scene: Scene, i: number, query: ShownQuery): boolean {
 /** Gaussians of any of some things, or all others. */
 export function owned(scene: Scene, numbers: number[], rest: boolean): number[] {
   const things = new Set(numbers);
+  const levels = [...scene.metadata.levels.keys()];
+  return rowsOf(scene, (i) => levels.some((level) => things.has(scene.owner(i, level))) !== rest);
+}
+
+function rowsOf(scene: Scene, isIn: (i: number) => boolean): number[] {
   const rows = [];
-  for (let i = 0; i < scene.count; i++) {
-    let isOwned = false;
-    for (let level = 0; level < scene.levels; level++) isOwned ||= things.has(scene.owner(i, level));
-    if (isOwned !== rest) rows.push(i);
-  }
+  for (let i = 0; i < scene.count; i++) if (isIn(i)) rows.push(i);
   return rows;
 }
 
@@ -55,11 +56,7 @@ export function answers(scene: Scene, query: ShownQuery): (i: number) => boolean
 /** Gaussians that answer any query, or all others. */
 export function selected(scene: Scene, queries: ShownQuery[], rest: boolean): number[] {
   const answering = queries.map((query) => answers(scene, query));
-  const rows = [];
-  for (let i = 0; i < scene.count; i++) {
-    if (answering.some((isAnswer) => isAnswer(i)) !== rest) rows.push(i);
-  }
-  return rows;
+  return rowsOf(scene, (i) => answering.some((isAnswer) => isAnswer(i)) !== rest);
 }
 
 /** @param comments lines of the header */

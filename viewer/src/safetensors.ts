@@ -36,23 +36,12 @@ export async function unpack(bytes: Uint8Array<ArrayBuffer>): Promise<Packed> {
   return { tensors, metadata: JSON.parse(metadata.scoup) };
 }
 
+const KINDS = { U8: Uint8Array, I8: Int8Array, U16: Uint16Array, F32: Float32Array, I32: Int32Array };
+
 function numbers(dtype: string, buffer: ArrayBuffer): TensorData {
-  switch (dtype) {
-    case "U8":
-      return new Uint8Array(buffer);
-    case "I8":
-      return new Int8Array(buffer);
-    case "U16":
-      return new Uint16Array(buffer);
-    case "F32":
-      return new Float32Array(buffer);
-    case "I32":
-      return new Int32Array(buffer);
-    case "F16":
-      return halves(new Uint16Array(buffer));
-    default:
-      throw new Error(`numbers of type ${dtype} are not known`);
-  }
+  if (dtype === "F16") return halves(new Uint16Array(buffer));
+  if (dtype in KINDS) return new KINDS[dtype as keyof typeof KINDS](buffer);
+  throw new Error(`numbers of type ${dtype} are not known`);
 }
 
 /** float16 bit patterns as float32. */

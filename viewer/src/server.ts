@@ -1,5 +1,5 @@
 // The server of a live page.
-import type { Answer, PictureRequest, Place, Selection, Server } from "./answers";
+import type { Answer, PictureRequest, Place, Selection, Source } from "./answers";
 import { download, fromBase64, unpack, type Packed, type Progress } from "./safetensors";
 import type { CameraRecord, Metadata, Thing } from "./scene_data";
 
@@ -10,7 +10,7 @@ const ANOTHER = "Another field is served here now; reload the page.";
 /** A picture that is no longer wanted, or a server that is busy: ask again. */
 export class NotNow extends Error {}
 
-export class LiveServer implements Server {
+export class LiveServer implements Source {
   private readonly visitor = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
   async vocabulary(): Promise<{ names: string[]; closed: boolean }> {
@@ -71,6 +71,7 @@ export class LiveServer implements Server {
 
   constructor(private readonly identity: string) {}
 
+  /** Call back when the server stops answering, when it answers again, and when it is another one. */
   watch(onChange: (state: "alive" | "closed" | "other") => void): void {
     let missed = 0;
     const poll = async () => {

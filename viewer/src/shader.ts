@@ -94,24 +94,11 @@ float scoupRelevancy(usampler2D indices, usampler2D weights, float scale, sample
 }
 
 /** Names of the inputs of `body`. */
-export interface Inputs {
-  gsplat: string;
-  indices: string;
-  weights: string;
-  scale: string;
-  canonical: string;
-  scores: string;
-  queries: string;
-  owners: string;
-  things: string;
-  confidence: string;
-  codeColors: string;
-  mode: string;
-  level: string;
-  opacity: string;
-  anySelected: string;
-  clean: string;
-}
+export type Inputs = Record<
+  | "gsplat" | "indices" | "weights" | "scale" | "canonical" | "scores" | "queries" | "owners" | "things" | "confidence"
+  | "codeColors" | "mode" | "level" | "opacity" | "anySelected" | "clean",
+  string
+>;
 
 /** The colour of one Gaussian; `out` is the Gaussian to be written. */
 export function body(inputs: Inputs, out: string, { levels, things }: Sizes): string {

@@ -195,24 +195,9 @@ export class Splat {
       anySelected: this.anySelected,
       clean: this.clean,
     };
-    const inTypes = {
-      gsplat: dyno.Gsplat,
-      indices: "usampler2D",
-      weights: "usampler2D",
-      scale: "float",
-      canonical: "sampler2D",
-      scores: "sampler2D",
-      queries: "sampler2D",
-      owners: "usampler2D",
-      things: "usampler2D",
-      confidence: "sampler2D",
-      codeColors: "sampler2D",
-      mode: "int",
-      level: "int",
-      opacity: "float",
-      anySelected: "int",
-      clean: "int",
-    } as const;
+    type Types = { [Name in keyof typeof uniforms]: (typeof uniforms)[Name]["type"] };
+    const types = Object.fromEntries(Object.entries(uniforms).map(([name, { type }]) => [name, type])) as Types;
+    const inTypes = { gsplat: dyno.Gsplat, ...types } as const;
     return dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
       const colored = new dyno.Dyno({
         inTypes,
@@ -301,26 +286,29 @@ function canonicalTexture(scene: Scene): THREE.DataTexture {
 
 /** The thing of each Gaussian at each level; one row of none where the scene has no things. */
 function ownerTexture(scene: Scene): THREE.DataTexture {
+  if (!scene.metadata.n_things) return integers(new Uint16Array(WIDTH).fill(NO_OWNER), 1, THREE.UnsignedShortType, "R16UI");
+  const data = byGaussian(scene, "owners", new Uint16Array(texels(scene)));
+  return integers(data, data.length / WIDTH, THREE.UnsignedShortType, "R16UI");
+}
+
+/** Of a texture with a number for each Gaussian and level. */
+function texels({ count, levels }: Scene): number {
+  return WIDTH * Math.max(1, Math.ceil((count * levels) / WIDTH));
+}
+
+/** Fill in a tensor: all levels of a Gaussian beside each other. */
+function byGaussian<Numbers extends Uint8Array | Uint16Array>(scene: Scene, name: string, out: Numbers): Numbers {
   const { count, levels } = scene;
-  const height = scene.metadata.n_things ? Math.max(1, Math.ceil((count * levels) / WIDTH)) : 1;
-  const data = new Uint16Array(WIDTH * height).fill(NO_OWNER);
-  if (scene.metadata.n_things) {
-    for (let level = 0; level < levels; level++) {
-      for (let i = 0; i < count; i++) data[i * levels + level] = scene.owner(i, level);
-    }
+  const { data } = scene.tensor(name);
+  for (let level = 0; level < levels; level++) {
+    for (let i = 0; i < count; i++) out[i * levels + level] = data[level * count + i];
   }
-  return integers(data, height, THREE.UnsignedShortType, "R16UI");
+  return out;
 }
 
 function confidenceTexture(scene: Scene): THREE.DataTexture {
-  const { count, levels } = scene;
-  const height = Math.max(1, Math.ceil((count * levels) / WIDTH));
-  const data = new Uint8Array(WIDTH * height);
-  const source = scene.tensor("confidence").data;
-  for (let level = 0; level < levels; level++) {
-    for (let i = 0; i < count; i++) data[i * levels + level] = source[level * count + i];
-  }
-  const texture = new THREE.DataTexture(data, WIDTH, height, THREE.RedFormat, THREE.UnsignedByteType);
+  const data = byGaussian(scene, "confidence", new Uint8Array(texels(scene)));
+  const texture = new THREE.DataTexture(data, WIDTH, data.length / WIDTH, THREE.RedFormat, THREE.UnsignedByteType);
   texture.needsUpdate = true;
   return texture;
 }

@@ -1,12 +1,11 @@
 // Where the scene is seen: by WebGL in this browser, or as pictures of the server.
 import * as THREE from "three";
-import type { Server } from "./answers";
 import { Boxes } from "./boxes";
 import type { Eye } from "./camera";
 import { pause } from "./pause";
 import type { Progress } from "./safetensors";
 import type { Scene } from "./scene_data";
-import { NotNow } from "./server";
+import { NotNow, type LiveServer } from "./server";
 import { Splat } from "./splat";
 import type { State } from "./state";
 
@@ -223,7 +222,7 @@ export class RemoteStage implements Stage {
     private readonly canvas: HTMLCanvasElement,
     private readonly eye: Eye,
     private readonly state: State,
-    private readonly server: Server,
+    private readonly server: LiveServer,
     private readonly onError: (sentence: string) => void,
   ) {
     this.context = canvas.getContext("2d", { willReadFrequently: true })!;

@@ -1,5 +1,6 @@
 // The things in the panel: a card of what is selected, and the list that typing filters.
 import { byId, counted, element } from "./dom";
+import { levelFact, showFacts } from "./panel";
 import type { Thing } from "./scene_data";
 import type { Things } from "./things";
 
@@ -67,8 +68,10 @@ export class ThingPanel {
       if (event.key === "Enter") name.blur();
     });
     const size = thing.box.extent.map(length).join(" × ");
-    const facts = `level ${this.levels[thing.level]}, ${counted(thing.gaussians, "Gaussian")}, ${counted(thing.views, "region")}, size ${size}`;
-    return element("div", { class: "thing" }, name, element("span", { class: "facts" }, facts));
+    const facts = element("span", { class: "facts" });
+    const regions = `Merged from ${counted(thing.views, "region")}`;
+    showFacts(facts, [levelFact(this.levels[thing.level]), [counted(thing.gaussians, "Gaussian"), regions], [`size ${size}`, ""]]);
+    return element("div", { class: "thing" }, name, facts);
   }
 
   private showList(): void {
@@ -84,7 +87,7 @@ export class ThingPanel {
 
   private row(thing: Thing): HTMLElement {
     const { things } = this;
-    const facts = `level ${this.levels[thing.level]}, ${thing.gaussians.toLocaleString("en")}`;
+    const facts = `${levelFact(this.levels[thing.level])[0]}, ${thing.gaussians.toLocaleString("en")}`;
     const row = element("button", { type: "button", "data-thing": String(thing.number) },
       element("span", { class: "text" }, things.nameOf(thing.number)), element("span", { class: "facts" }, facts));
     row.setAttribute("aria-pressed", String(things.selected.includes(thing.number)));

@@ -1,6 +1,7 @@
 // The things of a scene: which are selected, hidden and named, and what a click selects.
-import { NO_OWNER, type Scene, type Thing } from "./scene_data";
+import { announce } from "./dom";
 import type { Painted } from "./picking";
+import { NO_OWNER, type Scene, type Thing } from "./scene_data";
 
 /** What a click does beside selecting what is under the pointer. */
 export interface Click {
@@ -60,6 +61,7 @@ export class Things {
 
   select(numbers: number[]): void {
     this.selected = numbers;
+    announce("selected", { things: numbers.map((number) => ({ ...this.of(number), name: this.nameOf(number) })) });
     this.onChange();
   }
 

@@ -1,12 +1,12 @@
 // The page as a whole: joins picture, panel and answers.
 import * as THREE from "three";
-import type { Place, Server, Settings, Source } from "./answers";
+import type { Place, Settings, Source } from "./answers";
 import { mayAnimate } from "./appearance";
 import { Eye } from "./camera";
 import { CameraList } from "./cameras";
 import { commandLine, python } from "./commands";
 import { completeFrom } from "./completion";
-import { byId, copy, counted, save } from "./dom";
+import { announce, byId, copy, counted, save } from "./dom";
 import { ExactPicture } from "./exact";
 import type { ExportedPage } from "./exported";
 import { Hovering } from "./hovering";
@@ -18,6 +18,7 @@ import { hidePlace, showPlace } from "./place_panel";
 import { owned, plyOf, selected } from "./ply";
 import { Scene, type CameraRecord, type Metadata } from "./scene_data";
 import { SelectionOutline } from "./selection_outline";
+import type { LiveServer } from "./server";
 import { RemoteStage, SplatStage, type Stage } from "./stage";
 import { State } from "./state";
 import { showTab } from "./tabs";
@@ -53,7 +54,7 @@ export class Viewer {
     readonly settings: Settings,
     readonly metadata: Metadata,
     private readonly source: Source,
-    private readonly server: Server | null,
+    private readonly server: LiveServer | null,
     private scene: Scene | null,
   ) {
     this.state = new State(metadata.levels.length);
@@ -78,7 +79,7 @@ export class Viewer {
   static async open(
     settings: Settings,
     source: Source,
-    server: Server | null,
+    server: LiveServer | null,
     withGaussians: boolean,
     progress: (stage: string, done: number, total: number) => void,
   ): Promise<Viewer> {
@@ -87,8 +88,7 @@ export class Viewer {
     const viewer = new Viewer(settings, metadata, source, server, scene);
     if (scene && viewer.stage instanceof SplatStage) await viewer.stage.load(scene, progress);
     viewer.describe();
-    viewer.prepareWords();
-    if (scene && metadata.n_things) void viewer.listThings();
+    void viewer.prepareWords(scene && metadata.n_things ? viewer.listThings() : null);
     if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
     viewer.stage.redraw();
     if (metadata.parts) viewer.whole = viewer.loadParts(scene!);
@@ -149,7 +149,11 @@ export class Viewer {
     const asking = byId("asking");
     const timer = window.setTimeout(() => (asking.textContent = `Looking for ${texts.join(", ")} …`), PATIENCE_SECONDS * 1000);
     try {
-      this.state.add(await this.source.ask(texts));
+      const answers = await this.source.ask(texts);
+      this.state.add(answers);
+      const told = answers.map(({ text, present, certainty, score, gaussians, chosen_things: things }) => (
+        { text, present, certainty, score, gaussians, things }));
+      announce("asked", { answers: told });
     } catch (error) {
       this.say((error as Error).message);
     } finally {
@@ -385,17 +389,20 @@ export class Viewer {
     byId("facts").textContent = `${shown}. Embeddings: ${metadata.embedding_model || "unnamed model"}. SCOUP ${this.settings.version}.`;
   }
 
-  /** Words that the text box completes, or why none can be asked. */
-  private prepareWords(): void {
+  /** Words that the text box completes and, once things are listed, proposes; or why none can be asked. */
+  private async prepareWords(listing: Promise<void> | null): Promise<void> {
     const { metadata } = this;
     if (metadata.words_problem !== null) {
       this.say(`No text can be asked: ${metadata.words_problem}`);
       for (const part of byId("ask").querySelectorAll<HTMLInputElement | HTMLButtonElement>("input, button")) part.disabled = true;
       return;
     }
-    void this.source.vocabulary().then(({ names, closed }) => {
-      completeFrom(names);
-      if (closed) byId<HTMLInputElement>("text").title = `one of ${names.length.toLocaleString("en")} words`;
-    });
+    const { names, closed } = await this.source.vocabulary();
+    const box = byId<HTMLInputElement>("text");
+    completeFrom(names);
+    if (closed) box.title = `one of ${names.length.toLocaleString("en")} words`;
+    await listing;
+    const seen = [...(this.state.things?.all ?? [])].sort((a, b) => b.gaussians - a.gaussians).map(({ name }) => name);
+    box.placeholder = [...new Set([...seen.filter((name) => name && names.includes(name)), ...names])].slice(0, 2).join(", ");
   }
 }

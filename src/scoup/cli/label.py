@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from scoup.query.labels import GaussianLabels
     from scoup.scene.cameras import Camera
 
-Output = Literal["sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet"]
+Output = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet"]
 USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
 
 
@@ -49,9 +49,10 @@ class Label(AnswerOptions, CameraOptions):
     """Folder to write. Default: <name of FIELD>_labels here."""
     outputs: tuple[Output, ...] = USUAL
     """What is written. sidecar: labels.npy, a number per Gaussian, -1 for none, and labels.json, what the numbers mean.
-    ids: labels.ply, the splat with an integer property `label`. colors: colored.ply, the splat in the colours of the
-    words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. clouds: a point cloud
-    per word. maps: a PNG with palette for each camera, and coco.json."""
+    ids: labels.ply, the splat with integer properties `label` and `thing`. colors: colored.ply, the splat in the
+    colours of the words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. usd:
+    labels.usdc, a prim with label and box per thing. clouds: a point cloud per word. maps: a PNG with palette for each
+    camera, and coco.json."""
     camera: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
     ] = ()

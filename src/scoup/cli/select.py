@@ -44,9 +44,9 @@ class Select(AnswerOptions, CameraOptions):
     relation or order (docs/things.md). A text in inner double quotes is taken literally."""
     out: Path
     """The splat (.ply, .splat, .spz, .glb, .gltf, .ksplat, .sog, .usd, .usdz) or field (.scoup) to write."""
-    edit: Literal["keep", "remove", "recolor", "fade", "ids"] = "keep"
-    """keep: write the selection. remove: all others. recolor, fade: all, with the selection changed. ids: all, with a
-    property `selected`: number of text, or 0 (PLY only; `scoup label` writes one class each)."""
+    edit: Literal["keep", "remove", "recolor", "fade", "state"] = "keep"
+    """keep: write the selection. remove: all others. recolor, fade: all, with the selection changed. state: all, with
+    the selection live in SuperSplat (PLY only; `scoup label` writes a class for each Gaussian)."""
     color: str = "#ff5c28"
     """Colour for --edit recolor, #rrggbb. Light and shade stay."""
     opacity: float = 0.15
@@ -72,7 +72,6 @@ class Select(AnswerOptions, CameraOptions):
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
-        from scoup.base.errors import InputError
         from scoup.query.expression import parse_expression
         from scoup.query.select import Reshaping
 
@@ -81,8 +80,6 @@ class Select(AnswerOptions, CameraOptions):
         self._check_options()
         field = self.open_field()
         expression = parse_expression(self.texts, self.text_encoder(field).names)
-        if self.edit == "ids" and (shape.changes or not expression.is_plain):
-            raise InputError("--edit ids numbers texts: pass them without and, or, not, and without a shape")
         self._check_out(field)
         whole = field.select(self.question(field, expression, level=self.level), shape)
         self._check_found(whole)
@@ -100,9 +97,9 @@ class Select(AnswerOptions, CameraOptions):
         is_field = self.out.suffix.lower() == ".scoup"
         if not is_field:
             written_format(self.out, "a field (.scoup)")
-        if self.edit == "ids" and not self._is_plain_ply():
+        if self.edit == "state" and not self._is_plain_ply():
             what = "a field" if is_field else "this format"
-            raise InputError(f"{self.out}: {what} has no column of ids; use a name that ends in .ply")
+            raise InputError(f"{self.out}: {what} has no column of states; use a name that ends in .ply")
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise InputError(f"{self.picture}: the picture is a PNG; use a name that ends in .png")
         for path in (self.out, self.picture):
@@ -142,7 +139,7 @@ class Select(AnswerOptions, CameraOptions):
         from scoup.base.errors import InputError
 
         found, count = int(answer.mask.sum()), len(answer.mask)
-        if self.edit == "ids" or (found and not (self.edit == "remove" and found == count)):
+        if found and not (self.edit == "remove" and found == count):
             return
         advice = "try a higher --threshold" if found else "try a lower --threshold"
         if not found and not answer.presence:
@@ -156,13 +153,11 @@ class Select(AnswerOptions, CameraOptions):
     def _write(self, field: LanguageField, whole: Answer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
-        from scoup.query.edits import SplatTable, edited
+        from scoup.query.edits import STATE, SplatTable, edited
 
-        if self.edit == "ids":
-            table = SplatTable.of(field, self.gaussians).with_ids([part.mask for part in whole.parts])
-            write_ply_table(table, self.out, self.overwrite)
-            return len(table)
-        left = edited(field.gaussians, whole.mask, self.edit, self._rgb(), self.opacity)
+        left = field.gaussians
+        if self.edit != "state":
+            left = edited(left, whole.mask, self.edit, self._rgb(), self.opacity)
         self._draw(field, whole, left)
         kept = {"keep": whole.mask, "remove": ~whole.mask}.get(self.edit)
         if self.out.suffix.lower() == ".scoup":
@@ -170,8 +165,12 @@ class Select(AnswerOptions, CameraOptions):
             edited_field.save(self.out, self.overwrite)
         elif self._is_plain_ply():
             rows = SplatTable.of(field, self.gaussians)
-            table = rows.edited(whole.mask, left) if kept is None else rows.select(kept)
+            if self.edit == "state":
+                table = rows.with_column(STATE, whole.mask.byte())
+            else:
+                table = rows.edited(whole.mask, left) if kept is None else rows.select(kept)
             write_ply_table(table, self.out, self.overwrite)
+            return len(table)
         else:
             save_gaussians(left.to("cpu"), self.out, self.overwrite)
         return len(left)
@@ -203,7 +202,9 @@ class Select(AnswerOptions, CameraOptions):
         if place.position is not None:
             console.say(f"at {place.describe(self.metres_per_unit)}")
         console.say(f"{self.out}: {counted(written, 'Gaussian')} written")
-        if self.picture is not None and self.edit != "ids":
+        if self.edit == "remove":
+            console.say("nothing was photographed behind it: expect a hole or haze in its place")
+        if self.picture is not None:
             console.say(f"{self.picture}: before, selection, after")
         console.result(
             {

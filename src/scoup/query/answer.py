@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 from torch import Tensor
 
+from scoup.base.counts import listed
 from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.query.presence import Certainty, certainty
@@ -122,7 +123,7 @@ class Answer:
         named = Counter(
             thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
         )
-        names = ", ".join(name if count == 1 else f"{count} x {name}" for name, count in named.items())
+        names = listed([name if count == 1 else f"{count} x {name}" for name, count in named.items()], 12)
         start = f"{names}; " if names else ""
         if self.score is None:
             return f"{start}presence not judged{seen}" if self.presence else "not in this scene"

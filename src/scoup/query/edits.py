@@ -25,6 +25,8 @@ Edit = Literal["keep", "remove", "recolor", "fade"]
 MOST_TRIED = 12  # cameras from which the one that sees most of a selection is chosen
 TRIED_SIDE = 160  # pixels of their longer side
 COVERED = 0.5  # share of a pixel's light from which it belongs to the selection
+STATE = "state"
+"""Property of uint8 flags that SuperSplat reads: 1 selected, 2 locked, 4 deleted."""
 
 
 def edited(
@@ -139,15 +141,6 @@ class SplatTable:
 
     def with_column(self, name: str, values: Tensor, missing: int = 0) -> PlyTable:
         """Return all rows with an integer property: ``values`` [N] of the Gaussians, ``missing`` for other rows."""
-        column = torch.full((len(self.is_gaussian),), missing, dtype=torch.int32)
-        column[self.is_gaussian] = values.int()
+        column = torch.full((len(self.is_gaussian),), missing, dtype=values.dtype)
+        column[self.is_gaussian] = values
         return self.table.with_column(name, column.numpy())
-
-    def with_ids(self, masks: list[Tensor]) -> PlyTable:
-        """Return all rows with a property `selected`: the number, from 1, of the last of ``masks`` [N] that contains
-        the Gaussian; 0 for none.
-        """
-        ids = torch.zeros(int(self.is_gaussian.sum()), dtype=torch.int32)
-        for number, mask in enumerate(masks, start=1):
-            ids[mask] = number
-        return self.with_column("selected", ids)

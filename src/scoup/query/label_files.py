@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,17 +18,21 @@ from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
 from scoup.io.coco import CocoAnnotations
+from scoup.io.splats.usd import UsdThing, write_usd
 from scoup.pictures import label_colors
+from scoup.query.boxes import PointSets
 from scoup.query.edits import SplatTable, edited
 from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, LabelSheet, label_map
+from scoup.query.votes import true_rows
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0, Gaussians
+from scoup.scene.up import estimate_up
 
-LabelOutput = Literal["sidecar", "ids", "colors", "glb", "clouds", "maps", "sheet"]
+LabelOutput = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet"]
 SIDECAR = ("labels.npy", "labels.json")
-IDS, COLORS, GLB = "labels.ply", "colored.ply", "labels.glb"
+IDS, COLORS, GLB, USD = "labels.ply", "colored.ply", "labels.glb", "labels.usdc"
 CLOUDS, MAPS, COCO, SHEET = "clouds", "maps", "maps/coco.json", "labels.png"
-PROPERTY = "label"
+PROPERTY, INSTANCE = "label", "thing"
 GREY = 0.35  # of Gaussians without a word
 
 
@@ -44,6 +49,7 @@ def label_files(words: Sequence[str], outputs: Sequence[str], views: Sequence[st
         "ids": [IDS],
         "colors": [COLORS],
         "glb": [GLB],
+        "usd": [USD],
         "clouds": clouds,
         "maps": [COCO, *(f"{MAPS}/{view}.png" for view in views)],
         "sheet": [SHEET],
@@ -74,13 +80,18 @@ def save_labels(
             np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
         write_text(folder / SIDECAR[1], json.dumps(label_record(labels), indent=1) + "\n")
     if "ids" in outputs:
-        write_ply_table(SplatTable.of(field, geometry).with_column(PROPERTY, labels.ids, NONE), folder / IDS)
+        rows = SplatTable.of(field, geometry)
+        for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):
+            rows = replace(rows, table=rows.with_column(name, numbers, NONE))
+        write_ply_table(rows.table, folder / IDS)
     if "colors" in outputs:
         write_ply(labelled_colors(gaussians, labels), folder / COLORS)
     if "glb" in outputs:
         from scoup.io.splats.gltf import GaussianFeatures, write_gltf
 
         write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names, PROPERTY))
+    if "usd" in outputs:
+        write_usd(gaussians, folder / USD, things=usd_things(field, labels))
     if "clouds" in outputs:
         names = [*labels.names, NONE_NAME]
         for name, file in zip(names, unique_slugs(names), strict=True):
@@ -128,6 +139,21 @@ def save_label_views(
     if on_sheet:
         save_png(sheet.picture(), folder / SHEET)
     return blind
+
+
+def usd_things(field: LanguageField, labels: GaussianLabels) -> list[UsdThing]:
+    """Return the things of each word with their boxes; a word that the votes answer is one thing of its number."""
+    pairs = torch.stack([labels.ids, labels.instances], 1)
+    groups = pairs[labels.ids != NONE].unique(dim=0)
+    members = [(pairs == group).all(1) for group in groups]
+    points = PointSets.of(field.gaussians, [true_rows(mask) for mask in members])
+    return [
+        UsdThing(labels.names[word], word if thing < 0 else thing, mask, **vars(box))
+        for (word, thing), mask, box in zip(
+            groups.tolist(), members, points.boxes(estimate_up(field.cameras or ())), strict=True
+        )
+        if box is not None
+    ]
 
 
 def label_record(labels: GaussianLabels) -> dict[str, Any]:

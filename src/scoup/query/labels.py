@@ -19,6 +19,7 @@ from scoup.query.answer import Answer
 from scoup.query.ask import answers_of
 from scoup.query.field_view import FieldView
 from scoup.query.question import Question, Several, as_question
+from scoup.scene.things import NO_THING
 
 NONE = -1
 """The id of a Gaussian that no word fits."""
@@ -53,6 +54,8 @@ class GaussianLabels:
     things: tuple[tuple[int, ...], ...]
     """Per word, the numbers of the things that answer it (``field.things`` describes them); empty where the votes
     answer, and for what is not there."""
+    instances: Tensor
+    """[N] int32, which of these things it belongs to; -1 without a word, and where the votes answer."""
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}: {count:,}" for name, count in self.counts().items())
@@ -93,13 +96,21 @@ def label(field: LanguageField, question: Question[Any] | str | Several) -> Gaus
         raise InputError(
             f"labels need words that differ from each other and from {NONE_NAME!r} (got {', '.join(names)})"
         )
+    ids = labels_of_answers(answers, field.levels)
+    instances = torch.full_like(ids, NO_THING)
+    for number, answer in enumerate(answers):
+        if answer.things and field.thing_table is not None:
+            owners = field.thing_table.owners.cpu()
+            mine = torch.isin(owners, torch.tensor(answer.things, dtype=owners.dtype))
+            instances = torch.where(ids == number, torch.where(mine, owners, NO_THING).amax(1), instances)
     return GaussianLabels(
-        labels_of_answers(answers, field.levels),
+        ids,
         names,
         tuple(answer.score for answer in answers),
         tuple(answer.presence for answer in answers),
         tuple(answer.level for answer in answers),
         tuple(answer.things for answer in answers),
+        instances,
     )
 
 

@@ -1,6 +1,7 @@
 """OpenUSD files of Gaussians (.usd, .usda, .usdc, .usdz), written by the package usd-core (extra ``scoup[usd]``).
 
-One prim of the type ParticleField3DGaussianSplat, which OpenUSD has from 26.03 on. They are not read.
+One prim of the type ParticleField3DGaussianSplat, which OpenUSD has from 26.03 on; with things, one for each and one
+for the rest. They are not read.
 """
 
 from __future__ import annotations
@@ -8,21 +9,27 @@ from __future__ import annotations
 import shutil
 import struct
 import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from scoup.base.atomic import atomic_path
 from scoup.base.errors import InputError, ScoupError, WriteError
 from scoup.io.splats.activation import keep_finite, linear_arrays
-from scoup.io.splats.axes import Axis, half_turn
+from scoup.io.splats.axes import Axis, half_turn, turned_direction
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import Gaussians
 
 HOW_TO_GET_IT = "needs the package usd-core, 26.3 or newer: pip install 'scoup[usd]', and run again"
-PRIM = "/Splat"
+SPLAT, SCENE = "/Splat", "/Scene"
+TAXONOMY = "class"
+"""Of labels of things: the attribute is ``semantics:labels:class``."""
 _AXIS: Axis = "x"
 _TYPE = "ParticleField3DGaussianSplat"
 _ALIGNED, _PADDING = 64, 0x1986  # of .usdz: where a file begins, and the id of what fills the place before it
@@ -30,7 +37,21 @@ _ZIP_HEADER = 30  # bytes
 _EXTENT = 3.0  # standard deviations within which a Gaussian is drawn
 
 
-def write_usd(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
+@dataclass(frozen=True, eq=False)
+class UsdThing:
+    """A thing that gets a prim of its own: a label, its Gaussians, and a box to collide with."""
+
+    label: str
+    number: int  # no two things have the same label and number
+    members: Tensor  # [N] boolean; no Gaussian belongs to two things
+    centre: Tensor  # [3] of the box, as all in the axes of the Gaussians
+    axes: Tensor  # [3, 3] one unit direction per row, right-handed
+    extent: Tensor  # [3] full lengths along the axes
+
+
+def write_usd(
+    gaussians: Gaussians, path: str | Path, overwrite: bool = False, things: Sequence[UsdThing] = ()
+) -> None:
     """Write an OpenUSD file; the suffix decides between text (.usda), binary (.usd, .usdc) and a package (.usdz).
 
     All float32 values are kept bit by bit, but for what ``linear_arrays`` changes. Rows that are not finite are left
@@ -38,6 +59,7 @@ def write_usd(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
 
     Args:
         gaussians: at least one.
+        things: of them.
 
     Raises:
         ScoupError: usd-core is missing or too old.
@@ -47,14 +69,15 @@ def write_usd(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
     """
     path = Path(path)
     usd = _package(path)
-    finite = keep_finite(**half_turn(linear_arrays(gaussians), _AXIS), source=str(path))[0]
+    finite, kept = keep_finite(**half_turn(linear_arrays(gaussians), _AXIS), source=str(path))
     if not len(finite):
         raise InputError(f"{path}: there are no Gaussians to write")
     with atomic_path(path, overwrite) as temporary:
         is_package = path.suffix.lower() == ".usdz"
         # A short name: usd-core writes to a longer one first.
         layer = temporary.with_name("splat.usdc" if is_package else f"splat{path.suffix}")
-        stage = _stage(usd, finite)  # kept until the end: without it the layer crashes the process
+        # Kept until the end: without it the layer crashes the process.
+        stage = _stage(usd, finite, torch.from_numpy(kept), things)
         try:
             stage.GetRootLayer().Export(str(layer))
         except usd.Tf.ErrorException:  # it names places in its sources, and not what the system said
@@ -88,7 +111,7 @@ def _package(path: Path) -> Any:
     """Return usd-core."""
     try:
         package: Any = import_module("pxr")
-        for name in ("Tf", "Usd", "UsdGeom", "UsdVol", "Vt"):
+        for name in ("Gf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "UsdSemantics", "UsdVol", "Vt"):
             import_module(f"pxr.{name}")
     except ImportError:
         raise ScoupError(f"{path}: {HOW_TO_GET_IT}") from None
@@ -97,13 +120,34 @@ def _package(path: Path) -> Any:
     return package
 
 
-def _stage(usd: Any, gaussians: Gaussians) -> Any:
-    """Return a stage in memory, with the Gaussians as its default prim."""
+def _stage(usd: Any, gaussians: Gaussians, kept: Tensor, things: Sequence[UsdThing]) -> Any:
+    """Return a stage in memory; the things are of all Gaussians, of which those ``kept`` [N] boolean are written."""
     stage = usd.Usd.Stage.CreateInMemory()
     usd.UsdGeom.SetStageUpAxis(stage, usd.UsdGeom.Tokens.y)
     usd.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    splat = usd.UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
-    stage.SetDefaultPrim(splat.GetPrim())
+    if not things:
+        stage.SetDefaultPrim(_define_splat(usd, stage, SPLAT, gaussians))
+        return stage
+    stage.SetDefaultPrim(usd.UsdGeom.Xform.Define(stage, SCENE).GetPrim())
+    rest = torch.ones(len(gaussians), dtype=torch.bool)
+    for thing in things:
+        mine = thing.members[kept]
+        if not mine.any():
+            continue
+        path = f"{SCENE}/{usd.Tf.MakeValidIdentifier(thing.label)}_{thing.number}"
+        prim = usd.UsdGeom.Xform.Define(stage, path).GetPrim()
+        usd.UsdSemantics.LabelsAPI.Apply(prim, TAXONOMY).CreateLabelsAttr([thing.label])
+        _define_splat(usd, stage, path + SPLAT, gaussians.select(mine))
+        _define_collider(usd, stage, f"{path}/Box", thing)
+        rest &= ~mine
+    if rest.any():
+        _define_splat(usd, stage, f"{SCENE}/Rest", gaussians.select(rest))
+    return stage
+
+
+def _define_splat(usd: Any, stage: Any, path: str, gaussians: Gaussians) -> Any:
+    """Add a prim of at least one Gaussian, and return it."""
+    prim = usd.UsdVol.ParticleField3DGaussianSplat.Define(stage, path).GetPrim()
     means, scales, sh = (getattr(gaussians, name).numpy() for name in ("means", "scales", "sh"))
     reach = _EXTENT * scales.max(1, keepdims=True)
     vectors, numbers = usd.Vt.Vec3fArray.FromNumpy, usd.Vt.FloatArray.FromNumpy
@@ -116,8 +160,20 @@ def _stage(usd: Any, gaussians: Gaussians) -> Any:
         "radiance:sphericalHarmonicsDegree": gaussians.sh_degree,
         "radiance:sphericalHarmonicsCoefficients": vectors(sh.reshape(-1, 3)),
     }.items():
-        splat.GetPrim().GetAttribute(name).Set(value)
-    return stage
+        prim.GetAttribute(name).Set(value)
+    return prim
+
+
+def _define_collider(usd: Any, stage: Any, path: str, thing: UsdThing) -> None:
+    """Add the box of a thing: other bodies collide with it, and only views of guides show it."""
+    cube = usd.UsdGeom.Cube.Define(stage, path)
+    cube.CreateSizeAttr(1.0)
+    cube.CreateExtentAttr([(-0.5,) * 3, (0.5,) * 3])
+    cube.CreatePurposeAttr(usd.UsdGeom.Tokens.guide)
+    rows = [*(thing.axes * thing.extent[:, None]).tolist(), thing.centre.tolist()]
+    turned = [(*turned_direction(row, _AXIS), float(number == 3)) for number, row in enumerate(rows)]
+    cube.AddTransformOp().Set(usd.Gf.Matrix4d(*turned))
+    usd.UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
 
 
 FORMAT = SplatFormat("OpenUSD", (".usd", ".usda", ".usdc", ".usdz"), write=write_usd, axis=_AXIS, extra="usd")
