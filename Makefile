@@ -1,5 +1,5 @@
 # make demo   create the environment, install, build and query a small scene (pictures and a table in demo/)
-# make test   create the environment, install, run the tests (two processes of one thread each, about six minutes)
+# make test   create the environment, install, run the tests (three processes of one thread each: some wait; about six minutes)
 # make test-all   the same, then all random examples, the exhaustive sweeps, and the engines that are installed (about half an hour)
 # make test-engines   the examples of many machines under Slurm (Debian's slurm-wlm and munge; needs root) and Ray
 # make test-native   random and hostile arrays through the compiled core, under sanitizers (about three minutes)
@@ -25,7 +25,7 @@ docs: .venv/installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 test: .venv/installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal -m "not slow"
 
 test-all: test
 	SCOUP_TEST_EXAMPLES=all OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --timeout 1200 -m "slow or hypothesis"

@@ -24,11 +24,7 @@ def presence_of_groups(
     """Return per way and group of scenes what ``presence_of_group`` says."""
     found: dict[str, dict[str, Record]] = {}
     for way in ways:
-        of = {
-            cell.split("/")[0]: each[way]["presence"]
-            for cell, each in scores.items()
-            if cell.endswith("/clean")
-        }
+        of = {name: each[way]["presence"] for name, each in scores.items()}
         if any(None in each["present"] for each in of.values()):
             continue
         found[way] = {

@@ -14,7 +14,6 @@ from torch import Tensor
 
 import scoup
 from benchmarks.embedding_kinds import KINDS
-from benchmarks.faults import LevelSums, as_region_sums, level_sums, perturbed
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.real_scenes import REAL_SCENES, RealScene
 from benchmarks.scenes import scene_of
@@ -26,6 +25,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import Scale
 from scoup.uplift.rasterise import region_sums
+from scoup.uplift.region_sums import RegionSums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene
@@ -56,7 +56,8 @@ class AnswerScene:
 
     name: str  # for tables
     gaussians: Gaussians  # N of them
-    levels: Callable[[Scale], list[LevelSums]]  # region sums at a scale and embeddings, fine to coarse
+    sums: Callable[[Scale], RegionSums]  # at a scale of the images, each made once
+    embeddings: list[Tensor]  # per level [R, D]
     frames: list[tuple[LabelledFrame, raster.Projection]]  # labelled frames with their views; of one size
     cameras: list[Camera]  # of the labelled frames
     queries: dict[str, Tensor]  # label -> [D] unit text vector
@@ -64,8 +65,6 @@ class AnswerScene:
     everyday: Tensor  # [B, D] unit vectors of everyday words, the labels among them
     words: tuple[str, ...]  # the everyday words
     absent: tuple[str, ...]  # those of them that nothing in the scene is called
-    # label -> [N] boolean, the Gaussians that truly are it; empty for scenes of real models, where it is not known
-    members: dict[str, Tensor]
     # label -> how many instances are visible; empty where that is not known
     counts: dict[str, int] = field(default_factory=dict)
 
@@ -74,13 +73,9 @@ class AnswerScene:
         """(frame, label) in the order they are scored."""
         return [(frame.name, label) for frame, _ in self.frames for label in frame.labels]
 
-    def inputs(self, case: str = "clean", draw: int = 0, scale: Scale = "auto") -> UpliftInputs:
-        """Return what methods are fitted to, with the faults of a case (``benchmarks.faults``)
-        drawn by a seed."""
-        levels = perturbed(self.levels(scale), case, draw)
-        sums = as_region_sums(levels)
-        sums.means = self.gaussians.means.cpu()
-        return UpliftInputs(sums, [level.embeddings for level in levels])
+    def inputs(self, scale: Scale = "auto") -> UpliftInputs:
+        """Return what methods are fitted to; no codes are kept in it yet."""
+        return UpliftInputs(self.sums(scale), self.embeddings)
 
 
 class DrawName(NamedTuple):
@@ -114,37 +109,29 @@ def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
     draw = DrawName.parse(name)
     if draw is not None:
         return _kitchen_draw(data, draw, size.kitchen_scale)
-    return procedural_scene(name, scene_of(name, *size.of_procedural()))
+    return _procedural_scene(name, scene_of(name, *size.of_procedural()))
 
 
-def procedural_scene(name: str, demo: DemoScene) -> AnswerScene:
-    """Return a procedural scene."""
+def _procedural_scene(name: str, demo: DemoScene) -> AnswerScene:
     labelled = [(demo.labelled_frame(camera.name, LABELLED_LEVELS), camera) for camera in demo.held_out]
     frames = [(frame, camera) for frame, camera in labelled if frame.labels]
-    labels = _labels(frames)
     words = tuple(word for word in demo.words.texts if word not in CANONICAL)
-    numbers = demo.part_of_gaussian.numpy()
-    members = {
-        label: torch.from_numpy(demo.parts.at_level(numbers, level) == demo.parts.names(level).index(label))
-        for label in labels
-        for level in [demo.level_of(label)]
-    }
     texts = Texts(demo.canonical, words, demo.text_vectors(words), DISTRACTORS)
-    return prepared(name, demo.gaussians, demo.building, demo.regions, frames, texts, members)
+    return prepared(name, demo.gaussians, demo.building, demo.regions, frames, texts)
 
 
 def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
     truth = Truth.open(data, scale)
     draw = make_draw(truth, name.seed, name.noise, KINDS[name.kind] if name.kind else None)
     texts = texts_of(data, truth)
-    return prepared(str(name), truth.gaussians, truth.cameras, draw.regions, draw.frames, texts, draw.members)
+    return prepared(str(name), truth.gaussians, truth.cameras, draw.regions, draw.frames, texts)
 
 
 def _real_scene(name: str, data: Path) -> AnswerScene:
     scene = RealScene.open(name, data)
     gaussians = scoup.load_gaussians(scene.folder / "point_cloud.splat")
     texts = Texts(scene.canonical, scene.words, scene.everyday, scene.absent)
-    found = prepared(name, gaussians, scene.cameras, scene.regions, scene.frames, texts, {})
+    found = prepared(name, gaussians, scene.cameras, scene.regions, scene.frames, texts)
     return replace(found, counts=scene.counts)
 
 
@@ -171,29 +158,21 @@ def prepared(
     regions: Regions,
     frames: list[tuple[LabelledFrame, Camera]],
     texts: Texts,
-    members: dict[str, Tensor],
 ) -> AnswerScene:
     """Return a scene with the region sums of its cameras."""
 
-    @cache
-    def levels(scale: Scale) -> list[LevelSums]:
-        return level_sums(region_sums(gaussians, cameras, regions, scale=scale), regions)
-
     everyday = torch.nn.functional.normalize(texts.everyday, dim=1)
+    labels = sorted({label for frame, _ in frames for label in frame.labels})
     return AnswerScene(
         name,
         gaussians,
-        levels,
+        cache(lambda scale: region_sums(gaussians, cameras, regions, scale=scale)),
+        [regions.embeddings(level)[0] for level in regions.levels],
         [(frame, raster.project(gaussians, camera)) for frame, camera in frames],
         [camera for _, camera in frames],
-        {label: everyday[texts.words.index(label)] for label in _labels(frames)},
+        {label: everyday[texts.words.index(label)] for label in labels},
         texts.canonical,
         everyday,
         texts.words,
         texts.absent,
-        members,
     )
-
-
-def _labels(frames: list[tuple[LabelledFrame, Camera]]) -> list[str]:
-    return sorted({label for frame, _ in frames for label in frame.labels})

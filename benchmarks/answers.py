@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import mean
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 
-from benchmarks.answer_fit import fit_record, fit_row, fit_table
 from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence_table
-from benchmarks.answer_scenes import AnswerScene, make_scene
+from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
+from benchmarks.data import data_folder
 from benchmarks.drawn import answers_of, drawn_masks
 from benchmarks.real_scenes import REAL_SCENES
-from benchmarks.study import Record
-from benchmarks.ways import DRAWS, LAYOUTS, WAYS, StudyOfScenes, groups_of, scale_of
+from benchmarks.study import Record, Study
+from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
+from scoup.base.errors import looked_up
 from scoup.models.words import with_everyday
 from scoup.query.presence import PRESENT_FROM
 from scoup.uplift.build_settings import BuildSettings
@@ -41,13 +43,13 @@ COMPARED = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answers(StudyOfScenes):
+class Answers(Study):
     """Score ways of building a field by rules of reading an answer, with paired differences.
 
     Scenes are draws of the kitchen (`benchmarks.kitchen_draws`; "kitchen-11x2" has noise twice as strong,
     "kitchen-11-desk" and "kitchen-11-clip" the statistics of `benchmarks.embedding_kinds`), procedural layouts, and the
-    real "desk" and "desk-all". Cases put faults into their regions (`benchmarks.faults`). Masks and embeddings
-    are simulated everywhere but on desk: figures compare ways with each other and cannot be set against published ones.
+    real "desk" and "desk-all". Masks and embeddings are simulated everywhere but
+    on desk: figures compare ways with each other and cannot be set against published ones.
 
     All ways are scored by the same rules. peak: the protocol of LERF-OVS, threshold 0.6, the level with the largest
     relevancy. always: as `scoup query --always` answers, once in the scene: by things, or without them by the Gaussians
@@ -58,38 +60,34 @@ class Answers(StudyOfScenes):
 
     scenes: tuple[str, ...] = (*DRAWS, *(f"{name}x2" for name in DRAWS), *LAYOUTS)
     """Draws of the kitchen, layouts of benchmarks.scenes with a seed, scenes of benchmarks.real_scenes."""
-    cases: tuple[str, ...] = ("clean",)
-    """Faults, see benchmarks.faults."""
     ways: tuple[str, ...] = ("dense", "votes", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
     seeds: tuple[int, ...] = (2, 3, 4)
     """Of the codebook; scores are means over them."""
     epochs: int = 4000
     """Of the Adam solver."""
-    fit: bool = False
-    """Choose the constants of the answer in place of scoring: the best of a grid on all scenes, and what the best on
-    all other scenes reaches on each."""
+    size: SceneSize = field(default_factory=SceneSize)
+    data: Path = field(default_factory=data_folder)
+    """Folder that contains kitchen/ and clip/, and desk/ and real/ for their scenes."""
 
-    rows_depend_on: ClassVar[tuple[str, ...]] = ("seeds", "epochs", "size", "fit")
+    rows_depend_on: ClassVar[tuple[str, ...]] = ("seeds", "epochs", "size")
+
+    def check(self) -> None:
+        for name in self.ways:
+            looked_up("way", name, WAYS)
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        if self.fit:
-            for key, scene, fitted in self.fields(known, self.seeds[0]):
-                yield key, fit_row(scene, fitted)
-            return
         for name in self.scenes:
-            keys = [
-                (case, way) for case in self.cases for way in self.ways if f"{name}/{case}/{way}" not in known
-            ]
-            scene = make_scene(name, self.data, self.size) if keys else None
-            for case, way in keys:
+            ways = [way for way in self.ways if f"{name}/{way}" not in known]
+            scene = make_scene(name, self.data, self.size) if ways else None
+            for way in ways:
                 assert scene is not None
-                yield f"{name}/{case}/{way}", {"pairs": scene.pairs, "scores": self._scores(scene, case, way)}
+                yield f"{name}/{way}", {"pairs": scene.pairs, "scores": self._scores(scene, way)}
 
-    def _scores(self, scene: AnswerScene, case: str, way: str) -> Record:
+    def _scores(self, scene: AnswerScene, way: str) -> Record:
         """Return per rule the IoU of each pair as means over seeds, and what it took."""
         method, started = WAYS[way], time.perf_counter()
-        inputs = scene.inputs(case, scale=scale_of(way))
+        inputs = scene.inputs(scale_of(way))
         build = BuildSettings(epochs=self.epochs)
         by_seed, size = [], 0.0
         for seed in self.seeds if method.random and way not in SLOW else self.seeds[:1]:
@@ -112,35 +110,25 @@ class Answers(StudyOfScenes):
         }
 
     def line(self, figures: Any) -> str:
-        if self.fit:
-            return "tried"
         scores = figures["scores"]
         return "  ".join(f"{rule} {mean(scores[rule]):.3f}" for rule in RULES if scores[rule])
 
     def record(self, rows: dict[str, Any]) -> Record:
         """Return means over scenes, and paired differences: queries are drawn, each scene counting alike."""
-        if self.fit:
-            return {"fit": fit_record(rows)}
         pairs: Record = {}
         scores: Record = {}
         for key, figures in rows.items():
-            name, case, way = key.split("/")
+            name, way = key.split("/")
             pairs[name] = figures["pairs"]
-            scores.setdefault(f"{name}/{case}", {})[way] = figures["scores"]
-        sets = {
-            f"{kind}, {case}": [f"{name}/{case}" for name in names]
-            for case in self.cases
-            for kind, names in groups_of(self.scenes).items()
-        }
-        cells = list(dict.fromkeys(cell for each in sets.values() for cell in each))
-        if len(sets) > 1:
-            sets["all"] = cells
+            scores.setdefault(name, {})[way] = figures["scores"]
+        groups = groups_of(self.scenes)
+        sets = groups | {"all": list(self.scenes)} if len(groups) > 1 else groups
         return {
             "settings": {name: self.settings()[name] for name in self.rows_depend_on},
             "ways": {
                 way: {key: _means(scores, each, way) for key, each in sets.items()} for way in self.ways
             },
-            "scenes": {way: {cell: _means(scores, [cell], way) for cell in cells} for way in self.ways},
+            "scenes": {way: {name: _means(scores, [name], way) for name in self.scenes} for way in self.ways},
             "differences": {
                 f"{first} - {second}": {
                     key: {rule: _difference(scores, pairs, each, (first, second), rule) for rule in RULES}
@@ -149,18 +137,14 @@ class Answers(StudyOfScenes):
                 for first, second in COMPARED
                 if {first, second} <= set(self.ways)
             },
-            "presence": presence_of_groups(scores, groups_of(self.scenes), self.ways),
+            "presence": presence_of_groups(scores, groups, self.ways),
             "counts": counts_of_scenes(scores),
             "pairs": pairs,
-            "scores": {
-                cell: {way: scores[cell][way] for way in self.ways if way in scores[cell]} for cell in scores
-            },
+            "scores": {name: {way: of[way] for way in self.ways if way in of} for name, of in scores.items()},
         }
 
     @staticmethod
     def table(record: Record) -> str:
-        if "fit" in record:
-            return fit_table(record["fit"])
         keys = next(iter(record["ways"].values()))
         return "\n".join(f"\n{key}\n\n" + table_of(record, key) for key in keys)
 
@@ -204,11 +188,11 @@ def counts_of_scenes(scores: Record) -> Record:
     within 1, with the numbers of words: per scene and in all.
     """
     found: Record = {}
-    for cell, ways in scores.items():
+    for name, ways in scores.items():
         pairs = np.array(ways.get("default", {}).get("counts") or np.zeros((0, 2)))
         if len(pairs):
             one, off = pairs[:, 0] == 1, np.abs(pairs[:, 0] - pairs[:, 1])
-            found[cell.split("/")[0]] = {
+            found[name] = {
                 "one, exact": [int((off[one] == 0).sum()), int(one.sum())],
                 "several, exact": [int((off[~one] == 0).sum()), int((~one).sum())],
                 "several, within 1": [int((off[~one] <= 1).sum()), int((~one).sum())],
@@ -239,26 +223,25 @@ def difference_cell(values: Sequence[float] | None) -> str:
     return "{:+.3f} [{:+.3f}, {:+.3f}]".format(*values) if values else ""
 
 
-def _means(scores: Record, cells: Sequence[str], way: str) -> Record:
+def _means(scores: Record, names: Sequence[str], way: str) -> Record:
     found = {}
     for rule in RULES:
-        values = [scores[cell][way][rule] for cell in cells]
+        values = [scores[name][way][rule] for name in names]
         found[rule] = round(mean(mean(each) for each in values), 4) if all(values) else None
     return found
 
 
 def _difference(
-    scores: Record, pairs: Record, cells: Sequence[str], ways: tuple[str, str], rule: str
+    scores: Record, pairs: Record, names: Sequence[str], ways: tuple[str, str], rule: str
 ) -> list[float] | None:
     values, labels, scenes = [], [], []
-    for cell in cells:
-        both = [scores[cell][way][rule] for way in ways]
+    for name in names:
+        both = [scores[name][way][rule] for way in ways]
         if not all(both):
             return None
-        of_cell = pairs[cell.split("/")[0]]
         values += [a - b for a, b in zip(*both, strict=True)]
-        labels += [label for _, label in of_cell]
-        scenes += [cell] * len(of_cell)
+        labels += [label for _, label in pairs[name]]
+        scenes += [name] * len(pairs[name])
     found = bootstrap_interval(values, labels, scenes=scenes)
     return [round(value, 4) for value in (found.mean, found.low, found.high)]
 
@@ -269,8 +252,7 @@ class Real(Answers):
 
     The scenes are those of `benchmarks.real_scenes` whose data are at hand: desk, and rendered photographs of a table,
     shelves, a hall and a yard, with two poolings of the embeddings each. Rules and figures are those of `benchmarks
-    answers`. The constants of the answer were chosen on these scenes; `benchmarks answers --fit` says what constants
-    chosen on the other scenes reach on each.
+    answers`. The constants of the answer were chosen on these scenes.
     """
 
     scenes: tuple[str, ...] = tuple(REAL_SCENES)

@@ -21,12 +21,10 @@ from typing import Any
 
 import tyro
 
-from benchmarks.answers import Answers, Real
+from benchmarks.answers import Real
 from benchmarks.archive import Archives
-from benchmarks.city import Cities
 from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
-from benchmarks.embed import Embedding
 from benchmarks.extract import Extraction
 from benchmarks.gpu import Gpu
 from benchmarks.laptop import Laptop
@@ -35,7 +33,6 @@ from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
-from benchmarks.views import Views
 from scoup.base.registry import Registry
 from scoup.extract.registry import EMBEDDERS, SEGMENTERS
 from scoup.models.entry import ModelEntry
@@ -56,6 +53,7 @@ def record(name: str) -> dict[str, Any]:
 def readme() -> str:
     """Return four ways of building on scenes with real models and on simulated ones; bold: the best of a column."""
     real, simulated = record("real"), record("answers")["ways"]
+    simulated = {way: {key.removesuffix(", clean"): of[key] for key in of} for way, of in simulated.items()}
     names = {
         "default": "`scoup build`",
         "votes": "the same without things",
@@ -69,7 +67,7 @@ def readme() -> str:
         }
         for name, title in REAL_COLUMNS.items()
     } | {
-        title: {way: simulated[way][f"{group}, clean"]["always"] for way in names if way in simulated}
+        title: {way: simulated[way][group]["always"] for way in names if way in simulated}
         for group, title in README_COLUMNS.items()
     }
     rows = []
@@ -170,15 +168,11 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "extract": (Extraction, "extract"),
-    "embed": (Embedding, "embed"),
     "real": (Real, "real"),
     "concepts": (Concepts, "concepts"),
-    "constants": (Answers, "answers_fit"),
     "laptop": (Laptop, "laptop"),
     "query": (Query, "query"),
-    "views": (Views, "views"),
     "viewer": (ViewerCost, "viewer"),
-    "city": (Cities, "city"),
     "archive": (Archives, "archive"),
     "gpu": (Gpu, "gpu-nvidia-h200"),
 }
@@ -210,7 +204,6 @@ HIDDEN = {
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)",
     "viewer": "exported words.*|program, bytes",
-    "city": "(load|coding|region sums|vote|save), s",
     "archive": "seconds|exponential tail per scan",
 }
 """Headings and first cells of the columns and rows that only the record has."""

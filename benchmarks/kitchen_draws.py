@@ -110,11 +110,6 @@ class Truth:
         there = {name: (number,) for number, name in self.names.items() if name}
         return there | self.of_name()
 
-    def members(self, names: Iterable[str]) -> dict[str, Tensor]:
-        """Name -> [N] boolean, the Gaussians it stands for."""
-        of_name = self.of_name()
-        return {name: torch.from_numpy(np.isin(self.ids, of_name[name])) for name in names}
-
     def absent(self, words: Iterable[str]) -> tuple[str, ...]:
         """Return the words that nothing in the scene is called, nor might be."""
         there = {name for name in self.names.values() if name} | {*GROUPS, *MIGHT_BE_THERE}
@@ -127,7 +122,6 @@ class KitchenDraw:
 
     regions: Regions  # of all views
     frames: list[tuple[LabelledFrame, Camera]]  # labelled ones with their cameras
-    members: dict[str, Tensor]  # name -> [N] boolean, the Gaussians it stands for: the truth in space
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,15 +168,14 @@ def make_draw(
 
     of_name = truth.of_name()
     asked = sorted(of_name)
-    chosen = {asked[place] for place in for_labels.permutation(len(asked))[:N_QUERIES]}
+    chosen = sorted(asked[place] for place in for_labels.permutation(len(asked))[:N_QUERIES])
     views = sorted(for_labels.permutation(len(truth.cameras))[:N_LABELLED].tolist())
-    members = truth.members(sorted(chosen))
     frames = []
     for view in views:
         camera = truth.cameras[view]
         objects = pieces.objects[maps[camera.name]]
-        frames.append((_labelled(camera, objects, {name: of_name[name] for name in members}), camera))
-    return KitchenDraw(regions, frames, members)
+        frames.append((_labelled(camera, objects, {name: of_name[name] for name in chosen}), camera))
+    return KitchenDraw(regions, frames)
 
 
 def _cut(truth: Truth, rng: np.random.Generator) -> _Pieces:

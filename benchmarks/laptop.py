@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.embed import save_model
+import torch
+
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study, report
 from scoup.base.errors import InputError
 from scoup_lab.bench import markdown
 from scoup_lab.synthetic.folder import write_demo_scene
 
-TEXT_LAYERS = 12  # of CLIP ViT-B/16
 ASKED = ("first answer", "further answer")
 
 
@@ -59,7 +59,7 @@ class Laptop(Study):
             made = scene_of(self.scene, self.n_gaussians, self.width, self.height, self.photographs, 1)
             write_demo_scene(made, scene, progress=report)
             shutil.rmtree(scene / "language_features")
-            save_model("clip", model, TEXT_LAYERS)
+            _save_clip(model)
             _save_tokenizer(model, made.words.texts)
             models = ["--segmenter", str(self.weights), "--embedder", f"dense:{model}"]
             yield "build", _timed("build", str(scene), *models, "--out", str(field))
@@ -115,6 +115,21 @@ def _timed(verb: str, *arguments: str) -> Record:
     record = {key: value for key, value in record.items() if key in ("extraction", "seconds", "views")}
     cpu = usage.ru_utime + usage.ru_stime
     return {"said": record, "wall_s": wall, "cpu_s": cpu, "peak_gb": usage.ru_maxrss * 1024 / 1e9}
+
+
+def _save_clip(folder: Path) -> None:
+    """Write a CLIP of the size of ViT-B/16 with random weights."""
+    import transformers
+
+    torch.manual_seed(0)
+    image = {
+        "hidden_size": 768, "intermediate_size": 3072, "num_hidden_layers": 12, "num_attention_heads": 12,
+        "image_size": 224, "patch_size": 16,
+    }  # fmt: skip
+    config = transformers.CLIPConfig(
+        text_config={"num_hidden_layers": 12}, vision_config=image, projection_dim=512
+    )
+    transformers.CLIPModel(config).save_pretrained(folder)
 
 
 def _save_tokenizer(folder: Path, words: tuple[str, ...] | list[str]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import scoup
 from benchmarks.bounds import least_work, machine_rates
-from benchmarks.limits import memory_of
+from benchmarks.memory import memory_of
 from benchmarks.study import Record, Study, report
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.bench import (

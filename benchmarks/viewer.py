@@ -19,7 +19,7 @@ from typing import Any
 
 import scoup
 from benchmarks.chromium import chromium, program
-from benchmarks.limits import memory_of
+from benchmarks.memory import memory_of
 from benchmarks.study import Record, Study
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import save_table

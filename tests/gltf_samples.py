@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +170,28 @@ def check_rules(path: Path) -> None:
     }
     if "EXT_mesh_features" in used:
         check_features(root, binary, columns)
+
+
+def features_of(path: Path) -> tuple[list[int], tuple[str, ...]] | None:
+    """Class of each Gaussian, -1 for none, and the names of the classes, of a file of ours."""
+    root, binary = opened(path)
+    primitive = root["meshes"][0]["primitives"][0]
+    if "EXT_mesh_features" not in primitive["extensions"]:
+        return None
+
+    def data(index: int) -> bytes:
+        view = root["bufferViews"][index]
+        return binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+
+    table = root["extensions"]["EXT_structural_metadata"]["propertyTables"][0]
+    name = table["properties"]["name"]
+    ends = np.frombuffer(data(name["stringOffsets"]), "<u4").tolist()
+    text = data(name["values"])
+    accessor = root["accessors"][primitive["attributes"]["_FEATURE_ID_0"]]
+    dtype = {5121: "u1", 5123: "<u2", 5126: "<f4"}[accessor["componentType"]]
+    column = np.frombuffer(data(accessor["bufferView"]), dtype).reshape(accessor["count"], -1)[:, 0]
+    ids = [-1 if value == table["count"] else int(value) for value in column.tolist()]
+    return ids, tuple(text[start:end].decode() for start, end in pairwise(ends))
 
 
 def check_features(root: dict[str, Any], binary: bytes, columns: dict[str, np.ndarray]) -> None:

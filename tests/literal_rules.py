@@ -108,12 +108,6 @@ def painted(dense: Sequence[np.ndarray], size: tuple[int, int]) -> np.ndarray:
     return labels
 
 
-def crop_of(image: np.ndarray, mask: np.ndarray, side: int, cut_last: bool = True) -> np.ndarray:
-    """[side, side, 3] uint8: ``exact_crop_of``, rounded."""
-    exact = exact_crop_of(image, mask, side, cut_last)
-    return np.floor(exact + 0.5).clip(max=255).astype(np.uint8)
-
-
 def exact_crop_of(image: np.ndarray, mask: np.ndarray, side: int, cut_last: bool = True) -> np.ndarray:
     """[side, side, 3] float64: the rest black, cut to the box, squared, resized pixel by pixel as cv2.resize does."""
     black = image.copy()

@@ -117,15 +117,6 @@ def test_any_number_of_rows(count: int) -> None:
     assert seen == [("autoencoder", done, steps) for done in range(steps + 1)]
 
 
-def test_interruption_passes_through() -> None:
-    def interrupt(stage: str, done: int, total: int) -> None:
-        if done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fit_autoencoder(clusters(), SMALL, progress=interrupt)
-
-
 @pytest.mark.parametrize(
     ("rows", "changes", "problem"),
     [

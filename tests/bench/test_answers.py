@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import Any
 import pytest
 import torch
 from benchmarks import answers
-from benchmarks.answer_fit import AGREEMENTS, HUB_SHARES, RIVALS, fit_record
 from benchmarks.answer_scenes import SceneSize, make_scene
 from benchmarks.study import run
 from benchmarks.ways import WAYS
@@ -68,43 +66,28 @@ def test_kept_pairs_give_the_means_and_differences(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, rows = tmp_path / "answers.json", tmp_path / "rows.json"
-    run(tiny(ways=("dense",), cases=("clean", "wrong20"), rows=rows), "answers")
+    run(tiny(ways=("dense",), rows=rows), "answers")
     before = json.loads(rows.read_text())["rows"]
-    run(tiny(cases=("clean", "wrong20"), rows=rows, out=out), "answers")
+    run(tiny(rows=rows, out=out), "answers")
     printed, kept = capsys.readouterr().err, json.loads(out.read_text())
-    assert printed.count("table-0/wrong20/dense: peak") == 1  # what was there was not run again
-    cells = {f"table-0/{case}": kept["scores"][f"table-0/{case}"] for case in ("clean", "wrong20")}
-    assert all(cells[cell]["dense"] == before[f"{cell}/dense"]["scores"] for cell in cells)
+    assert printed.count("table-0/dense: peak") == 1  # what was there was not run again
+    scores = kept["scores"]["table-0"]
+    assert scores["dense"] == before["table-0/dense"]["scores"]
     labels = [label for _, label in kept["pairs"]["table-0"]]
     for rule in answers.RULES:
-        one, other = (cells["table-0/clean"][way][rule] for way in ("default", "dense"))
+        one, other = (scores[way][rule] for way in ("default", "dense"))
         if rule == "asked":  # dense uplift is no field, which cannot judge presence
-            assert (other, kept["differences"]["default - dense"]["procedural, clean"][rule]) == ([], None)
+            assert (other, kept["differences"]["default - dense"]["procedural"][rule]) == ([], None)
             continue
-        shown = kept["ways"]["default"]["procedural, clean"][rule]
+        shown = kept["ways"]["default"]["procedural"][rule]
         assert shown == pytest.approx(sum(one) / len(one), abs=1e-4)
         expected = bootstrap_interval(
             [a - b for a, b in zip(one, other, strict=True)], labels, scenes=["a"] * len(one)
         )
-        assert kept["differences"]["default - dense"]["procedural, clean"][rule] == [
+        assert kept["differences"]["default - dense"]["procedural"][rule] == [
             pytest.approx(value, abs=1e-4) for value in (expected.mean, expected.low, expected.high)
         ]
-    assert set(kept["ways"]["dense"]) == {"procedural, clean", "procedural, wrong20", "all"}
-
-
-def test_constants_are_chosen_on_the_other_scenes() -> None:
-    found = run(tiny(ways=("default",), seeds=(0,), fit=True), "answers")["fit"]
-    assert set(found["means"]) == {
-        "/".join(map(str, each)) for each in itertools.product(HUB_SHARES, RIVALS, AGREEMENTS)
-    }
-    assert found["left out"]["table-0"]["mIoU"] == found["means"][found["constants"]]
-    rows = {
-        "default/a": {"0.5/2.0/0.5": 0.1, "0.5/3.0/0.5": 0.9},
-        "default/b": {"0.5/2.0/0.5": 0.9, "0.5/3.0/0.5": 0.0},
-    }
-    assert (
-        fit_record(rows)["left out"]["a"]["mIoU"] == 0.1 or fit_record(rows)["left out"]["b"]["mIoU"] == 0.0
-    )
+    assert set(kept["ways"]["dense"]) == {"procedural"}
 
 
 def test_what_cannot_be(tmp_path: Path) -> None:

@@ -110,12 +110,11 @@ def test_the_desk_is_a_scene(data_folder: Path) -> None:
     if not (data_folder / "desk").is_dir():
         pytest.skip(f"no desk in {data_folder}")
     scene = make_scene("desk-all", data_folder, SceneSize())
-    assert len(scene.levels("auto")) == 3
+    assert len(scene.inputs().embeddings) == 3
     assert len(scene.frames) == 8
     assert len(scene.pairs) == 142
     assert set(scene.absent) < set(scene.words)
     assert not set(scene.absent) & {label for _, label in scene.pairs}
-    assert not scene.members
     assert len(scene.everyday) == len(scene.words) == 1588
     frame, view = scene.frames[0]
     assert (frame.width, frame.height) == (view.width, view.height)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
+from coders import clip_like
 from plain_adam import plain_adam
-from torch import Tensor
 
 from scoup.coding.adam import LOGIT_SCALE, AdamSettings, solve_adam
 from scoup.coding.kmeans import spherical_kmeans
@@ -14,21 +14,10 @@ from scoup.coding.slots import Slots
 from scoup.coding.step import Step
 
 
-def unit_rows(
-    count: int, dim: int, objects: int = 12, seed: int = 0, dtype: torch.dtype = torch.float32
-) -> Tensor:
-    """Rows around some objects, which share a mean as CLIP embeddings do."""
-    generator = torch.Generator().manual_seed(seed)
-    centres = torch.randn(objects, dim, generator=generator) + 1.0
-    rows = centres[torch.randint(objects, (count,), generator=generator)]
-    rows = rows + 0.7 * torch.randn(count, dim, generator=generator)
-    return torch.nn.functional.normalize(rows.to(dtype), dim=1)
-
-
 def test_trajectory_equals_plain_autograd() -> None:
     # float64, where rounding cannot hide a wrong gradient: Adam turns even tiny ones into whole steps. A
     # learning rate above the paper's makes supports change and the slots grow within few epochs.
-    rows = unit_rows(150, 24, dtype=torch.float64)
+    rows = torch.nn.functional.normalize(clip_like(150, 24).double(), dim=1)
     atoms = spherical_kmeans(rows, 20, seed=0)
     settings = AdamSettings(epochs=60, learning_rate=0.02)
     solution = solve_adam(rows, 20, 3, settings=settings, initial_atoms=atoms)
@@ -44,7 +33,7 @@ def test_trajectory_equals_plain_autograd() -> None:
 
 
 def test_float32_at_the_papers_settings_follows_plain_autograd() -> None:
-    rows = unit_rows(400, 64)
+    rows = clip_like(400, 64)
     atoms = spherical_kmeans(rows, 32, seed=0)
     solution = solve_adam(rows, 32, 4, settings=AdamSettings(epochs=50), initial_atoms=atoms)
     logits = rows @ atoms.T * LOGIT_SCALE
@@ -54,7 +43,7 @@ def test_float32_at_the_papers_settings_follows_plain_autograd() -> None:
 
 
 def test_stops_when_the_loss_stalls_and_only_then() -> None:
-    rows = unit_rows(40, 16)
+    rows = clip_like(40, 16)
     full = solve_adam(rows, 8, 2, settings=AdamSettings(epochs=400))
     early = solve_adam(rows, 8, 2, settings=AdamSettings(epochs=400, tolerance=0.01))
     assert full.epochs == 400

@@ -12,8 +12,6 @@ from scoup.base.errors import FileFormatError, InputError, MissingFileError, Sco
 from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.data.labels import match_frames, read_frame, read_labels
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
-from scoup_lab.evaluate.relevancy_maps import segment
-from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.scores import overall
 
 
@@ -83,38 +81,6 @@ def test_odd_polygons(tmp_path: Path) -> None:
     assert frame.boxes["outside"].tolist() == [[-50, -50, 500, 5]]
 
 
-def test_hits_count_any_pixel_any_box_and_borders(tmp_path: Path) -> None:
-    frame = read_frame(
-        write_label(tmp_path / "f.json", [square("cup", 10, 10, 16, 16), square("cup", 40, 20, 46, 26)])
-    )
-    relevancy = torch.zeros(1, 1, 40, 60)
-    relevancy[0, 0, 20:27, 40:47] = 1  # the second box
-    (pair,) = PROTOCOL.score_frame(frame, relevancy)
-    assert pair.hit
-    assert pair.pixel == (43, 23)
-    relevancy = torch.zeros(1, 1, 40, 60)
-    relevancy[0, 0, 27:34, 40:47] = 1
-    (pair,) = PROTOCOL.score_frame(frame, relevancy)
-    assert not pair.hit
-    # A constant map has its maximum everywhere, so somewhere in a box; its mask is empty.
-    (pair,) = PROTOCOL.score_frame(frame, torch.full((2, 1, 40, 60), 0.5))
-    assert (pair.hit, pair.iou) == (True, 0.0)
-
-
-def test_only_the_chosen_level_counts_and_levels_may_differ(tmp_path: Path) -> None:
-    frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 20, 10, 39, 29)]))
-    relevancy = torch.zeros(2, 1, 40, 60)
-    relevancy[0, 0, 10:30, 20:40] = 0.9
-    relevancy[1, 0, 0:8, 0:8] = 1.0
-    (pair,) = PROTOCOL.score_frame(frame, relevancy)
-    assert (pair.level, pair.hit, pair.iou) == (1, False, 0.0)
-    (pair,) = PROTOCOL.score_frame(frame, relevancy[:1])
-    assert pair.hit
-    assert pair.iou == pytest.approx(
-        300 / 400
-    )  # the threshold costs a pixel at each edge, smoothing the corners
-
-
 def test_other_render_size(tmp_path: Path) -> None:
     frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 20, 10, 39, 29)]))
     relevancy = torch.zeros(1, 1, 80, 120)
@@ -126,17 +92,6 @@ def test_other_render_size(tmp_path: Path) -> None:
     assert small.masks["cup"].nonzero().min(0).values.tolist() == [5, 10]
     assert small.masks["cup"].sum() == 100
     assert small.boxes["cup"].tolist() == [[9.75, 4.75, 19.25, 14.25]]
-
-
-def test_iou_is_that_of_the_mask(tmp_path: Path) -> None:
-    frame = read_frame(write_label(tmp_path / "f.json", [square("cup", 10, 10, 29, 29)]))
-    relevancy = torch.zeros(1, 1, 40, 60)
-    relevancy[0, 0, 10:30, 20:40] = 1
-    mask = segment(relevancy[:, 0], MASK_RULES["scoup"]).mask
-    (pair,) = PROTOCOL.score_frame(frame, relevancy)
-    both = int((mask & frame.masks["cup"]).sum())
-    assert both > 0
-    assert pair.iou == both / (400 + int(mask.sum()) - both)
 
 
 def test_scene_scores(tmp_path: Path) -> None:

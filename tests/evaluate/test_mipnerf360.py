@@ -26,19 +26,6 @@ def test_maps_of_another_size_are_refused() -> None:
         mipnerf360.PROTOCOL.score_frame(frame_of(20, 14), torch.rand(3, 1, 28, 40))
 
 
-def test_three_levels_compete() -> None:
-    frame = frame_of(20, 14)
-    maps = torch.zeros(3, 1, 14, 20)
-    maps[0, 0, 3:9, 4:12] = 0.9
-    maps[1, 0, :, 15:] = 0.5
-    scene = mipnerf360.PROTOCOL.score("room", [(frame, maps)])
-    assert scene.protocol == "mipnerf360 2D"
-    assert scene.pairs[0].level == 0
-    assert scene.miou == 0.5  # a thing of 6 x 8 pixels loses its rim and corners to the boxes of 7 x 7
-    with pytest.raises(InputError):
-        mipnerf360.PROTOCOL.score("room", [])
-
-
 def test_resizing_is_bilinear_by_pixel_centres() -> None:
     image = torch.rand(5, 6, 2, generator=torch.Generator().manual_seed(0))
     assert resized_image(image, 6, 5) is image

@@ -7,18 +7,14 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import Tensor
 
 from evaluate import literal
 from scoup.base.errors import InputError
-from scoup.query.view_answer import mask_box
 from scoup_lab.evaluate.relevancy_maps import (
-    averaged_relevancy,
     box_mean,
     choose_level,
     localize,
     localize_and_segment,
-    rescale,
     segment,
 )
 from scoup_lab.evaluate.rules import MASK_RULES, Border, LevelChoice, MaskRule
@@ -70,37 +66,6 @@ def test_the_level_that_answers_read_literally(levels: int, choice: LevelChoice,
         smoothed[:], masks[:] = smoothed[0], masks[0]
     found = choose_level(torch.from_numpy(smoothed), torch.from_numpy(masks), choice)
     assert found == literal_level(smoothed.astype(np.float64), masks, choice)
-
-
-def test_segment_finds_a_square_at_the_level_that_shows_it() -> None:
-    relevancy = torch.full((3, 60, 80), 0.5)
-    relevancy[1, 20:40, 30:60] = 0.9
-    relevancy[2, 5:30, 5:30] = 0.8
-    found = segment(relevancy, SCOUP)
-    # At a straight edge the box is 4 and 5 sevenths inside: rescaled, the first two rows of the square have 0.571,
-    # just below the threshold, and 0.714.
-    assert (found.level, mask_box(found.mask)) == (1, (31, 21, 59, 39))
-    assert found.mask.float().mean() == pytest.approx(18 * 28 / (60 * 80), rel=0.06)
-
-
-def two_levels() -> Tensor:
-    """A small spot of high relevancy at the first level, a large square a little lower at the second."""
-    relevancy = torch.full((2, 60, 80), 0.5)
-    relevancy[0, 20:40, 30:60] = 0.84
-    relevancy[0, 27:34, 40:47] = 0.92  # its mask is wider than the spot, and lower on average
-    relevancy[1, 20:40, 30:60] = 0.88
-    return relevancy
-
-
-def test_the_level_by_its_peak_or_by_its_mask() -> None:
-    relevancy = two_levels()
-    by_peak, by_mask = segment(relevancy, SCOUP), segment(relevancy, BY_MASK)
-    assert (by_peak.level, by_mask.level) == (0, 1)
-    # The score is the largest smoothed relevancy of the level chosen, by either rule.
-    assert by_mask.score == pytest.approx(0.88)
-    smoothed = 0.5 * (relevancy + averaged_relevancy(relevancy, SCOUP))
-    assert by_peak.score == float(smoothed[0].max())
-    assert localize(relevancy, BY_MASK).level == localize(relevancy, SCOUP).level
 
 
 def test_localize_by_hand() -> None:
@@ -172,8 +137,3 @@ def test_box_mean(shape: tuple[int, int], kernel: int, border: Border, seed: int
 def test_constant_maps_stay_constant(border: Border, value: float) -> None:
     averaged = box_mean(torch.full((300, 417), value), 7, border)
     assert len(averaged.unique()) == 1
-
-
-def test_rescale() -> None:
-    assert rescale(torch.tensor([0.0, 0.5, 0.75, 1.0])).tolist() == pytest.approx([0, 0, 0.5, 1])
-    assert rescale(torch.full((3,), 0.7)).tolist() == [0, 0, 0]

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from literal_rules import crop_of, exact_crop_of
-from mask_samples import mask_stacks, random_masks, smooth_image
+from literal_rules import exact_crop_of
+from mask_samples import mask_stacks
 from scoup.extract.crops import mask_crops
-from scoup.extract.interfaces import RegionEmbedder
 from scoup.extract.masks import Masks
 from scoup.extract.plain_colors import PlainColors
-from scoup.extract.registry import open_embedder
-from tiny_models import saved, tiny_clip, tiny_siglip
 
 
 def all_crops(
@@ -37,22 +31,6 @@ def test_crops_are_those_of_the_recipe(dense: np.ndarray, side: int, cut_last: b
     for crop, mask in zip(crops, dense, strict=True):
         # Sums in another order may round the other way, where they lie halfway between two numbers.
         assert np.abs(crop - exact_crop_of(image, mask, side, cut_last)).max() <= 0.5 + 1e-3
-
-
-@pytest.mark.parametrize("build", [tiny_clip, tiny_siglip])
-def test_embeddings_are_those_of_the_literal_recipe(build, tmp_path: Path) -> None:
-    """Within 1e-3 cosine of LangSplat's recipe: literal crops, then the model."""
-    embedder = open_embedder(str(saved(build(), tmp_path)))
-    assert not isinstance(embedder, RegionEmbedder)
-    image = smooth_image(60, 80)
-    dense = random_masks(20, 60, 80, 1)
-    dense = dense[dense.any((1, 2))]
-    crops = mask_crops(torch.from_numpy(image), Masks.from_dense(dense), embedder.side)
-    rows = torch.cat([embedder.embed(item) for item in crops])
-    literal = np.stack([crop_of(image, mask, embedder.side) for mask in dense])
-    expected = embedder.embed(torch.from_numpy(literal))
-    assert float((1 - (rows * expected).sum(1)).max()) < 1e-3
-    assert float((rows @ rows.T).min()) < 0.99, "the tiny model takes all crops for the same"
 
 
 def test_plain_colors_tell_colours_apart_and_ignore_what_is_black() -> None:

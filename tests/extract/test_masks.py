@@ -1,4 +1,4 @@
-"""Packed masks, and the rules over them, against literal versions; on random masks and on real ones."""
+"""Packed masks, and the rules over them, against literal versions."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from literal_rules import box_of, box_suppression, clean_up, mask_rule, painted
 from mask_samples import mask_stacks, random_masks
 from scoup.base.errors import InputError
-from scoup.extract.felzenszwalb import Felzenszwalb
 from scoup.extract.masks import Masks, paint
 from scoup.extract.overlaps import intersections, keep_by_boxes, keep_by_masks
-from scoup.extract.photographs import read_photograph
 from scoup.extract.small_parts import without_small_parts
 
 
@@ -95,39 +93,6 @@ def test_mask_rule_by_hand() -> None:
     assert keep_by_masks(Masks.from_dense(dense), scores).tolist() == [0, 4]
     assert keep_by_masks(Masks.from_dense(dense), scores, covered=0.1).tolist() == [0, 3, 4]
     assert keep_by_masks(Masks.from_dense(dense), scores, most_overlap=0.9).tolist() == [0, 1, 4]
-
-
-@pytest.mark.data
-def test_rules_on_masks_of_a_photograph(data_folder) -> None:
-    """Regions of three scales of the desk, grown and joined at random so that they overlap as SAM's do."""
-    dense = real_masks(data_folder, 60)
-    rng = np.random.default_rng(1)
-    scores = rng.uniform(0.6, 1, len(dense))
-    masks = Masks.from_dense(dense)
-    assert keep_by_masks(masks, scores).tolist() == mask_rule(
-        torch.from_numpy(dense), torch.from_numpy(scores)
-    )
-    cleaned, (expected, _) = without_small_parts(masks, 100, 0.7), clean_up(list(dense), 100, 0.7)
-    assert (cleaned.dense() == np.stack(expected)).all()
-
-
-def real_masks(data_folder, count: int) -> np.ndarray:
-    from scipy import ndimage
-
-    photograph = sorted((data_folder / "desk" / "images_2").glob("*.jpg"))[0]
-    image = read_photograph(photograph).image[::3, ::3]
-    found = Felzenszwalb().segment(np.ascontiguousarray(image))
-    all_masks = np.concatenate([masks.dense() for masks in found.values()])
-    rng = np.random.default_rng(0)
-    result = []
-    for number in rng.integers(0, len(all_masks), count):
-        mask = all_masks[number]
-        if rng.random() < 0.5:
-            mask = np.asarray(ndimage.binary_dilation(mask, iterations=int(rng.integers(1, 4))), np.bool_)
-        if rng.random() < 0.3:
-            mask = mask | all_masks[rng.integers(len(all_masks))]
-        result.append(mask & (rng.random(mask.shape) < 0.999))  # pinholes
-    return np.stack(result)
 
 
 def test_random_masks_exercise_the_rules() -> None:

@@ -32,7 +32,7 @@ from scoup.io.images import image_fault, read_mask
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.regions.store import RegionStore
-from scoup.io.splats.gltf import read_gltf, read_gltf_features
+from scoup.io.splats.gltf import read_gltf
 from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
@@ -100,11 +100,7 @@ def _sparse(file: str, model: str) -> Reader:
 
 
 def _gltf(file: str, *more: str, container: Container, memory: Memory = MEMORY) -> Reader:
-    def read(folder: Path) -> None:
-        read_gltf(folder / file)
-        read_gltf_features(folder / file)
-
-    return Reader(file, read, more, (container,), memory)
+    return Reader(file, lambda folder: read_gltf(folder / file), more, (container,), memory)
 
 
 def _unpacked_spz(folder: Path) -> None:

@@ -10,11 +10,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gltf_samples import SPLATS, check_rules, opened, packed
+from gltf_samples import SPLATS, check_rules, features_of, opened, packed
 from io_samples import same_gaussians, some_gaussians
 from scoup.base.errors import InputError, OutputExistsError, ScoupWarning
 from scoup.io import load_gaussians
-from scoup.io.splats.gltf import read_gltf, read_gltf_features, write_gltf
+from scoup.io.splats.gltf import read_gltf, write_gltf
 from scoup.io.splats.gltf_features import GaussianFeatures
 from scoup.scene.gaussians import Gaussians
 from support import examples
@@ -30,7 +30,7 @@ def test_round_trips_are_exact_and_valid(tmp_path, suffix, degree):
     write_gltf(gaussians, path)
     check_rules(path)
     assert same_gaussians(read_gltf(path), gaussians)
-    assert read_gltf_features(path) is None
+    assert features_of(path) is None
     with pytest.raises(OutputExistsError):
         write_gltf(gaussians, path)
     before = path.read_bytes()
@@ -66,11 +66,7 @@ def test_ugly_gaussians_survive_bit_by_bit(data, degree, suffix):
         for name in ("means", "quats", "scales", "opacities", "sh"):
             one, other = getattr(gaussians, name), getattr(again, name)
             assert torch.equal(one.view(torch.int32), other.view(torch.int32)), name
-        features = read_gltf_features(path)
-    assert features is not None
-    assert features.names == ("chair", "Tür", "窓")
-    assert features.label == "thing"
-    assert torch.equal(features.ids, ids)
+        assert features_of(path) == (ids.tolist(), ("chair", "Tür", "窓"))
 
 
 def test_what_gltf_does_not_allow_is_mended(tmp_path):
@@ -88,9 +84,7 @@ def test_what_gltf_does_not_allow_is_mended(tmp_path):
     assert torch.equal(again.scales, gaussians.scales[:4])
     assert again.opacities.tolist() == [0.5, 1, 0, 1]
     torch.testing.assert_close(again.quats, gaussians.quats[:4], atol=1e-6, rtol=0)
-    kept = read_gltf_features(tmp_path / "a.glb")
-    assert kept is not None
-    assert kept.ids.tolist() == [0, 1, -1, 0]
+    assert features_of(tmp_path / "a.glb") == ([0, 1, -1, 0], ("a", "b"))
 
 
 def test_degree_4_is_cut_to_3(tmp_path):
@@ -128,10 +122,7 @@ def test_ids_take_the_smallest_type_that_holds_them(tmp_path, count, code):
     check_rules(tmp_path / "a.glb")
     root, _ = opened(tmp_path / "a.glb")
     assert root["accessors"][-1]["componentType"] == code
-    features = read_gltf_features(tmp_path / "a.glb")
-    assert features is not None
-    assert features.ids.tolist() == ids.tolist()
-    assert features.names == names
+    assert features_of(tmp_path / "a.glb") == (ids.tolist(), names)
 
 
 def test_features_are_checked():
@@ -159,10 +150,10 @@ def test_refused_outputs(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_rows_that_are_not_finite_are_dropped_with_their_classes(tmp_path):
+def test_rows_that_are_not_finite_are_dropped(tmp_path):
     path = tmp_path / "a.glb"
     gaussians = some_gaussians(5, 0)
-    write_gltf(gaussians, path, features=GaussianFeatures(torch.tensor([0, 1, -1, 1, 0]), ("a", "b")))
+    write_gltf(gaussians, path)
     root, binary = opened(path)
     damaged = bytearray(binary)
     attributes = root["meshes"][0]["primitives"][0]["attributes"]
@@ -173,10 +164,6 @@ def test_rows_that_are_not_finite_are_dropped_with_their_classes(tmp_path):
     packed(path, root, bytes(damaged))
     with pytest.warns(ScoupWarning, match="dropped 2 of 5 Gaussians"):
         assert same_gaussians(read_gltf(path), gaussians.select(torch.tensor([0, 2, 3])))
-    with pytest.warns(ScoupWarning, match="dropped 2 of 5 Gaussians"):
-        features = read_gltf_features(path)
-    assert features is not None
-    assert features.ids.tolist() == [0, -1, 1]
 
 
 @pytest.mark.data
@@ -191,6 +178,4 @@ def test_real_gaussians(data_folder, tmp_path, name, suffix):
     again = read_gltf(path)
     assert same_gaussians(again, gaussians)
     assert again.fingerprint() == gaussians.fingerprint()
-    features = read_gltf_features(path)
-    assert features is not None
-    assert torch.equal(features.ids, ids.long())
+    assert features_of(path) == (ids.tolist(), names)

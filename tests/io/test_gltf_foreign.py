@@ -11,7 +11,6 @@ import torch
 from gltf_samples import SPLATS, columns_of, foreign, packed, read_in_its_axes
 from io_samples import same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.splats.gltf import read_gltf_features
 from scoup.io.splats.rotation import quat_from_rotation, rotated_sh, rotation_from_quat
 from scoup.raster import view_colors
 from scoup.scene.cameras import Camera
@@ -137,35 +136,6 @@ def test_instances_scenes_and_nodes_without_a_scene(tmp_path):
     assert same_gaussians(twice.select(torch.arange(4)), gaussians)
     del root["scenes"]
     assert len(read_in_its_axes(packed(tmp_path / "a.glb", root, binary))) == 8
-
-
-def test_features_of_others(tmp_path):
-    gaussians = some_gaussians(4, 0)
-    columns = columns_of(gaussians) | {"_FEATURE_ID_3": np.array([[1], [0], [np.nan], [7]], np.float32)}
-    root, binary = foreign(columns)
-    primitive = root["meshes"][0]["primitives"][0]
-    ids = {"featureCount": 3, "attribute": 3, "propertyTable": 1, "nullFeatureId": 0}
-    primitive["extensions"]["EXT_mesh_features"] = {"featureIds": [{"featureCount": 4}, ids]}
-    names = "stone|wood|a".replace("|", "").encode()
-    start = len(binary)
-    binary += names.ljust(12, b"\0") + bytes([0, 5, 9, 10])
-    root["bufferViews"] += [
-        {"buffer": 0, "byteOffset": start, "byteLength": 10},
-        {"buffer": 0, "byteOffset": start + 12, "byteLength": 4},
-    ]
-    texts = {"values": len(root["bufferViews"]) - 2, "stringOffsets": len(root["bufferViews"]) - 1}
-    table = {"class": "x", "count": 3, "properties": {"height": {"values": 0}}}
-    table["properties"]["material"] = {**texts, "stringOffsetType": "UINT8"}
-    root["extensions"] = {"EXT_structural_metadata": {"propertyTables": [{}, table]}}
-    root["nodes"] = [{"mesh": 0}, {"mesh": 0, "translation": [1, 0, 0]}]
-    root["scenes"] = [{"nodes": [0, 1]}]
-    features = read_gltf_features(packed(tmp_path / "a.glb", root, binary))
-    assert features is not None
-    assert features.names == ("stone", "wood", "a")
-    assert features.ids.tolist() == [1, -1, -1, -1] * 2
-    table["count"] = 2**40
-    with pytest.raises(FileFormatError, match="offsets of names reach beyond"):
-        read_gltf_features(packed(tmp_path / "a.glb", root, binary))
 
 
 def test_files_beside_and_below(tmp_path):

@@ -12,6 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
+from gltf_samples import features_of
 from query.conftest import Queried
 from scoup import raster
 from scoup.io import read_ply_table
@@ -92,13 +93,10 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
 
 
 def test_ids_in_a_glb(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
-    from scoup.io.splats.gltf import read_gltf, read_gltf_features
+    from scoup.io.splats.gltf import read_gltf
 
     save_labels(queried.field, labels, tmp_path, ("glb",))
-    features = read_gltf_features(tmp_path / "labels.glb")
-    assert features is not None
-    assert features.ids.tolist() == labels.ids.tolist()
-    assert features.names == labels.names
+    assert features_of(tmp_path / "labels.glb") == (labels.ids.tolist(), labels.names)
     assert read_gltf(tmp_path / "labels.glb").means.equal(queried.field.gaussians.means)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.scenes import LAYOUTS
 
-from scoup_lab.synthetic.art.meshes import Mesh, merged
+from scoup_lab.synthetic.art.meshes import Mesh
 from scoup_lab.synthetic.splat import evenly
 from synthetic.shapes import half_turn, rectangle, sphere
 
@@ -16,27 +16,12 @@ def volume(mesh: Mesh) -> float:
     return float(np.einsum("nd,nd->", a, np.cross(b, c)) / 6)
 
 
-def test_area_and_volume() -> None:
-    ball = sphere(2.0, (3, 0, 1), segments=96)
-    assert ball.face_areas().sum() == pytest.approx(16 * np.pi, rel=0.01)
-    assert volume(ball) == pytest.approx(32 / 3 * np.pi, rel=0.01)
-
-
 def test_a_mesh_is_scaled_then_turned_then_moved() -> None:
     wall = rectangle((0, 0, 1), (1, 0, 0), (0, 2, 0))
     moved = wall.moved((10, 0, 0), half_turn(), 3.0)
     assert moved.vertices == pytest.approx(np.array([[10, 0, -3], [7, 0, -3], [7, 6, -3], [10, 6, -3]]))
     assert moved.normals == pytest.approx(np.tile([0, 0, -1], (4, 1)))
     assert moved.face_areas().sum() == pytest.approx(18)
-
-
-def test_meshes_become_one() -> None:
-    first, second = sphere(1.0), rectangle((0, 0, 1), (1, 0, 0), (0, 2, 0))
-    both = merged([first, second])
-    corners = both.vertices[both.faces]
-    assert np.array_equal(corners[:-2], first.vertices[first.faces])
-    assert np.array_equal(corners[-2:], second.vertices[second.faces])
-    assert np.array_equal(both.normals[both.faces][-2:], second.normals[second.faces])
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

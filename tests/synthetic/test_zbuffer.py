@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 
 from scoup.scene.cameras import Camera
@@ -70,23 +69,3 @@ def test_faces_seen_from_behind_or_behind_the_camera_are_not_drawn():
     assert (visible_faces(wall.vertices, wall.faces[:, ::-1], view) < 0).all()
     behind = wall.moved((0, 0, 0), half_turn())
     assert (visible_faces(behind.vertices, behind.faces, view) < 0).all()
-
-
-def test_of_equal_depths_the_higher_number_is_taken():
-    triangle = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]])
-    number, nearness = draw(triangle, np.full(3, 0.5), np.array([[0, 1, 2], [0, 1, 2]]), 4, 4)
-    assert (number == 1).all()
-    assert (nearness == 0.5).all()
-
-
-def test_empty_input():
-    number, _ = draw(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3), int), 3, 2)
-    assert number.shape == (2, 3)
-    assert (number == -1).all()
-
-
-@pytest.mark.parametrize("size", [(1, 1), (2, 5)])
-def test_tiny_images(size: tuple[int, int]):
-    view = camera(*size, focal=1.0)
-    ball = sphere(2.0, (0, 0, 3))
-    assert (visible_faces(ball.vertices, ball.faces, view) >= 0).shape == (size[1], size[0])

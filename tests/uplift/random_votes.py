@@ -12,6 +12,7 @@ from torch import Tensor
 
 from raster.parity import beyond
 from scoup.raster import ViewSums
+from scoup.raster.view_sums import merge
 from scoup.scene.codes import SparseCodes, stable_products
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import EarlierRound
@@ -39,6 +40,17 @@ class Sizes:
     without: int | None = None
 
 
+def sums_of_triplets(
+    gaussian: Tensor, level: Tensor, region: Tensor, weight: Tensor, n_levels: int
+) -> ViewSums:
+    """Sums of (Gaussian, level, region, weight) [T], where each combination is a region of one level."""
+    total = int(region.max()) + 1
+    pairs, combination = torch.unique(level * total + region, return_inverse=True)
+    table = torch.full((len(pairs), n_levels), -1, dtype=torch.int32)
+    table.scatter_(1, (pairs // total)[:, None], (pairs % total).int()[:, None])
+    return ViewSums(*merge(gaussian, combination, weight, len(pairs)), table)
+
+
 def usual_deviation() -> tuple[RegionSums, list[SparseCodes], Tensor, list[float]]:
     """Sums, codes and codebook of one Gaussian, and its weights after a second round, worked out by hand.
 
@@ -48,7 +60,7 @@ def usual_deviation() -> tuple[RegionSums, list[SparseCodes], Tensor, list[float
     """
     sums = RegionSums("", torch.arange(1), ["m"])
     regions = torch.arange(3)
-    view = ViewSums.of_triplets(regions * 0, regions * 0, regions, torch.tensor([3.0, 1.0, 1.0]), 1)
+    view = sums_of_triplets(regions * 0, regions * 0, regions, torch.tensor([3.0, 1.0, 1.0]), 1)
     sums.append("v", view)
     sums.rows = [{"v": slice(0, 3)}]
     unusual = math.exp(-3)

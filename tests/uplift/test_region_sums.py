@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from safetensors.numpy import load_file
 from scipy.sparse import coo_array, csr_array
 
@@ -24,7 +22,8 @@ from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
 from scoup.uplift.storage.paths import view_file
-from support import KINDS, examples, random_gaussians, small_scene
+from support import KINDS, random_gaussians, small_scene
+from uplift.random_votes import sums_of_triplets
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +91,7 @@ def sums_of_views() -> RegionSums:
         level, region = np.divmod(key.ravel()[chosen], stride)
         weight = rng.random(len(chosen)).astype(np.float32)
         parts = [torch.from_numpy(part) for part in (gaussian.ravel()[chosen], level, region, weight)]
-        sums.append(name, ViewSums.of_triplets(parts[0], parts[1], parts[2], parts[3], 2))
+        sums.append(name, sums_of_triplets(parts[0], parts[1], parts[2], parts[3], 2))
     sums.rows = rows
     return sums
 
@@ -270,32 +269,6 @@ def test_what_is_something_else_is_refused(scene, tmp_path):
         RegionSums.open(path)
     with pytest.raises(MissingFileError, match="no such folder"):
         RegionSums.open(tmp_path / "g.sums")
-
-
-@settings(
-    max_examples=examples(150),
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
-@given(data=st.data())
-def test_arrays_that_make_no_sense_never_crash_a_vote(data):
-    """As a file may hold them whose checksums fit."""
-    gaussians, cameras, regions = small_scene(count=40, views=1)
-    sums = region_sums(gaussians, cameras, regions)
-    part = sums.views[cameras.names[0]].parts[0]
-    for array in part.arrays().values():
-        if len(array) and data.draw(st.booleans()):
-            array.setflags(write=True)
-            flat = array.reshape(-1).view(np.uint8)
-            flat[data.draw(st.integers(0, len(flat) - 1))] = data.draw(st.integers(0, 255))
-    codes = [
-        scoup.SparseCodes.from_dense(torch.rand(len(regions.embeddings(level)[0]), 5), 2)
-        for level in regions.levels
-    ]
-    try:
-        found = scoup.vote(sums, codes, torch.randn(3, 5, 4), 2, 2, backend="native")
-    except InputError:
-        return
-    assert found.weights.shape == (40, 3, 2)
 
 
 def test_views_are_read_ahead_in_order(scene):

@@ -7,12 +7,11 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.raster import ViewSums
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import scene_sharpness
 from scoup.uplift.vote import vote
-from uplift.random_votes import usual_deviation
+from uplift.random_votes import sums_of_triplets, usual_deviation
 
 pytestmark = pytest.mark.parametrize("backend", ["native", "reference"])
 
@@ -26,7 +25,7 @@ def sums_of(triplets: list[tuple[int, int, float]], n_gaussians: int, n_regions:
     gaussian, region, weight = zip(*triplets, strict=True)
     sums = RegionSums("", torch.arange(n_gaussians), ["m"])
     level = torch.zeros(len(gaussian), dtype=torch.int64)
-    view = ViewSums.of_triplets(torch.tensor(gaussian), level, torch.tensor(region), torch.tensor(weight), 1)
+    view = sums_of_triplets(torch.tensor(gaussian), level, torch.tensor(region), torch.tensor(weight), 1)
     sums.append("v", view)
     sums.rows = [{"v": slice(0, n_regions)}]
     return sums

@@ -14,7 +14,7 @@ from scoup.io.scenes import (
     save_gaussians,
 )
 from scoup.io.splats.formats import splat_source, written_format
-from scoup.io.splats.gltf import GaussianFeatures, read_gltf, read_gltf_features, write_gltf
+from scoup.io.splats.gltf import GaussianFeatures, read_gltf, write_gltf
 from scoup.io.splats.ply import (
     PlyTable,
     as_stored,
@@ -41,7 +41,6 @@ __all__ = [
     "load_regions",
     "read_cfg_args",
     "read_gltf",
-    "read_gltf_features",
     "read_ply_table",
     "read_points",
     "read_tracks",

@@ -39,7 +39,7 @@ from scoup.scene.things import NO_THING, ThingTable
 HUB_QUANTILE = 0.99
 """The words that fit a thing best are those above this quantile."""
 HUB_SHARE = 0.5
-"""This share of the cosine with the words that fit a thing best is subtracted. Chosen by `benchmarks.answer_fit`."""
+"""This share of the cosine with the words that fit a thing best is subtracted."""
 FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
 """The fit of a thing of R regions is lowered by the first / sqrt(R), as the error of a mean falls, and by the second
 times the logarithm of 1 / its stability."""
@@ -60,7 +60,7 @@ LEAST_LIKENESS = 0.65
 
 @dataclass(frozen=True)
 class ChoiceRule:
-    """Weights of the choice, chosen by `benchmarks.answer_fit`."""
+    """Weights of the choice (docs/answers.md#constants)."""
 
     rival: float = 2.0
     """Of the lead of things elsewhere over the mean fit of a set."""

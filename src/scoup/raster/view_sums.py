@@ -26,20 +26,6 @@ class ViewSums:
     labels_digest: str = ""
     """Of the label maps (``CombinedLabels.digest``), "" if unknown."""
 
-    @classmethod
-    def of_triplets(
-        cls, gaussian: Tensor, level: Tensor, region: Tensor, weight: Tensor, n_levels: int
-    ) -> ViewSums:
-        """Make sums of (Gaussian, level, region, weight) [T], where each combination is a region of one level."""
-        total = int(region.max()) + 1 if len(region) else 1
-        pairs, combination = torch.unique(level.long() * total + region.long(), return_inverse=True)
-        table = torch.full((len(pairs), n_levels), -1, dtype=torch.int32, device=weight.device)
-        table.scatter_(
-            1, torch.div(pairs, total, rounding_mode="floor")[:, None], (pairs % total).int()[:, None]
-        )
-        merged = merge(gaussian, combination, weight, len(pairs))
-        return cls(*merged, table)
-
     def triplets(self, level: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return (gaussian [T] int64, region [T] int64, weight [T] float32) of one level, sorted, each pair once."""
         region = self.table[:, level].long()[self.combination.long()]

@@ -175,13 +175,6 @@ def voronoi_labels(counts: Sequence[int], width: int, height: int, seed: int = 0
 def clip_like(count: int, dim: int = 512, seed: int = 0, n_objects: int = 300) -> Tensor:
     """Return [count, dim] unit rows: cosine about 0.5 between objects, 0.87 within one, and few objects are
     frequent."""
-    return clip_like_objects(count, dim, seed, n_objects)[0]
-
-
-def clip_like_objects(
-    count: int, dim: int = 512, seed: int = 0, n_objects: int = 300
-) -> tuple[Tensor, Tensor]:
-    """Return the rows of ``clip_like`` and the object [count] int64 that each of them is, 0 the most frequent."""
     fixed = torch.Generator().manual_seed(0)  # the same common mean and objects whatever the seed
     common = torch.randn(dim, generator=fixed)
     objects = torch.nn.functional.normalize(torch.randn(n_objects, dim, generator=fixed), dim=1) * dim**0.5
@@ -191,7 +184,7 @@ def clip_like_objects(
     rows = (
         torch.randn(count, dim, generator=generator).mul_(0.5).add_(common).add_(objects[which], alpha=0.85)
     )
-    return torch.nn.functional.normalize(rows, dim=1), which
+    return torch.nn.functional.normalize(rows, dim=1)
 
 
 def random_scene_regions(

@@ -22,12 +22,9 @@ from scoup.io.splats.gltf_features import (
     METADATA,
     GaussianFeatures,
     features_json,
-    id_set,
     metadata_json,
-    primitive_ids,
     stored_ids,
     table_columns,
-    table_names,
 )
 from scoup.io.splats.gltf_nodes import SPLATS, placed_splats, splat_primitives
 from scoup.io.splats.gltf_primitive import (
@@ -63,37 +60,29 @@ def read_gltf(path: str | Path) -> Gaussians:
             another kernel, colour space, projection or sorting than Gaussians here have.
     """
     document = read_document(path)
-    return _read(document, [])[0]
-
-
-def read_gltf_features(path: str | Path) -> GaussianFeatures | None:
-    """Return the classes of the Gaussians that ``read_gltf`` gives, in the same order; None where the file has none.
-
-    Of several sets of feature ids the first one with a property table counts.
-    """
-    document = read_document(path)
-    placed: list[tuple[dict[str, Any], int]] = []
-    kept = _read(document, placed)[1]
-    sets = [id_set(document, primitive) for primitive, _ in placed]
-    used = [item for item in sets if item is not None]
-    if not used:
-        return None
-    if any(item["propertyTable"] != used[0]["propertyTable"] for item in used):
-        raise document.error("its Gaussians have several property tables", "merge them into one table")
-    names = table_names(document, used[0]["propertyTable"])
-    columns = [primitive_ids(document, primitive, count) for primitive, count in placed]
-    ids = np.concatenate(
-        [
-            np.full(count, -1) if column is None else column
-            for column, (_, count) in zip(columns, placed, strict=True)
-        ]
-    )
-    ids[ids >= len(names)] = -1
-    label = used[0].get("label", "label")
-    try:
-        return GaussianFeatures(torch.from_numpy(ids[kept]), names, label if isinstance(label, str) else "")
-    except InputError as error:
-        raise document.error(f"its classes cannot be used ({error})") from error
+    _check_extensions(document)
+    primitives: list[Columns] = []
+    local: dict[int, Columns] = {}
+    total = 0
+    packed = any(name.startswith(SPZ) for name in document.names("extensionsUsed"))
+    most = _REPEATS_PACKED if packed else _REPEATS
+    for primitive, similarity in placed_splats(document):
+        if id(primitive) not in local:
+            local[id(primitive)] = read_primitive(document, primitive)
+        columns = local[id(primitive)]
+        total += sum(column.nbytes for column in columns.values())
+        if total > most * document.data_bytes:
+            raise document.error("repeats its Gaussians far too often", "apply its instances, or remove them")
+        primitives.append(columns if similarity is None else transformed(columns, similarity))
+    if not primitives:
+        raise _no_gaussians(document)
+    bases = max(columns["sh"].shape[1] for columns in primitives)
+    for place, columns in enumerate(primitives):  # primitives may have different degrees
+        missing = bases - columns["sh"].shape[1]
+        if missing:
+            primitives[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
+    joined = {name: np.concatenate([columns[name] for columns in primitives]) for name in primitives[0]}
+    return keep_finite(**half_turn(joined, _AXIS), source=str(document.path))[0]
 
 
 def write_gltf(
@@ -130,34 +119,6 @@ def write_gltf(
     parts = builder.glb(root) if path.suffix.lower() == ".glb" else builder.gltf(root)
     with atomic_file(path, overwrite) as stream:
         stream.writelines(parts)
-
-
-def _read(document: GltfDocument, placed: list[tuple[dict[str, Any], int]]) -> tuple[Gaussians, np.ndarray]:
-    """Return Gaussians and which rows were kept; ``placed`` receives the primitives and their numbers of rows."""
-    _check_extensions(document)
-    primitives: list[Columns] = []
-    local: dict[int, Columns] = {}
-    total = 0
-    packed = any(name.startswith(SPZ) for name in document.names("extensionsUsed"))
-    most = _REPEATS_PACKED if packed else _REPEATS
-    for primitive, similarity in placed_splats(document):
-        if id(primitive) not in local:
-            local[id(primitive)] = read_primitive(document, primitive)
-        columns = local[id(primitive)]
-        total += sum(column.nbytes for column in columns.values())
-        if total > most * document.data_bytes:
-            raise document.error("repeats its Gaussians far too often", "apply its instances, or remove them")
-        primitives.append(columns if similarity is None else transformed(columns, similarity))
-        placed.append((primitive, len(columns["means"])))
-    if not primitives:
-        raise _no_gaussians(document)
-    bases = max(columns["sh"].shape[1] for columns in primitives)
-    for place, columns in enumerate(primitives):  # primitives may have different degrees
-        missing = bases - columns["sh"].shape[1]
-        if missing:
-            primitives[place] = {**columns, "sh": np.pad(columns["sh"], ((0, 0), (0, missing), (0, 0)))}
-    joined = {name: np.concatenate([columns[name] for columns in primitives]) for name in primitives[0]}
-    return keep_finite(**half_turn(joined, _AXIS), source=str(document.path))
 
 
 def _check_extensions(document: GltfDocument) -> None:

@@ -28,7 +28,7 @@ def accessor_count(document: GltfDocument, index: Any, what: str) -> int:
     return document.whole(entry.get("count"), f"the count of {what}", low=1)
 
 
-def raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tuple[np.ndarray, bool]:
+def _raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tuple[np.ndarray, bool]:
     """Return a column as it is in its buffer, and whether its integers are normalised.
 
     Args:
@@ -65,8 +65,8 @@ def raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tu
 def read_accessor(
     document: GltfDocument, index: Any, kind: str, what: str, integers: Integers = "none"
 ) -> np.ndarray:
-    """Return the values of a column: [N, width] float32; see ``raw_accessor``."""
-    rows, normalised = raw_accessor(document, index, kind, what)
+    """Return the values of a column: [N, width] float32; see ``_raw_accessor``."""
+    rows, normalised = _raw_accessor(document, index, kind, what)
     if rows.dtype.kind == "f":
         return rows.astype(np.float32)
     if integers == "none" or (integers == "normalised" and not normalised):

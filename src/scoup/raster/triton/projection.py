@@ -17,7 +17,7 @@ from scoup.base.errors import InputError
 from scoup.raster.binning import SLACK
 from scoup.raster.presets import ALPHA_MIN, LOW_PASS, RasterPreset
 from scoup.raster.projection import ray_limits, tile_counts
-from scoup.raster.triton.kernels.blending import PADDING, RECORD, ROW
+from scoup.raster.triton.kernels.blending import PADDING, RECORD
 from scoup.raster.triton.kernels.projection import (
     GEOMETRY,
     SHAPE,
@@ -65,11 +65,6 @@ class TritonProjection:
     def numbers(self) -> Tensor:
         """``records`` as int32."""
         return self.records.view(torch.int32)
-
-    @property
-    def pair_ids(self) -> Tensor:
-        """[.] int32 rows of the scene, one per record."""
-        return self.numbers[:, ROW.value]
 
     @property
     def across(self) -> int:
