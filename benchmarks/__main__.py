@@ -18,6 +18,7 @@ STUDIES = Family(
         "answers": "benchmarks.answers:Answers",
         "real": "benchmarks.answers:Real",
         "things": "benchmarks.things:Things",
+        "agents": "benchmarks.agents:Agents",
         "concepts": "benchmarks.concepts:Concepts",
         "laptop": "benchmarks.laptop:Laptop",
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",

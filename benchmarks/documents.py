@@ -21,6 +21,7 @@ from typing import Any
 
 import tyro
 
+from benchmarks.agents import Agents
 from benchmarks.answers import Real
 from benchmarks.archive import Archives
 from benchmarks.concepts import Concepts
@@ -165,6 +166,7 @@ def scannet() -> str:
 
 
 STUDIES: dict[str, tuple[type[Study], str]] = {
+    "agents": (Agents, "agents"),
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "extract": (Extraction, "extract"),

@@ -248,7 +248,7 @@ def test_what_does_not_fit_is_refused(
         archive.find("mug", top=0)
     with pytest.raises(InputError, match="dimensions"):
         scoup.Archive(archive.folder, TextEncoder.open({"mug": torch.ones(5)})).find("mug")
-    with pytest.raises(InputError, match="contains no scan"):
+    with pytest.raises(InputError, match="there is no such archive"):
         scoup.Archive(tmp_path / "nothing").find("mug")
 
 

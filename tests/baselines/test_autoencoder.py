@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -34,15 +35,13 @@ def cosines(found: Tensor, rows: Tensor) -> Tensor:
 
 def test_training_brings_reconstructions_nearer() -> None:
     rows = clusters()
-    means = [
-        fit_autoencoder(rows, AutoencoderSettings(**{**vars(SMALL), "epochs": epochs})).report.mean_cosine
-        for epochs in (0, 2, 12)
-    ]
+    fits = [fit_autoencoder(rows, replace(SMALL, epochs=epochs)) for epochs in (0, 2, 12)]
+    means = [float(cosines(each.decode(each.encode(rows)), rows).mean()) for each in fits]
     assert means == sorted(means)
     assert means[-1] > 0.95
 
 
-def test_codes_and_report() -> None:
+def test_codes() -> None:
     rows = clusters()
     fitted = fit_autoencoder(rows, SMALL)
     codes = fitted.encode(rows)
@@ -51,12 +50,6 @@ def test_codes_and_report() -> None:
     decoded = fitted.decode(codes)
     assert decoded.shape == rows.shape
     assert torch.allclose(decoded.norm(dim=1), torch.ones(120))
-    found = cosines(decoded, rows).double()
-    assert fitted.report.mean_cosine == pytest.approx(float(found.mean()), abs=1e-5)
-    assert fitted.report.low_cosine == pytest.approx(float(found.quantile(0.05)), abs=1e-5)
-    assert (fitted.report.regions, fitted.report.epochs) == (120, 12)
-    assert fitted.report.seconds > 0
-    assert "mean cosine" in str(fitted.report)
     assert not fitted.encode(rows).requires_grad
 
 
@@ -95,8 +88,6 @@ def test_rows_of_norm_zero_are_left_out() -> None:
     assert torch.equal(codes[1:-2], plain.encode(rows))
     assert not codes[[0, -2, -1]].any()
     assert not fitted.decode(codes)[[0, -2, -1]].any()
-    assert fitted.report.regions == 120
-    assert fitted.report.mean_cosine == plain.report.mean_cosine
 
 
 @pytest.mark.parametrize("rows", [torch.zeros(0, 5), torch.zeros(4, 5)])
@@ -104,7 +95,6 @@ def test_nothing_to_learn_from(rows: Tensor) -> None:
     fitted = fit_autoencoder(rows, SMALL)
     assert fitted.encode(rows).shape == (len(rows), 3)
     assert not fitted.encode(rows).any()
-    assert (fitted.report.regions, fitted.report.epochs, fitted.report.mean_cosine) == (0, 0, 1.0)
 
 
 @pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 33])
@@ -124,20 +114,8 @@ def test_any_number_of_rows(count: int) -> None:
         (torch.zeros(3, 4, dtype=torch.long), {}, "floating-point"),
         (torch.tensor([[1.0, float("nan")]]), {}, "not finite"),
         (torch.ones(3, 4), {"epochs": -1}, "negative"),
-        (torch.ones(3, 4), {"batch": 1}, "two rows"),
-        (torch.ones(3, 4), {"learning_rate": 0.0}, "positive"),
-        (torch.ones(3, 4), {"encoder": ()}, "layers"),
-        (torch.ones(3, 4), {"decoder": (0,)}, "one output"),
     ],
 )
 def test_bad_input_is_refused(rows: Tensor, changes: dict[str, Any], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
-        fit_autoencoder(rows, AutoencoderSettings(**{**vars(SMALL), **changes}))
-
-
-def test_rows_and_codes_of_another_size_are_refused() -> None:
-    fitted = fit_autoencoder(clusters(20), SMALL)
-    with pytest.raises(InputError, match="rows have 5"):
-        fitted.encode(torch.ones(2, 5))
-    with pytest.raises(InputError, match="codes have 5"):
-        fitted.decode(torch.ones(2, 5))
+        fit_autoencoder(rows, replace(SMALL, **changes))

@@ -213,7 +213,7 @@ def test_words_for_a_field_of_another_model(here):
     # Features that do not name their model, and that the usual one cannot have made: none is guessed.
     assert run(*BUILD)[0] == 0
     ask = ("query", "a.scoup", "kettle", "--out", "answers")
-    assert "a.scoup: names no embedding model; pass a table or model with --text" in refused(*ask)
+    assert "a.scoup: names no embedding model; pass a word table or model as --text" in refused(*ask)
     assert "the field does not name its model: pass a word table of 16 dimensions" in refused(*ask, *wide)
     assert run("build", "scene", *QUICK, "--out", "b.scoup", "--model", "colors")[0] == 0
     for text in ((), wide):

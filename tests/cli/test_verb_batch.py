@@ -66,6 +66,14 @@ def test_regions_are_extracted_first(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert Path("scans/a/language_features").is_dir()
 
 
+def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "scans" / "a")
+    code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive", *QUICK)
+    assert code == 2
+    assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

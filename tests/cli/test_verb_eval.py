@@ -128,7 +128,9 @@ def test_refusals(here: Path) -> None:
 def test_baselines(here: Path) -> None:
     names = ("sparse", "dense", "centre-pixel", "top-45-contributors")
     chosen = [part for name in names for part in ("--methods", name)]
-    record = run_json("eval", "baselines", "lerf-ovs", "--scenes", "table", *chosen, "--selection")
+    compare = ("eval", "baselines", "lerf-ovs", "--scenes", "table", "--selection")
+    assert "table, sparse: mIoU " in run(*compare, *chosen[:2])[1]
+    record = run_json(*compare, *chosen, "--overwrite")
     assert list(record["methods"]) == list(names)
     for name, row in record["methods"].items():
         assert 0 < row["miou"] < 1
@@ -139,6 +141,8 @@ def test_baselines(here: Path) -> None:
     text = (here / "eval_lerf-ovs" / "baselines.md").read_text()
     assert "sparse - dense" in text
     assert "3D selection" in text
+    out = run(*compare, *chosen, "--overwrite")[1]
+    assert out.count(", kept from before") == len(names)
 
 
 def test_ablations(here: Path) -> None:

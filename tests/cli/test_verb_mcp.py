@@ -1,15 +1,19 @@
-"""scoup mcp: every line gets an answer."""
+"""scoup mcp: every line gets an answer, over HTTP several clients do."""
 
 from __future__ import annotations
 
+import asyncio
 import json
+import signal
+import socket
 import sys
 from subprocess import PIPE
+from typing import Any
 
 import pytest
 
 from children import child
-from cli_support import RUN
+from cli_support import RUN, refused
 
 pytest.importorskip("mcp", reason="needs scoup[mcp]")
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
@@ -59,3 +63,50 @@ def test_every_line_is_answered_with_its_id_or_null() -> None:
     assert dict(zip(REFUSED, found, strict=True)) == {
         name: tuple(rest) for name, (_, *rest) in REFUSED.items()
     }
+
+
+def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
+    import httpx2
+    from mcp import Client
+    from mcp.client.streamable_http import streamable_http_client
+
+    async def found(address: str, headers: dict[str, str]) -> Any:
+        async with (
+            httpx2.AsyncClient(headers=headers, timeout=60) as http,
+            Client(streamable_http_client(address, http_client=http)) as client,
+        ):
+            reply: Any = await client.call_tool("find", {"scene": "f", "text": "kettle"})
+            return json.loads(reply.content[0].text)
+
+    async def talk(address: str, token: str) -> list[Any]:
+        known = {"Authorization": f"Bearer {token}"}
+        answers = await asyncio.gather(*(found(address, known) for _ in range(3)))
+        strangers = [
+            ({}, 401),
+            ({"Authorization": "Bearer x"}, 401),
+            (known | {"Host": "other.example"}, 421),
+            (known | {"Origin": "http://other.example"}, 403),
+        ]
+        async with httpx2.AsyncClient() as http:
+            got = [(await http.post(address, json={}, headers=each)).status_code for each, _ in strangers]
+            large = await http.post(address, content=b" " * 70_000, headers=known)
+        assert got == [status for _, status in strangers]
+        assert large.status_code == 413
+        return answers
+
+    with child([sys.executable, "-c", RUN, "mcp", "f.scoup", "--http", "0"]) as server:
+        assert server.stdout is not None
+        address, header, _ = (server.stdout.readline() for _ in range(3))
+        one, *others = asyncio.run(talk(address.strip(), header.rpartition(" ")[2].strip()))
+        server.send_signal(signal.SIGTERM)
+        _, said = server.communicate()
+    assert one["count"] > 0
+    assert others == [one, one]
+    assert server.returncode == 143
+    assert "Traceback" not in said  # refused names of the host are logged
+
+
+def test_ports_that_cannot_be_served_are_refused() -> None:
+    assert "--http must be a port" in refused("mcp", "f.scoup", "--http", "70000")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert "in use" in refused("mcp", "f.scoup", "--http", taken.getsockname()[1])

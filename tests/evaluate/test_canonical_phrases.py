@@ -22,7 +22,6 @@ from scoup_lab.baselines.methods import METHODS
 from scoup_lab.evaluate import pixel_evaluation
 from scoup_lab.evaluate.label_vectors import encode_labels
 from scoup_lab.evaluate.pixel_evaluation import predict
-from scoup_lab.evaluate.predictions import PredictionCache
 from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.studies.ablation_rows import BASE, BESIDE_EVERYDAY, Ablation, find_ablations
@@ -105,7 +104,7 @@ def test_evaluation(
     built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=BUILD)
     recorder = Recorder(FittedField(built))
     monkeypatch.setattr(pixel_evaluation, "FittedField", lambda _: recorder)
-    maps = list(predict(scene.labelled, scene.vectors, built, "digest", PredictionCache(None)))
+    maps = list(predict(scene.labelled, scene.vectors, built, "digest", tmp_path))
     assert len(maps) == len(recorder.given) == 2
     selection.score_method(scene.labelled, scene.vectors, recorder, rasterised.gaussians, "inria")
     assert len(recorder.given) == 4

@@ -105,16 +105,16 @@ def test_scene_scores(tmp_path: Path) -> None:
     ]
     maps = torch.zeros(1, 40, 60)
     maps[0, 10:30, 20:40] = 1
-    relevancy = {"cup": maps, "pot": maps}
-    scene = PROTOCOL.score("kitchen", ((frame, relevancy) for frame in frames))
+    both = torch.stack([maps, maps], 1)
+    scene = PROTOCOL.score("kitchen", ((frame, both[:, : len(frame.labels)]) for frame in frames))
     assert [(pair.frame, pair.label, pair.hit) for pair in scene.pairs] == [
         ("a", "cup", True), ("b", "cup", True), ("b", "pot", False),
     ]  # fmt: skip
     assert scene.accuracy == pytest.approx(2 / 3)
     assert scene.miou == pytest.approx(sum(pair.iou for pair in scene.pairs) / 3)
-    other = PROTOCOL.score("other", [(frames[0], {"cup": maps})])
+    other = PROTOCOL.score("other", [(frames[0], maps[None])])
     assert overall([scene, other])[1] == pytest.approx((2 / 3 + 1) / 2)
-    for wrong in ({"cup": maps}, torch.zeros(1, 3, 40, 60), maps):
+    for wrong in (maps[None], torch.zeros(1, 3, 40, 60), maps):
         with pytest.raises(InputError):
             PROTOCOL.score_frame(frames[1], wrong)
     with pytest.raises(InputError):
@@ -182,9 +182,7 @@ def test_kitchen_labels(data_folder: Path) -> None:
     assert len(frames) == 6
     assert all((frame.width, frame.height) == (960, 720) for frame in frames)
     # The truth itself as relevancy: only what the protocol shaves off the edges is lost.
-    pairs = PROTOCOL.score_frame(
-        frames[0], {label: mask.float()[None] for label, mask in frames[0].masks.items()}
-    )
+    pairs = PROTOCOL.score_frame(frames[0], torch.stack([*frames[0].masks.values()]).float()[None])
     assert all(pair.hit for pair in pairs)
     assert sum(pair.iou for pair in pairs) / len(pairs) > 0.8
 

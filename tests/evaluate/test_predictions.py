@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from scoup.base.digests import file_sha256
-from scoup_lab.evaluate.predictions import PredictionCache, prediction_key, tensor_digest
+from scoup_lab.evaluate.predictions import kept_map, prediction_key, tensor_digest
 from support import make_camera
 
 
@@ -38,34 +38,21 @@ def test_predicted_once_and_the_same_to_the_last_bit(tmp_path: Path) -> None:
         calls.append(1)
         return values
 
-    cache = PredictionCache(tmp_path / "cache")
     for _ in range(2):
-        assert torch.equal(cache.get("scene/frame", key(), predict), values)
+        assert torch.equal(kept_map(tmp_path / "cache", "scene/frame", key(), predict), values)
     assert len(calls) == 1
-    assert (cache.found, cache.made) == (1, 1)
-    cache.get("scene/frame", key(source="b"), predict)
-    assert len(calls) == 2
-    again = PredictionCache(tmp_path / "cache")
-    assert torch.equal(again.get("scene/frame", key(), predict), values)
+    kept_map(tmp_path / "cache", "scene/frame", key(source="b"), predict)
     assert len(calls) == 2
 
 
 @pytest.mark.parametrize("damage", [b"", b"\xff" * 40, None])
 def test_damaged_maps_are_made_again(tmp_path: Path, damage: bytes | None) -> None:
-    cache = PredictionCache(tmp_path)
     values = torch.rand(3, 1, 4, 4)
-    cache.get("f", key(), lambda: values)
+    kept_map(tmp_path, "f", key(), lambda: values * 0)
     (path,) = tmp_path.glob("*.safetensors")
     path.write_bytes(path.read_bytes()[:-7] if damage is None else damage)
-    assert torch.equal(cache.get("f", key(), lambda: values), values)
-    assert cache.made == 2
-    assert torch.equal(cache.get("f", key(), lambda: values * 0), values)
-
-
-def test_without_a_folder_nothing_is_kept() -> None:
-    cache = PredictionCache(None)
-    assert cache.get("f", key(), lambda: torch.zeros(1)).shape == (1,)
-    assert cache.get("f", key(), lambda: torch.ones(2)).shape == (2,)
+    assert torch.equal(kept_map(tmp_path, "f", key(), lambda: values), values)
+    assert torch.equal(kept_map(tmp_path, "f", key(), lambda: values * 0), values)
 
 
 def test_digests(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MASK_RULES
 from scoup_lab.evaluate.studies.ablation_rows import ABLATIONS, find_ablations
 from scoup_lab.evaluate.studies.ablations import Ablations
-from scoup_lab.evaluate.studies.comparison import Comparison
+from scoup_lab.evaluate.studies.comparison import Comparison, comparison_table
 from scoup_lab.evaluate.studies.consistency import Consistency
 from scoup_lab.evaluate.studies.study_scene import ScoringRule, StudyScene
 from support import unit
@@ -102,6 +102,29 @@ def test_comparison(scenes: list[StudyScene], tmp_path: Path) -> None:
     for row in record["methods"].values():
         check_pairs(record, row["iou"], row["miou"])
         check_pairs(record, row["selection_iou"], row["selection_miou"])
+
+
+def test_results_are_kept_until_something_changes(scenes: list[StudyScene], tmp_path: Path) -> None:
+    lines: list[str] = []
+    methods = [METHODS["centre-pixel"], METHODS["autoencoder"]]
+    quick = AutoencoderSettings(epochs=2, encoder=(8, 3), decoder=(8,))
+    study = Comparison(methods, RULE, replace(SETTINGS, autoencoder=quick), True, tmp_path, lines.append)
+    stages: list[str] = []
+    first = study.results(scenes[:1], lambda stage, *_: stages.append(stage))
+    assert {"compare", "autoencoder"} == set(stages)
+    title = "autoencoder (2 of 100 epochs)"
+    assert [result.method for result in first] == ["centre-pixel", title]
+    assert lines[1].startswith(f"scene 0, {title}: mIoU ")
+    assert title in comparison_table(first, "").markdown()
+    assert repr(study.results(scenes[:1])) == repr(first)  # NaN differs from itself
+    longer = replace(study.settings, autoencoder=replace(quick, epochs=3))
+    assert [result.method for result in replace(study, settings=longer).results(scenes[:1])][1] != title
+    replace(study, settings=replace(study.settings, seed=1)).results(scenes[:1])
+    replace(study, rule=MASK_RULES["langsplat"]).results(scenes[:1])
+    moved = replace(scenes[0], vectors=replace(scenes[0].vectors, canonical=-scenes[0].vectors.canonical))
+    study.results([moved])
+    before = [line.endswith(", kept from before") for line in lines]
+    assert before == [False, False, True, True, True, *[False] * 7]
 
 
 def test_each_method_of_a_comparison_learns_its_own_codes(scenes: list[StudyScene]) -> None:

@@ -184,7 +184,7 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     loaded.save(tmp_path / "saved.scoup")
     assert_same_answer(LanguageField.load(tmp_path / "saved.scoup").at(0).answer("word 5"), other)
     moved = (tmp_path / "scene" / "f.scoup").rename(tmp_path / "moved.scoup")
-    with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*encoder="):
+    with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*`encoder`"):
         LanguageField.load(moved).answer("word 5")
     assert loaded.to("cpu") is loaded
 

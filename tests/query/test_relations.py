@@ -156,3 +156,18 @@ def test_what_stands_on_the_lower_end_of_something_tall_is_not_under_it() -> Non
     assert numbers(field, "book above shelf") == numbers(field, "book on shelf") == [1]
     assert numbers(field, "shelf under book") == [0]
     assert numbers(field, "shelf above book") == numbers(field, "book under shelf") == []
+
+
+@pytest.mark.parametrize(("count", "relation"), [(2, "on"), (216, "inside")])
+def test_misplaced_gaussians_make_no_container_of_a_table(count: int, relation: str) -> None:
+    """Of eight clouds around a cup few Gaussians are taken for the table, or all are its, as of a rim."""
+    angles = (np.arange(8) + 0.5) * np.pi / 4
+    rim = [
+        Box("rim", (0.4 * math.cos(angle), 0.4 * math.sin(angle), 1.15), (0.05, 0.05, 0.2))
+        for angle in angles
+    ]
+    table, cup = Box("table", (0, 0, 0.95), (1, 1, 0.1)), Box("cup", (0, 0, 1.15), (0.3, 0.3, 0.3))
+    field = planted_room([table, cup, *rim])
+    assert field.thing_table is not None
+    field.thing_table.owners[2 * 216 : 10 * 216].view(8, 216)[:, 216 - count :] = 0
+    assert [each for each in field.relations() if each[0] == 1] == [(1, relation, 0)]

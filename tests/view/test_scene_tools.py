@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from cli_support import RUN, refused, run, write_scene
+from query.planted_room import CLUTTER, ROOM, planted_room
 from scoup.archive.archive import Archive
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.facts import read_facts
@@ -53,6 +54,12 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     assert {one["thing"] for one in listed["things"]} == {thing.number for thing in things}
     assert (listed["more"], tools.list_things("f", limit=1)["more"]) == (0, len(things) - 1)
     assert len(json.dumps(listed["things"])) < 160 * len(things)
+    graph = tools.describe_scene("f", limit=200)
+    catalog = field.catalog(["kettle", "mug", "wooden table"])
+    assert {each["thing"] for each in graph["things"]} == set(catalog.objects)
+    assert {each["thing"]: each["text"] for each in graph["things"]}.items() <= {
+        each["thing"]: each["text"] for each in listed["things"]
+    }.items()
     level = things[0].level
     assert {one["level"] for one in tools.list_things("f", level)["things"]} == {level}
     one, other = things[0], things[1]
@@ -80,6 +87,27 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     assert "splat" in found["frame"]["axes"]
 
 
+def test_a_scene_is_described_as_a_graph():
+    """Of the room: table, two mugs, laptop, lamp, ball, bowl, apple, and a pen that touches nothing known."""
+    tools = SceneTools({"room": planted_room()})
+    graph = tools.describe_scene("room")
+    assert graph["count"] == len(graph["things"]) == len(ROOM) + len(CLUTTER)
+    assert {each["thing"]: each["on"] for each in graph["things"] if "on" in each} == {
+        number: [0] for number in (1, 2, 3, 6)
+    }
+    assert [each for each in graph["things"] if "inside" in each] == [
+        {"thing": 7, "text": "apple", "certainty": "sure", "inside": [6]}
+    ]
+    around = {number: tools.describe_scene("room", number)["things"] for number in (0, 4, 6)}
+    assert around[4] == [{"thing": 4, "text": "lamp", "certainty": "sure"}]
+    assert around[0][0] == {"thing": 0, "text": "table", "certainty": "sure"}
+    assert {each["thing"] for each in around[0][1:]} == {1, 2, 3, 6}
+    assert {each["thing"] for each in around[6]} == {6, 0, 7}
+    assert tools.describe_scene("room", limit=1)["more"] == graph["count"] - 1
+    listed = SceneTools(tools.fields, words=("bowl", "ball")).list_things("room")["things"]
+    assert {each["text"]: each["thing"] for each in listed if each["text"]} == {"bowl": 6, "ball": 5}
+
+
 def test_a_view_marks_things(tools: SceneTools):
     plain = tools.render_view("f")
     field = tools.fields["f"]
@@ -100,6 +128,7 @@ def test_a_view_marks_things(tools: SceneTools):
         (lambda tools: tools.find("f", "kettle", seen_from="x"), "'x'"),
         (lambda tools: tools.list_things("f", "z"), "no level"),
         (lambda tools: tools.describe_thing("f", -1), "no thing -1"),
+        (lambda tools: tools.describe_scene("f", 10**9), "no thing 10"),
         (lambda tools: tools.measure_distance("f", 0, 10**12), "no thing"),
         (lambda tools: tools.render_view("f", things=list(range(MOST_MARKED + 1))), "at most"),
         *(
@@ -164,6 +193,7 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
 
     names, found, said, archived, picture = anyio.run(talk)
     reading = [
+        "describe_scene",
         "describe_thing",
         "find",
         "find_in_archive",
@@ -182,7 +212,26 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
     assert np.asarray(image).shape[2] == 3
 
 
+def test_errors_name_no_folders(tools: SceneTools, folder: Path):
+    mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
+    from scoup.view.mcp_server import make_server
+
+    def broken() -> None:
+        raise InputError(
+            f"{folder / 'out' / 'a.ply'}: is not {tools.fields['f'].path}, and/or https://a.b/c/d"
+        )
+
+    async def talk() -> Any:
+        async with mcp.Client(make_server(tools, [broken])) as client:
+            return (await client.call_tool("broken", {})).content[0].text
+
+    said = anyio.run(talk)
+    assert said == "Error executing tool broken: a.ply: is not f.scoup, and/or https://a.b/c/d"
+
+
 def test_what_cannot_be_served_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(folder)
     assert "different names" in refused("mcp", "f.scoup", "f.scoup")
     assert "f.scoup: is a file; name a folder" in refused("mcp", "f.scoup", "--out", "f.scoup")
+    Path("list.txt").write_text("dragon\n")
+    assert "no text embedding named 'dragon'" in refused("mcp", "f.scoup", "--words", "list.txt")

@@ -131,6 +131,9 @@ class Archive:
     def __init__(self, folder: str | Path, encoder: Encoder | None = None) -> None:
         check_arguments("Archive", folder=(folder, PATH))
         self.folder = Path(folder)
+        if self.folder.is_file():
+            problem = "is a file, expected the folder of an archive"
+            raise FileFormatError(self.folder, problem, "check the path")
         self._encoder: Encoder | None = encoder
         self._cached: Any = (None, None)
         self._connection = connect(self.folder)
@@ -213,8 +216,9 @@ class Archive:
             InputError: the question or condition cannot be used.
             FileFormatError: a file is damaged; the error names it.
         """
-        if top < 1 or (at_least is not None and at_least < 1):
-            raise InputError(f"`top` and `at_least` must be 1 or more, got {top} and {at_least}")
+        for name, number in (("top", top), ("at_least", at_least)):
+            if number is not None and number < 1:
+                raise InputError(f"`{name}` must be 1 or more, got {number}")
         encoder = self.text_encoder()
         search = Search.of(question, encoder, self._encode(encoder), at_least is not None, present_from)
         wanted = None if where is None else self._wanted(where)
@@ -242,14 +246,15 @@ class Archive:
             source = place_of(self.folder.resolve() / ABOUT, about["words"]) or about["embedding_model"]
             if isinstance(source, Path) and not source.is_file():
                 problem = f"is missing, and the archive {self.folder} names it as its word table"
-                raise MissingFileError(source, problem, "pass its new place as `text`")
+                raise MissingFileError(source, problem, "pass its new path as `encoder`")
         elif source is None and field is not None:
             source = field.encoder_source
+        if not source and about:
+            remedy = "pass a word table or model as `encoder`"
+            raise InputError(f"{self.folder}: does not say what encodes texts; {remedy}")
         if not source:
-            problem = "does not say what encodes texts" if about else "contains no scan"
-            raise InputError(
-                f"{self.folder}: {problem}; add fields, and pass a word table or model as `text`"
-            )
+            problem = "contains no scan" if self.folder.is_dir() else "there is no such archive"
+            raise InputError(f"{self.folder}: {problem}; add fields first")
         opened = source if isinstance(source, TextEncoder) else TextEncoder.open(source)
         if about and opened.dim != about["dim"]:
             raise InputError(

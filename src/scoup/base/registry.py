@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 from scoup.base.errors import UnknownNameError, warn_once
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
     """A row of a ``Registry``. Each table has a kind of its own, with what opens, reads or computes."""
 

@@ -39,6 +39,7 @@ SCOUP = Family(
         "views": "scoup.cli.views:MakeViews",
         "extract": "scoup.cli.extract:Extract",
         "regions": "scoup.cli.regions:ShowRegions",
+        "words": "scoup.cli.words:MakeWords",
         "convert": "scoup.cli.convert:Convert",
         "build": "scoup.cli.build:Build",
         "transfer": "scoup.cli.transfer:Transfer",

@@ -17,7 +17,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.build_options import BuildOptions
-from scoup.cli.console import Console
+from scoup.cli.console import Console, with_options
 from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
 
 REPORT = "batch.json"
@@ -72,7 +72,7 @@ class Batch(BuildOptions):
                         if self.overwrite or _is_older(archive.folder / f"{name}.parquet", file):
                             archive.add(file)
                     except ScoupError as error:
-                        record["error"] = str(error)
+                        record["error"] = with_options(str(error))
                 records[name] = record
                 self._write(records)
                 progress("scans", len(records), len(folders))
@@ -86,10 +86,18 @@ class Batch(BuildOptions):
         return 2 if failed else 0
 
     def _folders(self) -> list[Path]:
-        from scoup.base.errors import MissingFileError
+        from scoup.base.errors import InputError, MissingFileError
+        from scoup.io.camera_sources import has_cameras
 
         if not self.scans.is_dir():
-            raise MissingFileError.of(self.scans, "a folder of scans")
+            problem = "is a file" if self.scans.exists() else "there is no such folder"
+            raise MissingFileError(
+                self.scans, f"{problem} (a folder of scans was expected)", "check the path"
+            )
+        if has_cameras(self.scans):
+            raise InputError(
+                f"{self.scans}: is a scan, expected a folder of scans; scoup build {self.scans} builds its field"
+            )
         folders = sorted(path for path in self.scans.iterdir() if path.is_dir() and path.name[0] != ".")
         if not folders:
             raise MissingFileError(self.scans, "contains no folders of scans", "check the path")

@@ -21,7 +21,7 @@ from scoup.cli.stop import exit_code
 
 _ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
 """How messages of the library name an argument, alone or with a value."""
-_OPTIONS = {"count": "--views", "distorted": "--undistort"}
+_OPTIONS = {"count": "--views", "distorted": "--undistort", "encoder": "--text"}
 """Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 _SIGNS_OF_MEMORY = ("allocate", "out of memory", "failed to map segment")
@@ -60,7 +60,7 @@ class Console:
 
     def warn(self, message: str) -> None:
         """Print a warning the first time it comes, and keep it for the JSON result."""
-        message = _with_options(message)
+        message = with_options(message)
         if message not in self.warnings:
             self.warnings.append(message)
             with _printing(sys.stderr):
@@ -68,7 +68,7 @@ class Console:
 
     def fail(self, message: str, code: int) -> int:
         """Print an error as one line, and in the JSON result; returns the exit code."""
-        message = printable(" ".join(_with_options(message).splitlines()))
+        message = printable(" ".join(with_options(message).splitlines()))
         with _printing(sys.stderr):
             print(f"error: {message}", file=sys.stderr, flush=True)
         self.result({"error": message})
@@ -154,7 +154,7 @@ def kept(done: int, total: int, what: str, also: str = "", otherwise: str = "not
     return f"{left} are kept, run the same command again to continue"
 
 
-def _with_options(message: str) -> str:
+def with_options(message: str) -> str:
     """The message with options in place of arguments: `check_fit=False` becomes --no-check-fit."""
     return _ARGUMENT.sub(_option, message)
 

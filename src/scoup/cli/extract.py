@@ -78,9 +78,7 @@ class Extract(WritesCommon):
     list_models: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
     """Print a table of segmenters, embedders and models with words, and whether their weights are on this machine; do
     nothing else."""
-    preset: Annotated[
-        Literal["langsplat", "fast"] | None, tyro.conf.arg(metavar="{langsplat,fast}", help_behavior_hint="")
-    ] = None
+    preset: Annotated[Literal["langsplat", "fast"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
     early filters, 16 bits on a GPU. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
@@ -102,6 +100,7 @@ class Extract(WritesCommon):
         """Extract and report; returns what the result says."""
         from scoup.base.errors import InputError
         from scoup.base.parts import Part
+        from scoup.cli.views import is_splat
         from scoup.extract import extract, find_photographs
         from scoup.extract.photograph_choice import total_wanted
         from scoup.extract.registry import open_pair
@@ -109,6 +108,10 @@ class Extract(WritesCommon):
 
         if self.scene is None:
             raise InputError("pass the folder of the scene, or --list")
+        if is_splat(self.scene):
+            raise InputError(
+                f"{self.scene}: is a splat, expected photographs; scoup build {self.scene} makes views of it first"
+            )
         if self.max_height < 0:
             raise InputError(f"--max-height must not be negative, got {self.max_height}")
         words = self._words()  # a mistake shows before the long work
@@ -167,6 +170,8 @@ class Extract(WritesCommon):
         if self.views is not None and self.views.startswith("+"):
             if self.part is not None:
                 raise InputError("pass the number of all photographs as --views with --part, not of more")
+            if before is None:
+                raise InputError(f"{out}: contains no regions to add to; pass --views {self.views[1:]}")
             if len(RegionStore.open(out).views(there)) < len(there):
                 total = len(there)  # the same command was interrupted
         try:

@@ -4,24 +4,38 @@ from __future__ import annotations
 
 import signal
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Common, OptionalNumber, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import (
+    Common,
+    OptionalInteger,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+)
 from scoup.cli.query_options import check_metres
 from scoup.cli.stop import Terminated
+
+if TYPE_CHECKING:
+    from scoup.field.language_field import LanguageField
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServeAgents(Common):
     """Serve fields to a language model over standard input and output (Model Context Protocol): list and find things,
-    relations, distances, views with marks, and export selections into one folder. A client starts this program; see
-    docs/agents.md."""
+    relations, distances, views with marks, and export selections into one folder. A client starts this program, or
+    several connect to it with --http; see docs/agents.md."""
 
-    option_groups: ClassVar[OptionGroups] = {"tools": "text out archive metres_per_unit"}
+    option_groups: ClassVar[OptionGroups] = {
+        "tools": "text words out archive metres_per_unit",
+        "server": "http",
+    }
 
     fields: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
@@ -30,6 +44,9 @@ class ServeAgents(Common):
     """.scoup files; each is a scene, named as its file."""
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
+    words: OptionalPath = None
+    """File of words, one per line, that may be names of things. Default: everyday words, or all names of a word
+    table."""
     out: OptionalPath = None
     """Folder into which selections may be exported; it is made, and nothing in it is overwritten. Default: exports are
     refused."""
@@ -37,36 +54,67 @@ class ServeAgents(Common):
     """Archive in which things are found too, written by scoup archive."""
     metres_per_unit: OptionalNumber = None
     """Length of the scenes' unit in metres."""
+    http: Annotated[OptionalInteger, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
+    """Serve several clients of this machine over HTTP, at this port (0: any). Address and token are printed."""
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
-        from scoup.base.errors import InputError
-        from scoup.field.language_field import LanguageField
         from scoup.view.mcp_server import make_server, serve
         from scoup.view.scene_tools import SceneTools
+        from scoup.view.vocabulary import read_words
 
-        check_metres(self.metres_per_unit)
-        names = [path.stem for path in self.fields]
-        if not names or len(set(names)) < len(names):
-            raise InputError(f"expected .scoup files with different names, got {', '.join(names) or 'none'}")
-        if self.out is not None and self.out.exists() and not self.out.is_dir():
-            raise InputError(f"{self.out}: is a file; name a folder for exports with --out")
-        fields = {}
-        for name, path in zip(names, self.fields, strict=True):
-            field = LanguageField.load(path).to(self.device)
-            field.text_encoder(self.text)
-            len(field.gaussians)  # a geometry that is missing is said now, not to the model
-            fields[name] = field
+        self._check_options()
+        words = None if self.words is None else read_words(self.words)
+        fields = self._open_fields(words)
         more = []
         if self.archive is not None:
             from scoup.archive.agent_tool import archive_tool
             from scoup.archive.archive import Archive
 
-            more = [archive_tool(Archive(self.archive, self.text))]
-        server = make_server(SceneTools(fields, self.out, self.metres_per_unit), more)
+            archive = Archive(self.archive, self.text)
+            archive.text_encoder()  # as the fields'
+            more = [archive_tool(archive)]
+        server = make_server(SceneTools(fields, self.out, self.metres_per_unit, words), more)
+        stopped = None
         try:
-            console.warn(f"serving {', '.join(names)} over standard input and output")
-            stopped = serve(server)
+            if self.http is not None:
+                from scoup.view.mcp_http import serve_http
+
+                serve_http(server, self.http, partial(_announce, console))
+            else:
+                console.warn(f"serving {', '.join(fields)} over standard input and output")
+                stopped = serve(server)
         except KeyboardInterrupt as stop:
             return 143 if isinstance(stop, Terminated) else 0
         return 143 if stopped == signal.SIGTERM else 0
+
+    def _check_options(self) -> None:
+        from scoup.base.errors import InputError
+
+        check_metres(self.metres_per_unit)
+        if self.http is not None and not 0 <= self.http <= 65535:
+            raise InputError(f"--http must be a port, 0 to 65535, got {self.http}")
+        names = [path.stem for path in self.fields]
+        if not names or len(set(names)) < len(names):
+            raise InputError(f"expected .scoup files with different names, got {', '.join(names) or 'none'}")
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError(f"{self.out}: is a file; name a folder for exports with --out")
+
+    def _open_fields(self, words: tuple[str, ...] | None) -> dict[str, LanguageField]:
+        """Open the fields by name; what is missing is said now, not to the model."""
+        from scoup.field.language_field import LanguageField
+
+        fields = {}
+        for path in self.fields:
+            field = LanguageField.load(path).to(self.device)
+            field.text_encoder(self.text)
+            len(field.gaussians)
+            if words:
+                field.question(words)
+            fields[path.stem] = field
+        return fields
+
+
+def _announce(console: Console, address: str, token: str) -> None:
+    console.say(f"{address}\nheader of each request: Authorization: Bearer {token}\npress Ctrl-C to stop")
+    console.result({"address": address, "token": token})

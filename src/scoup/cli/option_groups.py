@@ -6,13 +6,21 @@ import ast
 import inspect
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import MISSING, dataclass, fields, is_dataclass
-from functools import cache
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import cache, reduce
 from itertools import pairwise
+from operator import or_
+from types import NoneType
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
-from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
 from scoup.cli.options import Common
 
@@ -48,7 +56,22 @@ class _Group:
 def _registry() -> ConstructorRegistry:
     registry = ConstructorRegistry()
     registry.struct_rule(_nest)
+    registry.primitive_rule(_without_none)
     return registry
+
+
+def _without_none(info: PrimitiveTypeInfo) -> Any:
+    """Parse options that are None by default as their other type: nobody types None, and messages leave it out."""
+    kinds = [kind for kind in get_args(info.type) if kind is not NoneType]
+    if len(kinds) == len(get_args(info.type)):
+        return None
+    made = PrimitiveTypeInfo.make(reduce(or_, kinds), info.markers)
+    spec: Any = ConstructorRegistry.get_primitive_spec(made)
+    return replace(
+        spec,
+        is_instance=lambda value: value is None or spec.is_instance(value),
+        str_from_instance=lambda value: ["None"] if value is None else spec.str_from_instance(value),
+    )
 
 
 def _nest(info: StructTypeInfo) -> StructConstructorSpec | None:

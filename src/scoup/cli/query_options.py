@@ -168,15 +168,7 @@ class TextOptions(FieldOptions):
         Raises:
             InputError, MissingFileError: neither names one, or it is not there.
         """
-        from scoup.base.errors import InputError, MissingFileError
-
-        if not (self.text or field.info.words or field.embedding_model):
-            raise InputError(f"{self.field}: names no embedding model; pass a table or model with --text")
-        try:
-            encoder = self.text or field.encoder_source
-        except MissingFileError as error:
-            raise MissingFileError(error.path, error.problem, "pass its new path with --text") from error
-        return field.text_encoder(encoder)
+        return field.text_encoder(self.text or None)
 
     def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
         """The question that ``field.question`` makes of texts and options.
@@ -238,6 +230,8 @@ def check_texts(texts: tuple[str, ...]) -> None:
     for text in texts:
         if text.lower().endswith(".scoup"):
             raise InputError(f"{text}: is a field, expected a text; ask one field at a time")
+        if Path(text).suffix and Path(text).is_file():
+            raise InputError(f"{text}: is a file, expected a text; type its words")
 
 
 def check_frame_rate(frames_per_second: float) -> None:

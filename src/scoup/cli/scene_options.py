@@ -27,9 +27,7 @@ class ViewOptions(WritesCommon):
     """Folder of region features. Default: SCENE/language_features."""
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    downscale: Annotated[
-        Literal[1, 2, 4, 8] | None, tyro.conf.arg(metavar="{1,2,4,8}", help_behavior_hint="")
-    ] = None
+    downscale: Annotated[Literal[1, 2, 4, 8] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""

@@ -63,12 +63,15 @@ class MakeViews(WritesCommon):
         from scoup.base.staging import check_outputs
         from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
         from scoup.io import load_cameras, load_gaussians, splat_source
+        from scoup.io.camera_sources import find_cameras, has_cameras
         from scoup.io.splats.axes import turned, turned_direction
 
         found = splat_source(self.splat)
         source = found.path
         out = self.out or Path(f"{source.stem}_views")
         check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
+        if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
+            raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
         beside = None if self.beside is None else load_cameras(self.beside, distorted="undistort")
         if beside is not None and not any(camera.image_path for camera in beside):
             raise InputError(

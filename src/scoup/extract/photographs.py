@@ -72,7 +72,7 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         if not named:
             problem = f"has cameras, but none of their photographs was found ({searched})"
             raise FileFormatError(
-                scene, problem, "pass the folder that their names are relative to as images"
+                scene, problem, "pass the folder that their names are relative to as `images`"
             )
         return [Photograph(*each) for each in named]
     folders = [Path(images)] if images is not None else _image_folders(scene)
@@ -80,7 +80,7 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         found = [Photograph(name, path) for name, path in ImageFolder(folder).photographs().items()]
         if found:
             return found
-    remedy = f"pass their folder as images ({', '.join(EXTENSIONS)})"
+    remedy = f"pass their folder as `images` ({', '.join(EXTENSIONS)})"
     raise MissingFileError(folders[0], "contains no photographs", remedy)
 
 

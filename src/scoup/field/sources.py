@@ -7,6 +7,7 @@ from pathlib import Path
 from scoup.base.counts import counted
 from scoup.base.errors import GeometryMismatchError, InputError, MissingFileError
 from scoup.io import load_gaussians
+from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
@@ -52,11 +53,10 @@ def named_encoder(info: FieldInfo, field: str) -> str:
     if words is not None:
         if not words.is_file():
             problem = "is missing, and the field names it as its word table"
-            raise MissingFileError(words, problem, "pass encoder=..., the place where it is now")
+            raise MissingFileError(words, problem, "pass its new path as `encoder`")
         return str(words)
     if not info.embedding_model:
-        raise InputError(
-            f"{field}: names no embedding model; pass encoder=..., a word table, a model id, "
-            "or a dict of name -> vector"
-        )
+        raise InputError(f"{field}: names no embedding model; pass a word table or model as `encoder`")
+    if info.embedding_model == COLORS:
+        raise InputError(f"{field}: {NO_WORDS_FOR_COLORS}")
     return info.embedding_model

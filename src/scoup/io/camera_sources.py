@@ -194,7 +194,7 @@ def where_cameras_are(path: Path) -> str:
         above = [Path(os.path.relpath(place)) for place in above]
     below = [item for item in sorted(path.iterdir()) if item.is_dir()][:_MOST_FOLDERS]
     for places, what in ((above, "use the scene it is in"), (below, "use one of the scenes in it")):
-        scenes = [str(place) for place in places if _has_cameras(place)][: 1 if places is above else 3]
+        scenes = [str(place) for place in places if has_cameras(place)][: 1 if places is above else 3]
         if scenes:
             return f"{what}: {', '.join(scenes)}"
     if files := sorted(str(file) for file in path.glob("*transforms*.json"))[:3]:
@@ -202,7 +202,8 @@ def where_cameras_are(path: Path) -> str:
     return "use a scene folder of COLMAP, nerfstudio or Inria's code"
 
 
-def _has_cameras(folder: Path) -> bool:
+def has_cameras(folder: Path) -> bool:
+    """Tell whether a folder is that of a scene, by its files of cameras."""
     return any((folder / name).is_file() for name in _file_names()) or bool(_models(folder / "sparse"))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.io.camera_sources import find_cameras, scene_folder
+from scoup.io.camera_sources import camera_format, find_cameras, scene_folder
 from scoup.io.regions.views import FOLDER_NAME
 from scoup.io.splats.formats import SplatSource, splat_source
 
@@ -23,6 +23,9 @@ def find_splat(scene: Path, gaussians: Path | None = None) -> SplatSource:
             find_cameras(
                 scene
             )  # a folder without cameras is not a scene; the error names those that may be meant
+        elif camera_format(scene) is None:
+            problem = "is neither a scene nor a splat"
+            raise FileFormatError(scene, problem, "pass the folder of cameras and photographs") from error
         problem = error.problem if scene.is_dir() else "is not a splat, and none is named"
         raise FileFormatError(error.path, problem, "name the trained splat with `gaussians`") from error
 

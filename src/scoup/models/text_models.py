@@ -24,7 +24,7 @@ from scoup.models.onnx_dense import open_onnx_dense
 from scoup.models.towers import load_tower
 
 GROUP = "scoup.embedders"  # of the entry points
-_ALTERNATIVE = "use a table file of text embeddings"
+_ALTERNATIVE = "use a table file of words, which scoup words makes on a machine that has the model"
 
 
 def open_text_model(name: str, revision: str | None, device: Device) -> Texts:

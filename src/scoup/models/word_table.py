@@ -25,12 +25,12 @@ _OTHER_SUFFIXES = frozenset(
     {".npy", ".pt", ".pth", ".ckpt", ".bin", ".pkl", ".txt", ".csv", ".tsv", ".yaml", ".h5", ".parquet"}
 )
 _FORMS = (
-    "pass a table (.npz with names and vectors, .json with name: numbers, or .safetensors; "
-    "scoup.models.word_table.save_table writes one), or a model by folder or hub id"
+    "pass a table (.npz with names and vectors, .json with name: numbers, or .safetensors; scoup words writes one), "
+    "or a model by folder or hub id"
 )
 _MAX_BYTES = 1 << 31  # a word table is small; a damaged size must not fill the memory
 _RATIO, _ANY_BYTES = 20, 16 << 20  # numbers hardly shrink: what unpacks to more than both is not a table
-_REMEDY = "the file is damaged or of another kind; write it again (scoup.models.word_table.save_table)"
+_REMEDY = "the file is damaged or of another kind; write it again with scoup words"
 
 
 class WordTable:
@@ -104,13 +104,18 @@ def save_table(
         names: all different.
         model: id of the embedding model.
     """
-    if Path(path).suffix.lower() != ".npz":
-        raise InputError(f"{path}: tables are written as .npz; change the file's extension")
+    check_table_name(path)
     if len(set(names)) != len(names):
         raise InputError(f"{path}: two names of the table are the same")
     table = WordTable(Path(path), names, np.asarray(vectors), model)
     arrays = {"names": np.array(table.names), "vectors": table.vectors, MODEL_KEY: np.array(model)}
     write_npz(path, arrays, overwrite)
+
+
+def check_table_name(path: str | Path) -> None:
+    """Refuse a name that no table may be written under."""
+    if Path(path).suffix.lower() != ".npz":
+        raise InputError(f"{path}: tables are written as .npz; change the file's extension")
 
 
 def _read_npz(path: Path) -> WordTable:

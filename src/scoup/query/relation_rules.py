@@ -28,6 +28,9 @@ CONTACT = 0.35
 """Largest gap between the bottom of a thing and what it is on, in units of its height."""
 SECTORS, SURROUNDED = 8, 0.75
 """A thing contains another only if it has Gaussians in this share of so many directions around it."""
+ENCLOSED = (0.1, 0.25)
+"""Of two things that touch, the lower one contains the upper if close to it so large a share of its Gaussians in each
+of those directions lie beside it, or of those over its footprint above it. Few of a table's Gaussians are misplaced."""
 NEAR = 0.5
 """Things are near each other if the gap between them is at most this share of the larger one's diagonal."""
 BETWEEN = (0.15, 0.85, 0.5)
@@ -76,13 +79,7 @@ class Shapes:
     def top_below(self, one: int, other: int) -> float:
         """Return the height that another thing reaches around the footprint of one, not above its middle; minus
         infinity if none."""
-        means = self.points.of_one(other)
-        margin = 0.5 * self.extent(one)
-        around = np.ones(len(means), bool)
-        for axis in (RIGHT, AWAY):
-            low, high = self.spans[one, axis, 0] - margin[axis], self.spans[one, axis, 1] + margin[axis]
-            around &= (means[:, axis] >= low) & (means[:, axis] <= high)
-        heights = means[around, UP]
+        heights = self._around(one, other, 0.5)[:, UP]
         heights = heights[heights <= self.middle(one)[UP]]
         return float(np.quantile(heights, 0.9)) if len(heights) else -np.inf
 
@@ -90,10 +87,34 @@ class Shapes:
         """Return whether a thing has Gaussians on nearly all sides of another, at the heights of the other."""
         means = self.points.of_one(one)
         low, high = self.spans[other, UP]
-        away = means[(means[:, UP] >= low) & (means[:, UP] <= high)] - self.middle(other)
+        beside = self._sectors(means[(means[:, UP] >= low) & (means[:, UP] <= high)], other)
+        return bool((beside > 0).mean() >= SURROUNDED)
+
+    def encloses(self, one: int, other: int) -> bool:
+        """Return whether a thing that another lies on rises around or above it, as a bowl or a shelf does."""
+        low, high = self.spans[other, UP]
+        over, near = self._around(other, one, 0.0)[:, UP], self._around(other, one, 1.0)
+        if len(over) and (over > high).mean() >= ENCLOSED[1]:
+            return True
+        every = self._sectors(near, other)
+        beside = self._sectors(near[near[:, UP] >= low + CONTACT * (high - low)], other)
+        return bool((beside > ENCLOSED[0] * every).mean() >= SURROUNDED)
+
+    def _around(self, one: int, other: int, margin: float) -> Array:
+        """Means of another over and around the footprint of one, as far as a multiple of its extent."""
+        means = self.points.of_one(other)
+        margins = margin * self.extent(one)
+        around = np.ones(len(means), bool)
+        for axis in (RIGHT, AWAY):
+            low, high = self.spans[one, axis, 0] - margins[axis], self.spans[one, axis, 1] + margins[axis]
+            around &= (means[:, axis] >= low) & (means[:, axis] <= high)
+        return means[around]
+
+    def _sectors(self, means: Array, other: int) -> NDArray[np.int64]:
+        """How many of the means lie in each direction from another thing."""
+        away = means - self.middle(other)
         sectors = np.floor((np.arctan2(away[:, AWAY], away[:, RIGHT]) / np.pi + 1) / 2 * SECTORS).astype(int)
-        counts = np.bincount(sectors.clip(0, SECTORS - 1), minlength=SECTORS)
-        return bool((counts > 0).mean() >= SURROUNDED)
+        return np.bincount(sectors.clip(0, SECTORS - 1), minlength=SECTORS)
 
 
 def _beyond(axis: int, sign: int) -> Condition:

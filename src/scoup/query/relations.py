@@ -104,25 +104,30 @@ def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: F
 
 def relations(field: LanguageField, frame: Frame | None = None) -> list[tuple[int, str, int]]:
     """Return how the things of a field stand to each other; ``field.relations`` documents it."""
-    frame = scene_frame(field) if frame is None else frame
-    return list(related_pairs(field, field.kept(Thing, lambda: all_things(field)), frame))
+    frame, every = (
+        scene_frame(field) if frame is None else frame,
+        field.kept(Thing, lambda: all_things(field)),
+    )
+    levels = [[thing for thing in every if thing.level == level] for level in field.levels]
+    return [pair for of_level in levels for pair in related_pairs(field, of_level, frame)]
 
 
 def related_pairs(
     field: LanguageField, things: Sequence[Thing], frame: Frame
 ) -> Iterator[tuple[int, str, int]]:
-    """Yield which things of a level are inside or on which others: (number, "inside" or "on", number of the other)."""
+    """Yield which things are inside or on which others: (number, "inside" or "on", number of the other)."""
     shapes = Shapes.of(field, things, frame)
     low, high = shapes.spans[..., 0], shapes.spans[..., 1]
     heights = (high - low)[:, UP]
     for one, thing in enumerate(things):
         gaps = np.maximum(low[one], low) - np.minimum(high[one], high)
         for other in np.flatnonzero((gaps <= CONTACT * heights[one]).all(1)).tolist():
-            if other == one or thing.level != things[other].level:
+            if other == one:
                 continue
-            what = next((what for what in ("inside", "on") if CONDITIONS[what](shapes, one, (other,))), "")
-            if what:
-                yield _number(thing), what, _number(things[other])
+            inside, on = (CONDITIONS[what](shapes, one, (other,)) for what in ("inside", "on"))
+            if inside or on:
+                is_inside = inside and (not on or shapes.encloses(other, one))
+                yield _number(thing), "inside" if is_inside else "on", _number(things[other])
 
 
 def _number(thing: Thing) -> int:

@@ -1,4 +1,4 @@
-"""The Model Context Protocol server over standard input and output, by the protocol's own package `mcp`."""
+"""The Model Context Protocol server, by the protocol's own package `mcp`, and over standard input and output."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import io
 import itertools
 import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -69,6 +70,7 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
         tools.list_scenes,
         tools.list_cameras,
         tools.list_things,
+        tools.describe_scene,
         tools.find,
         tools.describe_thing,
         tools.measure_distance,
@@ -202,12 +204,12 @@ def _problem(parameters: Mapping[str, inspect.Parameter], error: Mapping[str, An
 
 
 def _without_folders(message: str, tools: SceneTools) -> str:
-    """Take out of a message in which folders of this machine the files of the fields are."""
-    for field in tools.fields.values():
+    """Take out of a message in which folders of this machine files are."""
+    for field in tools.fields.values():  # whose folders may have spaces in their names
         for place in (field.path, field.geometry_path, field.encoder_name):
             if place:
                 message = message.replace(str(place), Path(place).name)
-    return message
+    return re.sub(r"(?<![\w.:/])/(?:[\w.@+~-]+/)+", "", message)
 
 
 def _png(picture: Picture) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ from scoup.models.text import LONGEST, everyday_vocabulary
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
+from scoup.query.presence import certainty
 from scoup.query.question import literal
-from scoup.query.thing_names import ThingName, thing_names
+from scoup.query.relations import related_pairs
+from scoup.query.thing_names import ThingName, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
 
@@ -46,6 +48,8 @@ class SceneTools:
     """Where selections are written; None: nowhere."""
     metres_per_unit: float | None = None
     """Length of the scenes' unit; positions and distances are given in metres, too."""
+    words: tuple[str, ...] | None = None
+    """That may be names of things; None: those that a page has."""
 
     def list_scenes(self) -> list[dict[str, Any]]:
         """List the scenes with their size, number of things, levels and cameras."""
@@ -75,28 +79,46 @@ class SceneTools:
     def list_things(self, scene: str, level: str | None = None, limit: int = 50) -> dict[str, Any]:
         """List the things of a scene in short, the largest first; `level` keeps those of one level of detail.
 
-        `more` is how many are not listed; `describe_thing` tells the rest of one.
+        `text` is the name of a thing, if it has one, and `certainty` that of the name; `more` is how many are not
+        listed; `describe_thing` tells the rest of one.
         """
-        field, names = self._field(scene), self._names(scene)
         if level is not None:
-            field.level_index(level)
-        things = [
-            replace(thing, text=names[thing.number].texts[0]) if thing.number in names else thing
-            for thing in field.things()
-            if level in (None, thing.level)
-        ]
-        things.sort(key=lambda thing: -thing.n_gaussians)
-        reply = self._reply(things, limit)
+            self._field(scene).level_index(level)
         metres = "" if self.metres_per_unit is None else "_metres"
-        rows = [
-            {
-                **{name: record[name] for name in ("thing", "text", "level")},
+
+        def brief(thing: Thing) -> dict[str, Any]:
+            record = thing.to_dict(self.metres_per_unit)
+            return {
+                **_name(thing),
+                "level": thing.level,
                 f"position{metres}": record[f"position{metres}"],
                 f"extent{metres}": record["extent_metres"] if metres else record["box"]["extent"],
             }
-            for record in reply["things"]
-        ]
-        return {"count": reply["count"], "more": reply["count"] - len(rows), "things": rows}
+
+        things = [thing for thing in self._named(scene).values() if level in (None, thing.level)]
+        return _reply(things, limit, brief)
+
+    def describe_scene(self, scene: str, thing: int | None = None, limit: int = 50) -> dict[str, Any]:
+        """Describe a scene as a graph: its objects, the largest first, and the numbers of what each is on or inside.
+
+        With `thing`, only that one, what it is on or inside, and what is on or inside it. Names: as in `list_things`.
+        """
+        field, every = self._field(scene), self._named(scene)
+        objects = list(every.values())
+        objects = [objects[place] for place in find_objects(objects)]
+        if thing is not None:
+            objects = [_numbered_thing(every, thing), *(each for each in objects if each.number != thing)]
+        related: dict[int, dict[str, list[int]]] = {}
+        shown = {thing}
+        for one, what, other in related_pairs(field, objects, field.frame()):
+            if thing in (None, one, other):
+                related.setdefault(one, {}).setdefault(what, []).append(other)
+                shown |= {one, other}
+
+        def node(each: Thing) -> dict[str, Any]:
+            return {**_name(each), **related.get(each.number or 0, {})}
+
+        return _reply([each for each in objects if thing is None or each.number in shown], limit, node)
 
     def find(self, scene: str, text: str, seen_from: str | None = None, limit: int = 50) -> dict[str, Any]:
         """Find every thing that a text or phrase names, the best first.
@@ -114,11 +136,11 @@ class SceneTools:
         field = self._field(scene)
         frame = field.frame(seen_from)
         question = field.question(_bounded(text), frame=frame)
-        reply, answer = self._reply(field.things(question), limit), field.select(question)
+        things, answer = field.things(question), field.select(question)
         units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
         axes = "x, y, z of the splat that the field was built on"
         return {
-            **reply,
+            **_reply(things, limit, lambda thing: thing.to_dict(self.metres_per_unit)),
             "remark": answer.remark(),
             "texts": [
                 {"text": part.text, **{key: part.to_dict()[key] for key in _OF_TEXTS}}
@@ -130,7 +152,7 @@ class SceneTools:
 
     def describe_thing(self, scene: str, thing: int) -> dict[str, Any]:
         """Describe one thing by its number: place, box, what it is a part of, and its own parts."""
-        every = self._things(scene)
+        every = self._named(scene)
         one = _numbered_thing(every, thing)
         parts = [number for number, each in every.items() if each.parent == thing]
         return {**one.to_dict(self.metres_per_unit), "parts": parts}
@@ -191,27 +213,40 @@ class SceneTools:
     def _field(self, scene: str) -> LanguageField:
         return looked_up("scene", scene, self.fields)
 
-    def _names(self, scene: str) -> dict[int, ThingName]:
-        """Return the names of things, of the words that a page has; none without an encoder."""
+    def _named(self, scene: str) -> dict[int | None, Thing]:
+        """Return all things by number, the largest first, with their names and the scores of these; without an
+        encoder there are no names."""
         field = self._field(scene)
 
         def made() -> dict[int, ThingName]:
             try:
-                words = everyday_vocabulary(field.text_encoder())
+                words = self.words or everyday_vocabulary(field.text_encoder())
                 return thing_names(field, field.question(literal(words)))
             except ScoupError:
                 return {}
 
-        return field.kept((ThingName,), made)
+        names, things = field.kept((ThingName, self.words), made), self._things(scene)
+        for number, name in names.items():
+            if number in things:
+                things[number] = replace(things[number], text=name.texts[0], score=name.score)
+        return dict(sorted(things.items(), key=lambda each: -each[1].n_gaussians))
 
     def _things(self, scene: str) -> dict[int | None, Thing]:
         return {thing.number: thing for thing in self._field(scene).things()}
 
-    def _reply(self, things: list[Thing], limit: int) -> dict[str, Any]:
-        if not 1 <= limit <= MOST_LISTED:
-            raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
-        records = [thing.to_dict(self.metres_per_unit) for thing in things[:limit]]
-        return {"count": len(things), "things": records}
+
+def _reply(
+    things: Sequence[Thing], limit: int, describe: Callable[[Thing], dict[str, Any]]
+) -> dict[str, Any]:
+    if not 1 <= limit <= MOST_LISTED:
+        raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
+    listed = [describe(thing) for thing in things[:limit]]
+    return {"count": len(things), "more": len(things) - len(listed), "things": listed}
+
+
+def _name(thing: Thing) -> dict[str, Any]:
+    sure = certainty(thing.score, True) if thing.text else None
+    return {"thing": thing.number, "text": thing.text, **({} if sure is None else {"certainty": sure})}
 
 
 def _numbered_thing(things: Mapping[int | None, Thing], number: int) -> Thing:

@@ -67,7 +67,7 @@ class Viewer:
 
         guard = Guard.of(host)
         self.viewed, self.height = viewed, height
-        self._socket = _bound(host, port)
+        self._socket = bound_socket(host, port)
         host_name = _shown_host(host)
         self.address = f"http://{host_name}:{self._socket.getsockname()[1]}{guard.prefix}/"
         config = uvicorn.Config(
@@ -180,7 +180,7 @@ def _nothing(record: logging.LogRecord) -> bool:
     return False
 
 
-def _bound(host: str, port: int | None) -> socket.socket:
+def bound_socket(host: str, port: int | None) -> socket.socket:
     """A socket that is bound to host and port.
 
     Raises:

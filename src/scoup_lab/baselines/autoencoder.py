@@ -24,14 +24,12 @@ from __future__ import annotations
 
 import copy
 import itertools
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.scene.directions import normalise_embeddings
@@ -53,25 +51,12 @@ class AutoencoderSettings:
     # outputs of the decoder's layers, but for the last, which has D
     decoder: tuple[int, ...] = (16, 32, 64, 128, 256, 256)
 
+    def departure(self) -> str:
+        """Return how the schedule departs from the published one; "" if it does not."""
+        return "" if self.epochs == LANGSPLAT.epochs else f"{self.epochs} of {LANGSPLAT.epochs} epochs"
+
 
 LANGSPLAT = AutoencoderSettings()
-
-
-@dataclass(frozen=True)
-class AutoencoderReport:
-    """Quality and cost of a trained autoencoder."""
-
-    regions: int  # rows trained on, rows of norm zero not counted
-    mean_cosine: float  # mean cosine between a row and its reconstruction
-    low_cosine: float  # 5th percentile of the cosine
-    epochs: int  # run
-    seconds: float  # wall-clock time of the fit
-
-    def __str__(self) -> str:
-        return (
-            f"autoencoder: {counted(self.regions, 'region')}, mean cosine {self.mean_cosine:.4f}, "
-            f"5th percentile {self.low_cosine:.4f}, {self.epochs} epochs in {self.seconds:.1f} s"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,15 +68,14 @@ class Autoencoder:
     decoder: nn.Sequential  # unit codes [R, C] to [R, D], not yet of unit norm
     dim: int  # D
     code_size: int  # C, 3 in LangSplat
-    report: AutoencoderReport  # how well it does on the rows it was trained on
 
     def encode(self, rows: Tensor) -> Tensor:
         """Return [R, C] float32 unit codes of ``rows`` [R, D] of any norm; zeros for rows of norm zero."""
-        return _apply(self.encoder, _of_size(normalise_embeddings(rows), self.dim, "rows"), self.code_size)
+        return _apply(self.encoder, normalise_embeddings(rows), self.code_size)
 
     def decode(self, codes: Tensor) -> Tensor:
         """Return [R, D] float32 unit rows of ``codes`` [R, C] of any norm; zeros for codes of norm zero."""
-        return _apply(self.decoder, _of_size(normalise_embeddings(codes), self.code_size, "codes"), self.dim)
+        return _apply(self.decoder, normalise_embeddings(codes), self.dim)
 
 
 def fit_autoencoder(
@@ -107,8 +91,8 @@ def fit_autoencoder(
     ``embeddings``: [R, D] floating point, one row per region, any norm; rows of norm zero are left out;
     ``settings``: see ``AutoencoderSettings``.
     """
-    _check(settings)
-    started = time.perf_counter()
+    if settings.epochs < 0:
+        raise InputError(f"epochs must not be negative, got {settings.epochs}")
     rows = normalise_embeddings(embeddings)
     dim, code_size = rows.shape[1], settings.encoder[-1]
     rows = rows[rows.any(1)]
@@ -119,36 +103,13 @@ def fit_autoencoder(
     ).to(rows.device)
     if len(rows):
         network = _trained(network, rows, settings, random, progress)
-    encoder, decoder = _parts(network.eval())
-    cosines = _cosines(network, rows).double()
-    report = AutoencoderReport(
-        regions=len(rows),
-        # With no rows at all nothing is misrepresented.
-        mean_cosine=float(cosines.mean()) if len(rows) else 1.0,
-        low_cosine=float(torch.quantile(cosines, 0.05)) if len(rows) else 1.0,
-        epochs=settings.epochs if len(rows) else 0,
-        seconds=time.perf_counter() - started,
-    )
-    return Autoencoder(encoder, decoder, dim, code_size, report)
+    return Autoencoder(*_parts(network.eval()), dim, code_size)
 
 
 def reconstruction_loss(found: Tensor, rows: Tensor) -> Tensor:
     """Return the loss of LangSplat between reconstructions and rows, both [B, D]."""
     cosine = torch.nn.functional.cosine_similarity(found, rows, dim=1)
     return (found - rows).square().mean() + COSINE_WEIGHT * (1 - cosine.mean())
-
-
-def _check(settings: AutoencoderSettings) -> None:
-    if settings.epochs < 0:
-        raise InputError(f"epochs must not be negative, got {settings.epochs}")
-    if settings.batch < 2:
-        raise InputError(
-            f"a batch needs two rows or more, which are normalised together, got {settings.batch}"
-        )
-    if not settings.learning_rate > 0:
-        raise InputError(f"the learning rate must be positive, got {settings.learning_rate}")
-    if not settings.encoder or min(*settings.encoder, *settings.decoder, 1) < 1:
-        raise InputError("an encoder needs layers, and every layer one output or more")
 
 
 def _layers(sizes: tuple[int, ...], random: torch.Generator, normalised: bool) -> nn.Sequential:
@@ -244,9 +205,3 @@ def _apply(part: nn.Sequential, rows: Tensor, outputs: int) -> Tensor:
         made = torch.nn.functional.normalize(part(block), dim=1)
         found[start : start + _BLOCK_ROWS] = torch.where(filled[:, None], made, 0.0)
     return found.to(rows.device)
-
-
-def _of_size(rows: Tensor, size: int, what: str) -> Tensor:
-    if rows.shape[1] != size:
-        raise InputError(f"{what} have {rows.shape[1]} dimensions, the autoencoder has {size}")
-    return rows

@@ -24,7 +24,6 @@ Where this departs from it:
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -53,6 +52,11 @@ class JointSettings:
     learning_rate: float = 2.5e-3  # of Adam
     width: int = 120  # of the views learned from, in pixels; *choice*
 
+    def departure(self) -> str:
+        """Return how the schedule departs from the published one; "" if it does not."""
+        published = LANGSPLATV2.iterations
+        return "" if self.iterations == published else f"{self.iterations:,} of {published:,} steps"
+
 
 LANGSPLATV2 = JointSettings()
 
@@ -67,7 +71,6 @@ class JointCodes:
     weights: Tensor
     codebook: Tensor  # [S, L, D] float32, not of unit norm
     losses: tuple[tuple[float, ...], ...]  # per level the loss before each step, of the view of that step
-    seconds: float  # wall-clock time, weights of views not counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +97,8 @@ def fit_joint_codes(
     ``views``: of the scene, see ``weights_of_views``; ``embeddings``: per level [R, D], of the regions of all
     views, any norm; ``settings``: see ``JointSettings``.
     """
-    _check(settings)
-    started = time.perf_counter()
+    if settings.iterations < 0:
+        raise InputError(f"iterations must not be negative, got {settings.iterations}")
     indices, weights, books, losses = [], [], [], []
     total = len(embeddings) * settings.iterations
     progress("joint codes", 0, total)
@@ -110,10 +113,7 @@ def fit_joint_codes(
         weights.append(codes[1])
         books.append(training.atoms.detach())
         losses.append(tuple(training.losses))
-    seconds = time.perf_counter() - started
-    return JointCodes(
-        torch.stack(indices, 1), torch.stack(weights, 1), torch.stack(books), tuple(losses), seconds
-    )
+    return JointCodes(torch.stack(indices, 1), torch.stack(weights, 1), torch.stack(books), tuple(losses))
 
 
 def top_codes(logits: Tensor, k: int) -> tuple[Tensor, Tensor]:
@@ -203,12 +203,3 @@ def _shuffled(count: int, seed: int) -> Iterator[int]:
     random = torch.Generator().manual_seed(seed)
     while True:
         yield from torch.randperm(count, generator=random).tolist()
-
-
-def _check(settings: JointSettings) -> None:
-    if settings.iterations < 0:
-        raise InputError(f"iterations must not be negative, got {settings.iterations}")
-    if not 1 <= settings.k <= settings.n_atoms:
-        raise InputError(f"a code must keep 1 to {settings.n_atoms} atoms, got {settings.k}")
-    if not settings.learning_rate > 0:
-        raise InputError(f"the learning rate must be positive, got {settings.learning_rate}")

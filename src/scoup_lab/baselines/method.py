@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from scoup.base.progress import Progress, no_progress
 from scoup.base.registry import Entry
@@ -49,6 +50,12 @@ class Method(Entry):
     pixels: PixelRule = ALL_PIXELS  # which pixels count for which Gaussians
     views: float = 1.0  # share of the views that is used
     random: bool = True  # whether the result depends on the seed
+    trained_by: Literal["", "autoencoder", "joint"] = ""  # the settings of its training, if it is trained
+
+    def title(self, settings: MethodSettings) -> str:
+        """Return the name, and what is not run as published."""
+        departure = getattr(settings, self.trained_by).departure() if self.trained_by else ""
+        return f"{self.name} ({departure})" if departure else self.name
 
     def fit(self, scene: RasterisedScene, settings: MethodSettings = DEFAULTS) -> FittedMethod:
         """Fit to a scene; the scene keeps region sums and codes for the next method."""

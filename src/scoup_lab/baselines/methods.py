@@ -107,6 +107,7 @@ BASELINES = (
         "LangSplat's autoencoder to three numbers and back, decoded for every pixel.",
         "The three numbers are lifted as weighted means; LangSplat optimises them through the "
         "rasteriser, each level by itself.",
+        trained_by="autoencoder",
     ),
     Method(
         "joint-codes",
@@ -115,6 +116,7 @@ BASELINES = (
         "Codebook and codes of Gaussians learned together through renderings by Adam: 64 atoms, 4 kept, 10000 steps a "
         "level, cosine loss.",
         "Views 120 pixels wide with their blending weights kept as sparse matrices, on the CPU; spherical k-means.",
+        trained_by="joint",
     ),
 )
 METHODS = Registry("method", "scoup_lab.baselines", Method, (*PRESETS, *BASELINES))

@@ -48,7 +48,7 @@ class ProductQuantiser:
 
 
 def fit_product_quantiser(
-    rows: Tensor, n_parts: int = 64, seed: int = 0, iterations: int = ITERATIONS
+    rows: Tensor, n_parts: int, seed: int = 0, iterations: int = ITERATIONS
 ) -> ProductQuantiser:
     """Learn centroids of each part by k-means from a random start.
 
@@ -57,8 +57,6 @@ def fit_product_quantiser(
     array = rows.detach().cpu().float().numpy()
     if not len(array):
         raise InputError("product quantisation needs rows to learn from")
-    if n_parts < 1 or array.shape[1] % n_parts:
-        raise InputError(f"{array.shape[1]} dimensions cannot be cut into {n_parts} equal parts")
     rng = np.random.default_rng(seed)
     if len(array) > SAMPLED:
         array = array[np.sort(rng.choice(len(array), SAMPLED, replace=False))]

@@ -12,7 +12,7 @@ import torch
 
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
-from scoup.io import check_output, load_cameras, load_gaussians, load_regions
+from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query.question import Question, TextVectors
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
@@ -74,12 +74,9 @@ class NameRow:
     levels: dict[str, int]  # how often each level was chosen by ours, "s", "m", "l"
 
 
-def run_demo(
-    out: Path, settings: DemoSettings, overwrite: bool = False, progress: Progress = no_progress
-) -> DemoResult:
-    """Run everything. Files go to ``out/scene`` and ``out/demo.scoup``."""
+def run_demo(out: Path, settings: DemoSettings, progress: Progress = no_progress) -> DemoResult:
+    """Run everything. New files go to ``out/scene`` and ``out/demo.scoup``."""
     path = out / "demo.scoup"
-    check_output(path, overwrite)
     build_settings = BuildSettings(seed=settings.seed)
     seconds: dict[str, float] = {}
     with timed(seconds, "make the scene"):
@@ -93,7 +90,7 @@ def run_demo(
             settings.layout,
         )
     with timed(seconds, "write it as files"):
-        folder = write_demo_scene(scene, out / "scene", overwrite, progress=progress)
+        folder = write_demo_scene(scene, out / "scene", progress=progress)
     with timed(seconds, "read the files"):
         splat = folder / "point_cloud.ply"
         gaussians = load_gaussians(splat)
@@ -112,7 +109,7 @@ def run_demo(
             sums=sums,
             progress=progress,
         )
-    field.save(path, overwrite)
+    field.save(path)
     rasterised = RasterisedScene(gaussians, cameras, regions, sums=sums)
     with timed(seconds, "no top-K and dense 512-d uplift, to compare"):
         fitted = _fitted(rasterised, field, build_settings)

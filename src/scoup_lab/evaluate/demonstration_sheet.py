@@ -5,9 +5,8 @@ from __future__ import annotations
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup_lab.evaluate.demonstration import METHOD, DemoResult, question_of, rows_by_name
+from scoup_lab.evaluate.failures import TRUTH_COLOR
 from scoup_lab.evaluate.scores import PairScore
-
-TRUTH_COLOR = (70, 200, 110)
 
 
 def query_sheet(result: DemoResult) -> Picture:

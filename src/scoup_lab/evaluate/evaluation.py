@@ -60,12 +60,7 @@ class Evaluation(ABC, Generic[Scene, Result]):
                 check_output(out / f"{stem}{suffix}", overwrite)
 
     def field(
-        self,
-        scene: SceneFiles,
-        path: Path,
-        source: str,
-        progress: Progress = no_progress,
-        say: Say = say_nothing,
+        self, scene: SceneFiles, path: Path, source: str, progress: Progress = no_progress
     ) -> LanguageField:
         """Return the field of a scene: read where it is built already, else built and saved."""
         gaussians = load_gaussians(scene.splat).to(self.device)

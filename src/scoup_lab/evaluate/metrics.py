@@ -10,6 +10,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 
+_SAMPLES = 2000  # of a bootstrap
+
 
 def iou(predicted: Tensor, truth: Tensor) -> float:
     """Return intersection over union of two boolean masks of one shape; 1 if both are empty."""
@@ -59,19 +61,12 @@ class Interval:
 
 
 def bootstrap_interval(
-    values: Sequence[float],
-    groups: Sequence[str],
-    seed: int = 0,
-    confidence: float = 0.95,
-    samples: int = 2000,
-    scenes: Sequence[str] | None = None,
+    values: Sequence[float], groups: Sequence[str], scenes: Sequence[str] | None = None
 ) -> Interval:
-    """Return the mean with its percentile bootstrap, drawing whole groups with replacement.
+    """Return the mean with its 95 % percentile bootstrap, drawing whole groups with replacement.
 
     The pairs of one query in several frames are not independent, so queries are drawn, not pairs. For a
     paired comparison of two methods pass the differences of their values.
-
-    ``confidence``: of the interval, 0..1.
     """
     scenes = [""] * len(values) if scenes is None else scenes
     if len(values) != len(groups) or len(scenes) != len(groups) or not len(values):
@@ -83,26 +78,21 @@ def bootstrap_interval(
     if not np.isfinite(numbers).all():
         raise InputError("values to average must be finite")
     names, kinds = np.asarray(groups, dtype=str), np.asarray(scenes, dtype=str)
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     parts = [
-        (
-            numbers[kinds == kind].mean(),
-            _drawn_means(numbers[kinds == kind], names[kinds == kind], generator, samples),
-        )
+        (numbers[kinds == kind].mean(), _drawn_means(numbers[kinds == kind], names[kinds == kind], generator))
         for kind in np.unique(kinds)
     ]
     mean = np.mean([mean for mean, _ in parts])
     means = np.mean([drawn for _, drawn in parts], axis=0)
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    low, high = np.quantile(means, [0.025, 0.975])
     return Interval(float(mean), float(low), float(high))
 
 
-def _drawn_means(
-    numbers: np.ndarray, groups: np.ndarray, generator: np.random.Generator, samples: int
-) -> np.ndarray:
-    """Return means [samples] of values [V] float64 under draws of their groups [V]."""
+def _drawn_means(numbers: np.ndarray, groups: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Return means [_SAMPLES] of values [V] float64 under draws of their groups [V]."""
     _, members = np.unique(groups, return_inverse=True)
     sums = np.bincount(members, numbers)
     counts = np.bincount(members)
-    draws = generator.integers(len(sums), size=(samples, len(sums)))
+    draws = generator.integers(len(sums), size=(_SAMPLES, len(sums)))
     return sums[draws].sum(1) / counts[draws].sum(1)

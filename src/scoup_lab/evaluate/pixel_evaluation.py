@@ -20,7 +20,7 @@ from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing
 from scoup_lab.evaluate.failures import failure_sheet
 from scoup_lab.evaluate.label_vectors import encode_labels
 from scoup_lab.evaluate.pixel_report import PixelScores
-from scoup_lab.evaluate.predictions import PredictionCache, prediction_key
+from scoup_lab.evaluate.predictions import kept_map, prediction_key
 from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
 from scoup_lab.evaluate.report import Report
@@ -60,8 +60,8 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
     ) -> PixelResult:
         vectors = encode_labels(scene, source, self.device)
         path = out / "fields" / f"{scene.name}.scoup"
-        field = self.field(scene, path, source, progress, say)
-        cache, digest = PredictionCache(out / "cache"), file_sha256(path)
+        field = self.field(scene, path, source, progress)
+        cache, digest = out / "cache", file_sha256(path)
         rule = self.protocol.rule(self.rules)
         maps = predict(scene, vectors, field, digest, cache, progress=progress)
         score = self.protocol.score(scene.name, maps, rule, field.levels)
@@ -104,7 +104,7 @@ def predict(
     vectors: TextVectors,
     field: LanguageField,
     digest: str,
-    cache: PredictionCache,
+    cache: Path,
     frames: Sequence[str] | None = None,
     progress: Progress = no_progress,
 ) -> Iterator[tuple[LabelledFrame, Tensor]]:
@@ -123,5 +123,5 @@ def predict(
         def relevancy(camera=camera, queries=queries, size=size) -> Tensor:
             return fitted.relevancy(field.project(camera), queries, vectors.canonical, size)
 
-        yield frame, cache.get(f"{scene.name}/{frame.name}", key, relevancy)
+        yield frame, kept_map(cache, f"{scene.name}/{frame.name}", key, relevancy)
         progress(f"predict {scene.name}", done, len(wanted))

@@ -67,7 +67,7 @@ class PointEvaluation(Evaluation[SceneFiles, Counts]):
         if not any(_counts(truth) for truth in truths.values()):
             say(f"{scene.name}: none of its points is of a class that is scored; left out")
             return {}
-        built = self.field(scene, out / "fields" / f"{scene.name}.scoup", source, progress, say)
+        built = self.field(scene, out / "fields" / f"{scene.name}.scoup", source, progress)
         level = None if self.level is None else built.level_index(self.level)
         fitted: dict[str, FittedMethod] = {OURS: FittedField(built)}
         if self.methods:

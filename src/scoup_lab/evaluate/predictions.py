@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import torch
@@ -24,41 +25,18 @@ VERSION = 1
 _DIGITS = 16
 
 
-class PredictionCache:
-    """A folder of relevancy maps.
+def kept_map(folder: Path, name: str, key: str, predict: Callable[[], Tensor]) -> Tensor:
+    """Return a map from a folder, or from ``predict``, which is then kept there.
 
-    Attributes:
-        folder: of the maps; None keeps nothing.
-        found, made: maps read, and maps predicted.
+    ``key``: from ``prediction_key``.
     """
-
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
-        self.found = 0
-        self.made = 0
-
-    def get(self, name: str, key: str, predict: Callable[[], Tensor]) -> Tensor:
-        """Return a map from the cache, or from ``predict``, which is then kept.
-
-        ``key``: from ``prediction_key``.
-        """
-        if self.folder is None:
-            self.made += 1
-            return predict()
-        path = self.folder / f"{name}_{key[:_DIGITS]}.safetensors"
-        if path.is_file():
-            try:
-                content = load_file(path)
-            except (SafetensorError, OSError, ValueError):
-                content = {}  # a damaged file is made again
-            if "relevancy" in content:
-                self.found += 1
-                return content["relevancy"]
-        relevancy = predict().float().cpu().contiguous()
-        self.made += 1
-        with atomic_file(path, overwrite=True) as stream:
-            stream.write(save({"relevancy": relevancy}, {"key": key, "name": name}))
-        return relevancy
+    path = folder / f"{name}_{key[:_DIGITS]}.safetensors"
+    with suppress(SafetensorError, OSError, ValueError, LookupError):  # a damaged file is made again
+        return load_file(path)["relevancy"]
+    relevancy = predict().float().cpu().contiguous()
+    with atomic_file(path, overwrite=True) as stream:
+        stream.write(save({"relevancy": relevancy}, {"key": key, "name": name}))
+    return relevancy
 
 
 def prediction_key(

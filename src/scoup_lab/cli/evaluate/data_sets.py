@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalInteger, OptionalText, OptionGroups
-from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, say_tables
+from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.evaluation import Evaluation
@@ -63,7 +63,7 @@ class Evaluated(DataSetOptions):
         out = self.out or Path(f"eval_{self.protocol}")
         evaluation.check_outputs(out, self.overwrite)
         scenes = self.opened(console)
-        console.kept = lambda: _kept(out)
+        console.kept = lambda: kept_in(out, "fields and predictions")
         results = {}
         with console.progress() as progress:
             for scene in scenes:
@@ -76,13 +76,6 @@ class Evaluated(DataSetOptions):
             say_tables(console, report)
         console.say(f"{out}: tables (.md, .json, .tex), {self.made()}")
         console.result({"out": out, "reports": {report.stem: report.record for report in reports}})
-
-
-def _kept(out: Path) -> str:
-    """Return what an interruption leaves, in words."""
-    if not out.is_dir():
-        return "nothing was written"
-    return f"fields and predictions so far are kept in {out}, run the same command again to continue"
 
 
 @dataclass(frozen=True, kw_only=True)

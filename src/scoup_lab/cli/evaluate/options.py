@@ -74,6 +74,13 @@ class DataSetOptions(WritesCommon):
         return text_source(self.root, scene, self.text, CLIP_MODEL)
 
 
+def kept_in(out: Path, what: str) -> str:
+    """Return what an interruption leaves, in words."""
+    if not out.is_dir():
+        return "nothing was written"
+    return f"{what} so far are kept in {out}, run the same command again to continue"
+
+
 def say_tables(console: Console, report: Report) -> None:
     """Print the tables of a report that are to be shown."""
     for table in report.tables[: report.shown]:

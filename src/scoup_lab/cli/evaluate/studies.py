@@ -10,7 +10,7 @@ import tyro
 
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionGroups
-from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, say_tables
+from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
     from scoup_lab.baselines.method import MethodSettings
@@ -32,7 +32,7 @@ class StudyOptions(DataSetOptions):
     recorded: ClassVar[str]
     """Options that go into the record, between spaces."""
 
-    def study(self) -> Study[Any]:
+    def study(self, console: Console, out: Path) -> Study[Any]:
         """Return what the options say."""
         raise NotImplementedError
 
@@ -52,8 +52,8 @@ class StudyOptions(DataSetOptions):
         from scoup_lab.evaluate.report import SUFFIXES
         from scoup_lab.evaluate.studies.study_scene import open_study_scene
 
-        study, protocol = self.study(), PIXELS[self.data_set]
         out = self.out or Path(f"eval_{self.data_set}")
+        study, protocol = self.study(console, out), PIXELS[self.data_set]
         for suffix in SUFFIXES:
             check_output(out / f"{study.stem}{suffix}", self.overwrite)
         labelled = self.open_labelled(console, protocol)
@@ -77,7 +77,8 @@ class Baselines(StudyOptions):
     with product quantisation (Dr. Splat), LangSplat's autoencoder and, by name, codes learned through renderings
     (LangSplatV2), on the same regions and with the same queries.
 
-    Accuracy, time, memory and storage of each; docs/evaluation.md says what each follows and where it departs.
+    Accuracy, time, memory and storage of each; docs/evaluation.md says what each follows and where it departs. The same
+    command resumes: results are kept in OUT/baselines.
     """
 
     methods: Names = ()
@@ -94,7 +95,7 @@ class Baselines(StudyOptions):
 
     recorded: ClassVar[str] = "rules seed epochs iterations"
 
-    def study(self) -> Study[Any]:
+    def study(self, console: Console, out: Path) -> Study[Any]:
         from scoup_lab.baselines.joint_codes import LANGSPLATV2
         from scoup_lab.baselines.methods import COMPARED, METHODS
         from scoup_lab.evaluate.studies.comparison import Comparison
@@ -102,7 +103,9 @@ class Baselines(StudyOptions):
         methods = [METHODS[name] for name in self.methods or COMPARED]
         joint = replace(LANGSPLATV2, iterations=self.iterations)
         settings = replace(_settings(self.seed, self.epochs), joint=joint)
-        return Comparison(methods, self.mask_rule(), settings, self.selection)
+        folder = out / Comparison.stem
+        console.kept = lambda: kept_in(folder, "results")
+        return Comparison(methods, self.mask_rule(), settings, self.selection, folder, console.say)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +124,7 @@ class Ablations(StudyOptions):
 
     recorded: ClassVar[str] = "rules seeds epochs"
 
-    def study(self) -> Study[Any]:
+    def study(self, console: Console, out: Path) -> Study[Any]:
         from scoup_lab.evaluate.studies.ablation_rows import find_ablations
         from scoup_lab.evaluate.studies.ablations import Ablations as AblationStudy
 
@@ -145,7 +148,7 @@ class Consistency(StudyOptions):
 
     recorded: ClassVar[str] = "preset_name seed epochs"
 
-    def study(self) -> Study[Any]:
+    def study(self, console: Console, out: Path) -> Study[Any]:
         from scoup.uplift.build_settings import build_settings
         from scoup_lab.evaluate.studies.consistency import Consistency as ConsistencyStudy
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -19,10 +19,6 @@ from scoup_lab.evaluate.relevancy_maps import localize_and_segment, segment
 from scoup_lab.evaluate.rules import MASK_RULES, LevelChoice, MaskRule
 from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
-
-Maps = Mapping[str, Tensor] | Tensor
-"""Relevancy of a frame in 0..1: label -> [S, H, W] (a mapping may make them on access), or all stacked in the order of
-its labels, [S, Q, H, W]."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ class PixelProtocol(Entry):
     def score_frame(
         self,
         frame: LabelledFrame,
-        maps: Maps,
+        maps: Tensor,
         rule: MaskRule | None = None,
         levels: Sequence[str] = LEVELS,
     ) -> list[PairScore]:
@@ -79,25 +75,29 @@ class PixelProtocol(Entry):
 
         Args:
             frame: the truth.
-            maps: its relevancy.
+            maps: [S, Q, H, W] its relevancy in 0..1, labels in its order.
             rule: how maps become masks and points; by default SCOUP's for this data set.
             levels: names of the S levels, where only some may answer.
         """
         rule = rule or self.rule()
-        pairs = []
-        for label, of_label in maps_by_label(frame, maps):
-            if self.at_label_size and tuple(of_label.shape[1:]) != (frame.height, frame.width):
-                raise InputError(
-                    f"frame {frame.name!r} is {frame.width} x {frame.height}, its relevancy {of_label.shape[2]} x "
-                    f"{of_label.shape[1]}; features are resized to the label, never the label"
-                )
-            pairs.append(self._score_pair(frame, label, of_label, rule, levels))
-        return pairs
+        if maps.dim() != 4 or maps.shape[1] != len(frame.labels):
+            raise InputError(
+                f"frame {frame.name!r} has {counted(len(frame.labels), 'label')}, its relevancy is "
+                f"{list(maps.shape)}; expected [S, labels, H, W]"
+            )
+        height, width = maps.shape[2:]
+        if self.at_label_size and (height, width) != (frame.height, frame.width):
+            raise InputError(
+                f"frame {frame.name!r} is {frame.width} x {frame.height}, its relevancy {width} x {height}; features "
+                "are resized to the label, never the label"
+            )
+        labels = enumerate(frame.labels)
+        return [self._score_pair(frame, label, maps[:, place], rule, levels) for place, label in labels]
 
     def score(
         self,
         scene: str,
-        frames: Iterable[tuple[LabelledFrame, Maps]],
+        frames: Iterable[tuple[LabelledFrame, Tensor]],
         rule: MaskRule | None = None,
         levels: Sequence[str] = LEVELS,
     ) -> SceneScore:
@@ -163,19 +163,3 @@ class LabelledScene(SceneFiles):
         """Return (width, height) of the maps that a frame is scored at."""
         of_label = self.protocol.at_label_size
         return (frame.width, frame.height) if of_label else (camera.width, camera.height)
-
-
-def maps_by_label(frame: LabelledFrame, maps: Maps) -> Iterator[tuple[str, Tensor]]:
-    """Yield each label of a frame with its relevancy maps [S, H, W]."""
-    if isinstance(maps, Tensor) and (maps.dim() != 4 or maps.shape[1] != len(frame.labels)):
-        raise InputError(
-            f"frame {frame.name!r} has {counted(len(frame.labels), 'label')}, its relevancy is "
-            f"{list(maps.shape)}; expected [S, labels, H, W]"
-        )
-    for position, label in enumerate(frame.labels):
-        if isinstance(maps, Tensor):
-            yield label, maps[:, position]
-        elif label in maps:
-            yield label, maps[label]
-        else:
-            raise InputError(f"frame {frame.name!r}: there is no relevancy map for the label {label!r}")

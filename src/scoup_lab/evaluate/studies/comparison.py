@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from statistics import mean
 from typing import Any, ClassVar
 
 from scoup import raster
 from scoup.base.progress import Progress, no_progress
+from scoup.base.version import VERSION
+from scoup.io import write_text
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.bench.measuring import Cost, Meter
+from scoup_lab.evaluate.evaluation import Say, say_nothing
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
+from scoup_lab.evaluate.predictions import tensor_digest
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import (
+    PairScore,
     SceneScore,
     accuracy_interval,
     miou_interval,
@@ -33,7 +41,7 @@ from scoup_lab.evaluate.tables import CAVEATS, Table
 class MethodResult:
     """A method on a scene."""
 
-    method: str  # its name
+    method: str  # its title
     score: SceneScore  # by the 2D protocol
     selected: SceneScore | None  # by the 3D-selection protocol; None if it was not wanted
     rasterise_seconds: float  # of all views, which methods that count the same pixels share
@@ -41,6 +49,19 @@ class MethodResult:
     query_seconds: float  # mean over labelled frames, all labels of a frame at once, projected before
     bytes_per_gaussian: float  # stored
     shared_bytes: float  # stored once
+
+    @classmethod
+    def read(cls, path: Path) -> MethodResult:
+        """Read a result that was kept with ``json.dumps(asdict(result))``."""
+        record = json.loads(path.read_text())
+        for name in ("score", "selected"):
+            if (score := record[name]) is not None:
+                pairs = tuple(
+                    PairScore(**{**pair, "pixel": pair["pixel"] and tuple(pair["pixel"])})
+                    for pair in score["pairs"]
+                )
+                record[name] = SceneScore(**{**score, "pairs": pairs})
+        return cls(**{**record, "fit": Cost(**record["fit"])})
 
 
 @dataclass(frozen=True)
@@ -51,6 +72,10 @@ class Comparison(Study[MethodResult]):
     rule: MaskRule  # how maps become masks and points, for all of them
     settings: MethodSettings = DEFAULTS
     selection: bool = False  # score by the 3D-selection protocol too
+    folder: Path | None = (
+        None  # keeps results, which are found again by all that they depend on; None keeps none
+    )
+    say: Say = say_nothing  # called with a line for each result
 
     stem: ClassVar[str] = "baselines"
 
@@ -60,14 +85,15 @@ class Comparison(Study[MethodResult]):
         total = len(scenes) * len(self.methods)
         progress("compare", 0, total)
         for scene in scenes:
+            inputs = [] if self.folder is None else _digests(scene)
             for method in self.methods:
-                found.append(self._result(scene, method))
+                found.append(self._kept_or_new(scene, method, inputs, progress))
                 progress("compare", len(found), total)
         return found
 
     def report(self, results: Sequence[MethodResult], protocol: str, described: dict[str, Any]) -> Report:
         scenes = f"{len({result.score.scene for result in results})} scenes"
-        first = self.methods[0].name
+        first = self.methods[0].title(self.settings)
         tables = [
             comparison_table(results, f"{protocol}, {scenes}: methods compared"),
             difference_table(results, first, f"{protocol}: {first} against the others"),
@@ -79,21 +105,42 @@ class Comparison(Study[MethodResult]):
             "pairs": pair_names([result.score for result in by_method(results)[first]]),
             "methods": comparison_record(results),
             "follows": {
-                method.name: [method.system, method.follows, method.departs] for method in self.methods
+                method.title(self.settings): [method.system, method.follows, method.departs]
+                for method in self.methods
             },
         }
         return Report(
             self.stem, "Methods compared", [table for table in tables if table and table.rows], record
         )
 
-    def _result(self, scene: StudyScene, method: Method) -> MethodResult:
+    def _kept_or_new(
+        self, scene: StudyScene, method: Method, inputs: list[str], progress: Progress
+    ) -> MethodResult:
+        path = None if self.folder is None else self.folder / scene.name / self._file(method, inputs)
+        kept = path is not None and path.is_file()
+        result = MethodResult.read(path) if path and kept else self._result(scene, method, progress)
+        if path and not kept:
+            write_text(path, json.dumps(asdict(result)))
+        scored = f"mIoU {100 * result.score.miou:.1f} %, fit in {result.fit.seconds:.1f} s"
+        self.say(f"{scene.name}, {result.method}: {scored}{', kept from before' if kept else ''}")
+        return result
+
+    def _file(self, method: Method, inputs: list[str]) -> str:
+        """Return the name of a kept result, by all that it depends on."""
+        matters = {"seed", "build", method.trained_by}
+        settings = {name: value for name, value in asdict(self.settings).items() if name in matters}
+        described = [VERSION, settings, asdict(self.rule), self.selection, inputs]
+        key = hashlib.sha256(json.dumps(described).encode()).hexdigest()
+        return f"{method.name}_{key[:16]}.json"
+
+    def _result(self, scene: StudyScene, method: Method, progress: Progress) -> MethodResult:
         rasterised = scene.rasterised
         rasterised.inputs(method.pixels, method.views)  # not part of the fit
         rasterised.forget_codes()  # each method pays for its own
         with Meter() as meter:
-            fitted = method.fit(rasterised, self.settings)
+            fitted = method.fit(rasterised, replace(self.settings, progress=progress))
         return MethodResult(
-            method.name,
+            method.title(self.settings),
             scene.score(fitted, self.rule),
             scene.selection_score(fitted) if self.selection else None,
             rasterised.seconds(method.pixels),
@@ -102,6 +149,16 @@ class Comparison(Study[MethodResult]):
             fitted.bytes_per_gaussian,
             fitted.shared_bytes,
         )
+
+
+def _digests(scene: StudyScene) -> list[str]:
+    """Return digests of the splat, the cameras, the regions, the labels and their vectors."""
+    rasterised, regions = scene.rasterised, scene.rasterised.regions
+    poses = [part for camera in rasterised.cameras for part in (camera.viewmat, camera.K)]
+    masks = [mask for frame, _ in scene.labelled.frames for mask in frame.masks.values()]
+    embeddings = [regions.embeddings(level)[0] for level in regions.levels]
+    tensors = [scene.vectors.queries, scene.vectors.canonical, *poses, *embeddings, *masks]
+    return [rasterised.gaussians.fingerprint(), rasterised.raster_preset, *map(tensor_digest, tensors)]
 
 
 def _query_seconds(scene: StudyScene, fitted: FittedMethod) -> float:

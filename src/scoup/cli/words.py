@@ -1,0 +1,57 @@
+"""scoup words: the vectors of words, for machines without the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from scoup.base.counts import counted
+from scoup.cli.console import Console
+from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionGroups, WritesCommon
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeWords(WritesCommon):
+    """Write a word table, with which scoup build and --text answer words on machines without the model.
+
+    It contains the words of a list, and what answers are judged by: about a thousand everyday words, and the phrases
+    object, things, stuff, texture.
+    """
+
+    option_groups: ClassVar[OptionGroups] = {"word": "model word_list", "output": "out"}
+
+    model: str = CLIP_MODEL
+    """The model that embedded the regions: a folder or hub id of a CLIP, SigLIP or TIPSv2, or
+    open_clip:ARCH/PRETRAINED."""
+    word_list: Annotated[OptionalPath, tyro.conf.arg(name="list")] = None
+    """Words to ask for, one per line. Default: everyday words alone."""
+    out: Path = Path("words.npz")
+    """The table to write, an .npz file."""
+
+    def run(self, console: Console) -> None:
+        """Encode and write."""
+        from scoup.base.errors import InputError
+        from scoup.io import check_output
+        from scoup.models.text import TextEncoder
+        from scoup.models.word_table import check_table_name, is_table, save_table
+        from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+        from scoup.view.vocabulary import read_words
+
+        check_table_name(self.out)
+        check_output(self.out, self.overwrite)
+        if is_table(self.model):
+            raise InputError(f"{self.model}: is a word table, not a model; pass the model that made it")
+        own = () if self.word_list is None else read_words(self.word_list)
+        words = list(dict.fromkeys((*CANONICAL_PHRASES, *own, *EVERYDAY_WORDS)))
+        with TextEncoder.open(self.model, device=self.device) as encoder:
+            save_table(self.out, words, encoder.encode(words), self.overwrite, encoder.name)
+        console.say(
+            f"{self.out}: {counted(len(words), 'word')} of {encoder.dim} dimensions; with it: scoup build SCENE "
+            f"--model {self.out}, or scoup query FIELD WORD --text {self.out}"
+        )
+        console.result(
+            {"words": self.out, "names": len(words), "dim": encoder.dim, "embedding_model": encoder.name}
+        )
