@@ -27,6 +27,7 @@ STUDIES = Family(
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "archive": "benchmarks.archive:Archives",
+        "archive-times": "benchmarks.archive_times:ArchiveTimes",
     },
 )
 

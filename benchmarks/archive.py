@@ -1,17 +1,11 @@
-"""Which scans contain a thing, and where: an archive's answers against plain cosines, and scores across scans."""
+"""Which scans contain a thing, and where: an archive's answers against plain cosines."""
 
 from __future__ import annotations
 
 import json
-import os
-import resource
-import shutil
-import subprocess
-import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +18,6 @@ from benchmarks.archive_scans import Floats, TrueScan, World
 from benchmarks.data import data_folder
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.study import Record, Study
-from scoup.archive.archive import ABOUT, FORMAT, VERSION, Archive
-from scoup.archive.scan_files import write_scan
-from scoup.archive.search import words_digest
-from scoup.models.text import TextEncoder
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.matching import ComparedTable, choose_things
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import bootstrap_interval
@@ -38,64 +26,20 @@ FIRST = 10  # scans, for the recall
 TEXT = "teapot"
 
 
-@dataclass(frozen=True, eq=False)
-class Fits:
-    """How S scans fit Q texts and B everyday words."""
-
-    fits: Floats  # [S, Q] of the best thing that answers
-    cosines: Floats  # [S, Q] the largest
-    null: Floats  # [S, B] best fits
-
-
-def _centred(of: Fits) -> Floats:
-    return (of.fits - of.null.mean(1, keepdims=True)) / of.null.std(1, keepdims=True)
-
-
-def _tail(of: Fits) -> Floats:
-    """In means of the excess over the 80 % quantile of the scan's words: an exponential tail."""
-    start = np.quantile(of.null, 0.8, axis=1, keepdims=True)
-    above = of.null > start
-    return (of.fits - start) / (((of.null - start) * above).sum(1) / above.sum(1))[:, None]
-
-
-def _against_the_archive(of: Fits) -> Floats:
-    centred = _centred(of)
-    return (centred - centred.mean(0)) / centred.std(0)
-
-
-def _both_sides(of: Fits) -> Floats:
-    return of.fits - 0.5 * np.sort(of.fits, 0)[-FIRST:].mean(0)
-
-
-RULES: dict[str, tuple[str, Callable[[Fits], Floats]]] = {
-    "cosine": ("plain cosine", lambda of: of.cosines),
-    "own": (
-        "score in its own scan (`scoup archive`)",
-        lambda of: (of.null[:, None] < of.fits[:, :, None]).mean(2) + 1e-6 * of.fits,
-    ),
-    "half": (
-        "fit, less half of its scan's mean",
-        lambda of: of.fits - 0.5 * of.null.mean(1, keepdims=True),
-    ),
-    "tail": ("exponential tail per scan", _tail),
-    "both": ("local scaling on both sides", _both_sides),
-    "text z": ("z-score per text against the archive", _against_the_archive),
-}
-"""Key -> title, and the scores [S, Q] of scans for texts, by which they are ordered."""
+RULES = {"cosine": "plain cosine", "own": "score in its own scan (`scoup archive`)"}
+"""Key -> title of what scans are ordered by."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Archives(Study):
-    """Search archives of simulated scans and of the four scenes with real models for the names of things; time it."""
+    """Search archives of simulated scans and of the four scenes with real models for the names of things."""
 
     data: Path = field(default_factory=data_folder)
     """Folder of the scenes with real models."""
     scans: int = 50
     """Simulated scans of an archive."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Archives of each kind of embeddings. Rules were compared on the seeds 100 and 101."""
-    things: tuple[int, ...] = (150_000,)
-    """Things of the archives that are timed."""
+    """Archives of each kind of embeddings."""
 
     rows_depend_on = ("scans",)
 
@@ -109,20 +53,16 @@ class Archives(Study):
         with tempfile.TemporaryDirectory() as name:
             if "real/0" not in known:
                 yield "real/0", _figures(world, world.real(self.data, Path(name)))
-            for count in self.things:
-                if f"times/{count}" not in known:
-                    yield f"times/{count}", _times(world, count, Path(name) / str(count))
 
     def line(self, figures: Any) -> str:
         return json.dumps({key: of for key, of in figures.items() if key != "texts"})
 
     def record(self, rows: dict[str, Any]) -> Record:
-        kinds = dict.fromkeys(name.partition("/")[0] for name in rows if not name.startswith("times"))
+        kinds = dict.fromkeys(name.partition("/")[0] for name in rows)
         return {
             "kinds": {
                 kind: _summary({n: of for n, of in rows.items() if n.startswith(kind)}) for kind in kinds
-            },
-            "times": {name.partition("/")[2]: of for name, of in rows.items() if name.startswith("times")},
+            }
         }
 
     @staticmethod
@@ -132,15 +72,9 @@ class Archives(Study):
         heads = [f"{titles[kind]}: {name}" for kind in record["kinds"] for name in names]
         body = [
             [title, *(_cell(name, of[rule][name]) for of in record["kinds"].values() for name in names)]
-            for rule, (title, _) in RULES.items()
+            for rule, title in RULES.items()
         ]
-        seconds = [
-            [f"{of['things']:,} things", what, *(f"{part:.2f}" for part in parts)]
-            for of in record["times"].values()
-            for what, parts in of["seconds"].items()
-        ]
-        times = markdown(["archive of", "what", "seconds", "processor seconds"], seconds)
-        return markdown(["scans ordered by", *heads], body) + "\n\n" + times
+        return markdown(["scans ordered by", *heads], body)
 
 
 def _figures(world: World, scans: Sequence[TrueScan]) -> Record:
@@ -160,8 +94,8 @@ def _figures(world: World, scans: Sequence[TrueScan]) -> Record:
                 true.contains(word, thing) for word, thing in zip(world.asked, chosen, strict=True)
             ]
         rows.append((fits[best, range(len(best))], cosines.values, scan.record.best_fits))
-    of = Fits(*(torch.stack(part).double().numpy() for part in zip(*rows, strict=True)))
-    scores = {rule: score(of) for rule, (_, score) in RULES.items()}
+    fits, cosines, null = (torch.stack(part).double().numpy() for part in zip(*rows, strict=True))
+    scores = {"cosine": cosines, "own": (null[:, None] < fits[:, :, None]).mean(2) + 1e-6 * fits}
     texts: Record = {}
     for text in np.flatnonzero(there.any(0) & ~there.all(0)):
         mine = there[:, text]
@@ -216,62 +150,3 @@ def _summary(rows: Mapping[str, Record]) -> Record:
         )
         found[rule] = {name: [round(x, 4) for x in (of.mean, of.low, of.high)] for name, of in every.items()}
     return found
-
-
-def _times(world: World, count: int, folder: Path) -> Record:
-    """Return wall and processor seconds, and memory, with an archive of so many things: some scans many times."""
-    folder.mkdir()
-    words = [*world.everyday, *CANONICAL_PHRASES]
-    table = folder / "words.npz"
-    save_table(table, words, world.of(words).numpy(), model="simulated")
-    about = {
-        "format": FORMAT,
-        "version": VERSION,
-        "embedding_model": "simulated",
-        "dim": 512,
-        "words": "words.npz",
-    }
-    (folder / ABOUT).write_text(json.dumps(about))
-    some = [each.scan for each in world.simulate(KINDS["clip"], 48, seed=7)]
-    files = [folder / f"{scan.record.name}.parquet" for scan in some]
-    encoder = TextEncoder.open(table)
-    digest = words_digest(encoder.everyday())
-    written = [
-        _seconds(write_scan, replace(scan, record=replace(scan.record, file=file, words=digest)))
-        for scan, file in zip(some, files, strict=True)
-    ]
-    clock: Record = {"write one scan": np.median(written, 0).tolist()}
-    total, number = sum(len(scan.counts) for scan in some), 0
-    while total < count:
-        shutil.copy(files[number % len(some)], folder / f"copy-{number:05}.parquet")
-        total += len(some[number % len(some)].counts)
-        number += 1
-    shell = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", "archive", str(folder)]
-    for name, words in (("shell, empty", ["--help"]), ("shell", [TEXT])):
-        clock[name] = _seconds(subprocess.run, [*shell, *words], check=True, stdout=subprocess.DEVNULL)
-    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
-    archive = Archive(folder, encoder)
-    clock["first text"] = _seconds(archive.find, TEXT)
-    clock["further texts"] = np.median([_seconds(archive.find, text) for text in world.asked[:5]], 0).tolist()
-    clock["same texts again"] = np.median(
-        [_seconds(archive.find, text) for text in world.asked[:5]], 0
-    ).tolist()
-    os.utime(files[0])
-    clock["a text after one scan was added"] = _seconds(archive.find, TEXT)
-    clock["remove one scan"] = _seconds(archive.remove, files[0].stem)
-    size = sum(file.stat().st_size for file in folder.glob("*.parquet"))
-    return {
-        "things": total,
-        "scans": number + len(some),
-        "files in MB": size / 1e6,
-        "memory in MB": memory,
-        "seconds": clock,
-    }
-
-
-def _seconds(work: Callable[..., Any], *arguments: Any, **options: Any) -> list[float]:
-    """Return wall and processor seconds, children's included."""
-    before, start = os.times(), time.perf_counter()
-    work(*arguments, **options)
-    after = os.times()
-    return [round(time.perf_counter() - start, 3), round(sum(after[:4]) - sum(before[:4]), 3)]

@@ -67,4 +67,9 @@ def scales(record: Records) -> str:
         ]
         for key, of in ways["default at 1"].items()
     ]
+    large = record("scale_large")
+    for key, of in large["ways"]["default at 1"].items():
+        cell = difference_cell(large["differences"]["default - default at 1"][key]["always"])
+        name = f"{key.removesuffix(', clean')}, 960 x 720"
+        rows.append([name, f"{of['always']:.3f}", cell, *[""] * (len(pairs) - 1)])
     return markdown(["scenes, `always`", "scale 1", *pairs], rows)

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from cli_support import run
+from scoup.archive.archive import Archive
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, save_gaussians, save_png, save_regions, write_colmap
 from scoup.io.regions.convert import convert_regions
@@ -71,7 +72,7 @@ def verb(*arguments: object) -> None:
 
 
 def main(out: Path) -> None:
-    """Write a scene with its regions, a field with its Gaussians, one with weights of 8 bits, and region sums."""
+    """Write a scene with its regions, a field with its Gaussians, one of 8-bit weights, region sums, an archive."""
     scene = out / "scene"
     write_scene(scene)
     build = ("build", scene, "--model", scene / "words.npz", *CODES, "--out")
@@ -80,6 +81,7 @@ def main(out: Path) -> None:
     for name in ("field", "field_8_bits"):
         found = answers(LanguageField.load(out / f"{name}.scoup"))
         np.savez_compressed(out / f"{name}.npz", **found)  # pyright: ignore[reportArgumentType]
+    Archive(out / "archive").add(out / "field.scoup", floor=2)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""The examples that build in parts under Slurm (one node on loopback) and Ray (two nodes of this machine) as they are.
+"""The examples that build in parts under Slurm (one node on loopback) and Ray (two nodes of this machine) as they are,
+and `scoup batch` on Ray.
 
 `make test-all` runs these where the engines are installed (Debian: slurm-wlm and munge; pip: ray);
 tests/test_part_examples.py runs what needs no engine.
@@ -6,19 +7,22 @@ tests/test_part_examples.py runs what needs no engine.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
+import signal
 import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from children import child, finished
+from cli_support import run
 from test_part_examples import EXAMPLES, is_whole
 from test_part_examples import original as original
 from test_part_examples import parts_folder as parts_folder
@@ -145,7 +149,9 @@ def test_slurm_array_with_a_task_that_is_killed() -> None:
     assert is_whole(), "".join(path.read_text() for path in Path().glob("scoup-build-*.log"))
 
 
-def test_ray_with_a_task_that_is_killed(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def ray(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The address of a cluster of two nodes."""
     pytest.importorskip("ray", reason="ray is not installed")
     from ray.cluster_utils import Cluster  # pyright: ignore[reportMissingImports]
 
@@ -154,10 +160,41 @@ def test_ray_with_a_task_that_is_killed(here: Path, monkeypatch: pytest.MonkeyPa
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     try:
         cluster.add_node(num_cpus=1)
-        monkeypatch.setenv("RAY_ADDRESS", str(cluster.address))
-        example = (EXAMPLES / "10_parts_with_ray.py", "scene", "scene/words.npz", 3, "g.scoup")
-        finished([sys.executable, *example], check=True)
+        yield str(cluster.address)
     finally:
         cluster.shutdown()
+
+
+def test_ray_with_a_task_that_is_killed(here: Path, ray: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", ray)
+    example = (EXAMPLES / "10_parts_with_ray.py", "scene", "scene/words.npz", 3, "g.scoup")
+    finished([sys.executable, *example], check=True)
     assert (here / "killed").exists()
     assert is_whole()
+
+
+def kill_a_worker(folder: Path) -> bool:
+    """Kill a worker of Ray that runs a task in a folder, if there is one."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if (process / "cwd").readlink() == folder and b"ray::_run_here" in (
+                process / "cmdline"
+            ).read_bytes():
+                os.kill(int(process.name), signal.SIGKILL)
+                return True
+    return False
+
+
+def test_a_batch_on_ray_of_which_a_worker_is_killed(here: Path, ray: str) -> None:
+    for name in "abc":
+        shutil.copytree("scene", f"scans/{name}")
+    batch = ("batch", "scans", "--model", "scene/words.npz", "--json", "--out")
+    with child([sys.executable, "-m", "scoup", *batch, "fields", "--ray", ray]) as process:
+        wait_for("a worker is killed", lambda: kill_a_worker(here) or process.poll() is not None)
+        assert process.poll() is None
+        out, err = process.communicate()
+    assert process.returncode == 0, out + err
+    assert json.loads(out)["failed"] == []
+    assert run(*batch, "alone")[0] == 0
+    for name in "abc":
+        assert Path(f"fields/{name}.scoup").read_bytes() == Path(f"alone/{name}.scoup").read_bytes()

@@ -132,16 +132,6 @@ def test_beside_dense_uplift(scene):
     assert printed.count("correlation of relevancies") == 3
 
 
-def test_many_scenes(scene, field, tmp_path):
-    rest = tmp_path / "rest.scoup"
-    assert (
-        run("select", field, "kettle", "--edit", "remove", "--text", scene / "words.npz", "--out", rest)[0]
-        == 0
-    )
-    printed = example("09_many_scenes.py", scene / "words.npz", "kettle", rest, field)
-    assert {line.split(":")[0] for line in printed.splitlines()} == {str(rest), str(field)}
-
-
 def test_every_example_is_run():
     here = Path(__file__)
     tests = here.read_text() + here.with_name("test_engines.py").read_text()

@@ -8,13 +8,16 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import numpy as np
 import pytest
 from safetensors import safe_open
+from tests.fuzzing.containers import split_parquet
 
 import frozen_formats
 from cli_support import run
 from frozen_formats import CODES, FORMATS, answers, gaussians_of_formats
+from scoup.archive.archive import Archive
 from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.container import METADATA_KEY
 from scoup.field.language_field import LanguageField
@@ -60,6 +63,29 @@ def test_a_field_of_another_form_needs_a_version_of_its_own(path: Path, made_now
     assert now.keys() == then.keys()
     assert {name: (each.dtype, each.ndim) for name, each in tensors.items()} == {
         name: (each.dtype, each.ndim) for name, each in kept.items()
+    }
+
+
+def test_an_archive_answers_as_its_field() -> None:
+    found = Archive(FORMATS / "archive").find("kettle", where="floor = 2")
+    things = LanguageField.load(FORMATS / "field.scoup").things("kettle")
+    assert (
+        {(each.scan, each.thing) for each in found} == {("field", thing.number) for thing in things} != set()
+    )
+
+
+def test_an_archive_of_another_form_needs_a_version_of_its_own(made_now: Path) -> None:
+    now, then = (parquet_form(folder / "archive" / "field.parquet") for folder in (made_now, FORMATS))
+    assert now == then
+    about, kept = (folder / "archive" / "archive.json" for folder in (made_now, FORMATS))
+    assert about.read_text() == kept.read_text()
+
+
+def parquet_form(path: Path) -> tuple[list[tuple[str, str]], set[str]]:
+    """Names and types of the columns, and the keys of the metadata."""
+    rows = duckdb.connect().read_parquet(str(path))
+    return [*zip(rows.columns, map(str, rows.types), strict=True)], {
+        *json.loads(split_parquet(path.read_bytes())[0])
     }
 
 

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import shutil
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 import scoup
 from cli_support import refused, run, run_json
+from query import planted_room as planted
 from query.planted_room import ABSENT, ROOM, Box, planted_room
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive import kept_scans
 from scoup.archive.archive import FoundThing
 from scoup.archive.read_scans import ScanBlock, read_blocks
+from scoup.archive.results_page import results_page
 from scoup.archive.scan_files import ScanRecord
+from scoup.archive.search import ImageSearch
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, UnknownNameError
+from scoup.extract.plain_colors import PlainColors
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
@@ -272,6 +281,69 @@ def test_a_field_that_left_or_changed_answers_no_phrase(
     assert archive.find("mug")
 
 
+def test_a_page_has_no_pictures_of_what_is_gone(fields: dict[str, LanguageField], tmp_path: Path) -> None:
+    path = Path(shutil.copy(str(fields["office"].path), tmp_path / "moved.scoup"))
+    archive = scoup.Archive(tmp_path / "a", fields["office"].text_encoder())
+    archive.add(path)
+    found = archive.find("mug")
+    moved = [replace(found[0], position=found[0].position + 1), replace(found[1], thing=999)]
+    with pytest.warns(ScoupWarning, match="has changed"):
+        assert "<img" not in results_page("mug", moved, tmp_path / "page.html")
+    path.unlink()
+    with pytest.warns(ScoupWarning, match=r"no pictures of the scan moved: .*moved\.scoup"):
+        page = results_page("<mug>", found, tmp_path / "page.html")
+    assert ("<img" not in page, page.count("<li>"), "<h1>&lt;mug&gt;</h1>" in page) == (True, 2, True)
+
+
+def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planted, "DIM", PlainColors.dim)
+    field, colors = planted_room(), {LAMP: "red", MUG: "#ff3c00", BALL: "blue"}
+    assert field.thing_table is not None
+    vectors = field.thing_table.embeddings.clone()
+    for thing, color in colors.items():
+        Image.new("RGB", (30, 30), color).save(tmp_path / f"{color}.png")
+        pixels = torch.from_numpy(np.array(Image.new("RGB", (64, 64), color)))
+        vectors[thing] = PlainColors().embed(pixels[None])[0]
+    field.thing_table = replace(field.thing_table, embeddings=vectors)
+    field.info = replace(field.info, embedding_model=PlainColors.name)
+    field.save(tmp_path / "a.scoup")
+    archive = scoup.Archive(tmp_path / "a", field.text_encoder())
+    archive.add(field, floor=1)
+    found = archive.find_image(tmp_path / "red.png", top=3)
+    assert [each.thing for each in found[:2]] == [LAMP, MUG]
+    assert (len(found), found[0].text) == (3, "red.png")
+    assert found[0].score == pytest.approx(1, abs=2e-3)
+    assert [each.thing for each in archive.find_image(tmp_path / "blue.png", "thing > 3", 1)] == [BALL]
+    assert archive.find_image(tmp_path / "red.png", "floor = 2") == []
+    # What a lamp is a part of, and its parts, are left out.
+    (place,) = archive._kept.places(archive._files())
+    (scan,) = archive._kept.scans([place])
+    for pair in ((LAMP, MUG), (MUG, LAMP)):
+        shares = scan.shared.to_dense()
+        shares[pair] = shares[pair[::-1]] = scan.counts[pair[0]] * 0.6
+        sizes = scan.counts.clone()
+        sizes[pair[1]] *= 10
+        nested = replace(scan, shared=shares.to_sparse().coalesce(), counts=sizes)
+        things = [thing for thing, _ in ImageSearch("", vectors[LAMP].float()).ask(nested).things()]
+        assert (LAMP in things, MUG in things, BALL in things) == (True, False, True)
+
+
+def test_an_image_needs_an_embedder_of_images(
+    archive: scoup.Archive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.png"
+    Image.new("RGB", (20, 30)).save(path)
+    with pytest.raises(InputError, match=r"some/model .* embeds no image here .*cannot be loaded"):
+        archive.find_image(path)
+    monkeypatch.setattr("scoup.extract.registry.open_embedder", lambda name: PlainColors())
+    with pytest.raises(InputError, match=r"32 dimensions.*embeds images in 72"):
+        archive.find_image(path)
+    with pytest.raises(InputError, match="contains no scan"):
+        scoup.Archive(tmp_path / "nothing").find_image(path)
+    with pytest.raises(InputError, match="`top`"):
+        archive.find_image(path, top=0)
+
+
 def cut(data: bytes) -> bytes:
     return data[: len(data) // 2]
 
@@ -362,6 +434,16 @@ def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch:
     assert sum(found["scans"].values()) == len(found["things"]) == 2
     assert found["things"] == [each.to_dict() for each in scoup.Archive("a").find("mug", top=2)]
     assert run_json("archive", "a", "mug", "--at-least", "3")["scans"] == {"kitchen": 3}
+    exported = paths[1].with_suffix(".html")  # pyright: ignore[reportOptionalMemberAccess]
+    exported.touch()
+    assert run("archive", "a", "mug", "--page", "found.html")[0] == 0
+    page, mugs = Path("found.html").read_text(), scoup.Archive("a").find("mug")
+    assert page.count("<li>") == len(mugs) > 5
+    assert page.count('<img alt="" src="data:image/png;base64,') == len(mugs) - 1  # one is too far away
+    links = [os.path.relpath(exported) + f"#thing={each.thing}" for each in mugs if each.scan == "kitchen"]
+    assert re.findall('href="(.*?)"', page) == links
+    assert "exists" in refused("archive", "a", "mug", "--page", "found.html")
+    assert "--page" in refused("archive", "a", "--list", "--page", "b.html")
     code, out, _ = run("archive", "a", ABSENT)
     assert (code, out) == (0, f"{ABSENT}: nothing found\n")
     assert "kitchen: 16 things of" in run("archive", "a", "--list")[1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
-from benchmarks.archive import RULES, Fits, _figures, _ranking, _summary
+from benchmarks.archive import _figures, _ranking, _summary
 from benchmarks.archive_scans import World
 from benchmarks.embedding_kinds import KINDS
 
@@ -16,13 +16,6 @@ from benchmarks.embedding_kinds import KINDS
 def test_ranking_by_hand() -> None:
     there = np.array([True, False, True])
     assert _ranking(np.array([3.0, 2.0, 1.0]), there) == [pytest.approx((1 + 2 / 3) / 2), 1.0]
-
-
-def test_rules_by_hand() -> None:
-    of = Fits(np.array([[2.0], [1.0]]), np.array([[0.1], [0.2]]), np.array([[0.0, 4.0], [0.0, 0.0]]))
-    assert RULES["cosine"][1](of).tolist() == [[0.1], [0.2]]
-    assert RULES["own"][1](of)[:, 0] == pytest.approx([0.5, 1.0], abs=1e-5)
-    assert RULES["half"][1](of).tolist() == [[1.0], [1.0]]
 
 
 @pytest.mark.data

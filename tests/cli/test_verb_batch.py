@@ -35,6 +35,9 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     assert said["failed"] == ["broken"]
     assert "scans/broken/point_cloud.ply" in said["scans"]["broken"]["error"]
     assert json.loads(Path("fields/batch.json").read_text())["scans"] == said["scans"]
+    rows = [row.split("<td>")[1:] for row in Path("fields/batch.html").read_text().split("<tr>")[2:]]
+    assert [row[:2] for row in rows] == [["a", "done"], ["b", "done"], ["broken", "failed"]]
+    assert "scans/broken/point_cloud.ply" in rows[2][3]
     for name in "ab":
         assert not said["scans"][name]["kept"]
         assert LanguageField.load(f"fields/{name}.scoup").n_atoms == 8

@@ -13,6 +13,10 @@ import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import duckdb
 
 from scoup.base.digests import NO_CHECKSUM, array_checksum, sealed
 from scoup.uplift.storage.array_file import with_checksum
@@ -113,6 +117,27 @@ def _split_base64(data: bytes) -> list[bytes]:
 def _join_base64(data: bytes, parts: Sequence[bytes]) -> bytes:
     rest = iter(parts)
     return _BASE64.sub(lambda _: b"base64," + base64.b64encode(next(rest)), data)
+
+
+def split_parquet(data: bytes) -> list[bytes]:
+    """Return SCOUP's header."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "a.parquet")
+        path.write_bytes(data)
+        rows = duckdb.connect().execute(
+            "SELECT value FROM parquet_kv_metadata(?) WHERE key = 'scoup'", [str(path)]
+        )
+        return [value for (value,) in rows.fetchall()]
+
+
+def _join_parquet(data: bytes, parts: Sequence[bytes]) -> bytes:
+    text = parts[0].decode("utf-8", "replace").replace("\0", " ").replace("'", "''")
+    with TemporaryDirectory() as folder:
+        path, made = Path(folder, "a.parquet"), Path(folder, "b.parquet")
+        path.write_bytes(data)
+        rows = duckdb.connect().read_parquet(str(path))
+        rows.query("rows", f"COPY rows TO '{made}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})")
+        return made.read_bytes()
 
 
 def _split_safetensors(data: bytes) -> list[bytes]:
@@ -219,6 +244,7 @@ BASE64 = Container(_split_base64, _join_base64)
 SAFETENSORS = Container(_split_safetensors, _join_safetensors)
 SEALED = Container(_split_sealed, _join_sealed)
 LABELS = Container(_split_labels, _join_labels)
+PARQUET = Container(split_parquet, _join_parquet)
 NPY = Container(_split_npy, _join_npy)
 SUMS = Container(_split_safetensors, _join_sums)
 PLY = Container(_split_ply, _rejoined)

@@ -11,8 +11,9 @@ from pathlib import Path
 import torch
 from tests.fuzzing import containers as of
 from tests.fuzzing.containers import Container
-from tests.fuzzing.samples import OTHER_SPLATS, PICTURES, SIZE
+from tests.fuzzing.samples import KEPT, OTHER_SPLATS, PICTURES, SIZE
 
+from scoup.archive.archive import Archive
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
 from scoup.field.facts import read_facts
@@ -64,6 +65,7 @@ MASKS = Memory(64, 768)  # labels: masks of 2^28 pixels besides
 SPZ = Memory(1500, 64)  # a hundred times the file, and 4 MB besides, are unpacked
 TABLES = Memory(128, 128)  # of .npz twenty times the file, and 16 MB besides, are unpacked
 LABELS = Memory(6000, 64)  # label maps without a region are packed a thousandfold
+ARCHIVES = Memory(64, 1024)  # DuckDB's threads
 MOST_REGIONS = 16  # of a view that votes
 
 
@@ -171,6 +173,15 @@ def _vote(sums: RegionSums) -> None:
         vote(sums.select(sums.views, rows), codes, codebook, keep=1, backend=backend)
 
 
+def _archive(file: str, *containers: Container) -> Reader:
+    def read(folder: Path) -> None:
+        archive = Archive(folder / "archive", KEPT / "scene" / "words.npz")
+        archive.find("kettle")
+        archive.find("kettle", where="floor = 2")
+
+    return Reader(f"archive/{file}", read, (), containers, ARCHIVES, share=0.3)
+
+
 def _picture(file: str, *more: str, containers: tuple[Container, ...] = ()) -> Reader:
     def read(folder: Path) -> None:
         path = folder / "pictures" / file
@@ -234,6 +245,8 @@ READERS: Mapping[str, Reader] = {
     "words.npz": _words("words.npz", "single.npz", "alike.npz", containers=(of.ZIP,), memory=TABLES),
     "words.json": _words("words.json"),
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),
+    "archive.json": _archive("archive.json"),
+    "scan of an archive": _archive("field.parquet", of.PARQUET),
     "labels": Reader("labels/frame_1.json", lambda folder: read_labels(folder / "labels"), (), (), MASKS),
     "png": _picture("a.png", "grey.png", "palette.png", "deep.png", "bits.png", "empty.png", containers=(of.PNG,)),
     "jpg": _picture("a.jpg", "progressive.jpg"),

@@ -7,6 +7,7 @@ import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import torch
@@ -56,6 +57,7 @@ from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 
 SIZE = (8, 6)  # of label maps and photographs
 MANY = 2000  # Gaussians of the larger files
+KEPT = Path(__file__).parents[1] / "frozen" / "formats"
 PICTURES = {"png": {}, "jpg": {"quality": 80}, "webp": {}, "bmp": {}, "tif": {"compression": "tiff_lzw"}}
 """Endings of photographs, and how Pillow is to write them."""
 
@@ -82,6 +84,7 @@ def write_samples(folder: Path) -> None:
     _write_fields(folder)
     _write_words_and_labels(folder)
     _write_pictures(folder / "pictures")
+    copytree(KEPT / "archive", folder / "archive")
 
 
 def _write_splats(folder: Path) -> None:

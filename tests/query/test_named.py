@@ -96,7 +96,7 @@ def test_a_text_near_to_a_name_is_answered_by_it() -> None:
     field = planted_room()
     words = {word: field.text_encoder().encode([word])[0] for word in field.text_encoder().names or ()}
     words["luminaire"] = torch.nn.functional.normalize(words["lamp"] + 0.02 * words["ball"], dim=0)
-    named = named_room({"luminaire": {BALL: 0.5}})
+    named = named_room({"Luminaire": {BALL: 0.5}})  # whatever its capitals
     named.text_encoder(words)
     assert named.answer("luminaire").things == (BALL,)
     assert named.answer("lamp").things == (BALL,)

@@ -241,6 +241,18 @@ def test_clicks_select_things_their_groups_and_parts(visit: Visit, viewed: Viewe
     assert visit.state()["things"]["selected"] == []
 
 
+def test_a_link_opens_the_page_at_a_thing(browser: Browser, viewed: ViewedField, tmp_path: Path) -> None:
+    export_page(viewed, tmp_path / "scene.html")
+    address = (tmp_path / "scene.html").as_uri()
+    with visiting(browser, f"{address}#thing=4", offline=True) as visit:
+        visit.until("window.scoupViewer.state().things?.selected.join() === '4'")
+        assert visit.page.locator("#selection").is_visible()
+        box = visit.page.locator("#canvas").bounding_box()
+        assert box is not None
+        visit.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        assert visit.state()["things"]["selected"] == [7], "its group, since it is in the middle"
+
+
 def outline(
     visit: Visit, canvas: str = "outline", color: tuple[float, ...] = (1, 1, 1)
 ) -> NDArray[np.bool_] | None:

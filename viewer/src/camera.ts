@@ -147,6 +147,20 @@ export class Eye {
     if (depth > 0) this.controls.target.copy(this.camera.position).addScaledVector(ahead, depth);
   }
 
+  /** Look at a point of the field from the side of the nearest camera, and from so near that a size fills half of the picture. */
+  async lookAt(place: THREE.Vector3, size: number, cameras: CameraRecord[]): Promise<void> {
+    const point = this.world.toPage(place.clone());
+    const distance = (record: CameraRecord) => this.poseOf(record).position.distanceTo(point);
+    const nearest = cameras.reduce<CameraRecord | null>((best, each) => (best && distance(best) <= distance(each) ? best : each), null);
+    if (nearest) await this.flyTo(nearest, false);
+    this.land();
+    const aside = this.camera.position.clone().sub(point).setLength(this.world.lengthToPage(size) / this.half);
+    this.camera.position.copy(point).add(aside);
+    this.controls.target.copy(point);
+    this.controls.update();
+    this.onMove();
+  }
+
   /** The ray of a pixel of a picture of a size, in the world of the field. */
   ray(x: number, y: number, width: number, height: number): THREE.Ray {
     this.camera.updateMatrixWorld();

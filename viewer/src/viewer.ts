@@ -88,8 +88,8 @@ export class Viewer {
     const viewer = new Viewer(settings, metadata, source, server, scene);
     if (scene && viewer.stage instanceof SplatStage) await viewer.stage.load(scene, progress);
     viewer.describe();
-    void viewer.prepareWords(scene && metadata.n_things ? viewer.listThings() : null);
     if (metadata.cameras.length) await viewer.flyTo(metadata.cameras[0], false);
+    void viewer.prepareWords(scene && metadata.n_things ? viewer.listThings() : null);
     viewer.stage.redraw();
     if (metadata.parts) viewer.whole = viewer.loadParts(scene!);
     return viewer;
@@ -179,6 +179,13 @@ export class Viewer {
       const under = (x: number, y: number) => things.under(this.scene!, this.along(x, y), this.state.clickLevel);
       this.hovering = new Hovering(() => this.scene!, this.eye, things, under);
       things.onChange = () => this.changed();
+      // Of a link to a thing, such as scene.html#thing=12.
+      const linked = things.all.find(({ number }) => location.hash === `#thing=${number}`);
+      if (!linked) return;
+      showTab("things");
+      things.select([linked.number]);
+      const [x, y, z] = linked.position;
+      await this.eye.lookAt(new THREE.Vector3(x, y, z), Math.max(...linked.box.extent), this.metadata.cameras);
     } catch (error) {
       this.say((error as Error).message);
     }

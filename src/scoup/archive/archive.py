@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -26,7 +27,7 @@ from scoup.archive.scan_files import (
     connect,
     write_scan,
 )
-from scoup.archive.search import AskedScan, Encode, Rank, Search, words_digest
+from scoup.archive.search import Asked, Encode, ImageSearch, Rank, Search, words_digest
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.atomic import write_text
 from scoup.base.errors import (
@@ -42,6 +43,7 @@ from scoup.base.locks import WAIT, locked
 from scoup.base.records import rounded_vector
 from scoup.field.container import place_of, relative_place
 from scoup.field.language_field import Encoder, LanguageField
+from scoup.io.images import open_image, rgb_image
 from scoup.models.text import TextEncoder
 from scoup.query.boxes import OrientedBox
 from scoup.query.matching import compare_things
@@ -62,11 +64,12 @@ class FoundThing:
     thing: int
     """Its number in the field of the scan (``Thing.number``)."""
     text: str
-    """The text that it answers."""
+    """The text that it answers, or the name of the image."""
     level: str
     """Name of its level."""
     score: float | None
-    """As of ``Thing``: the share of everyday words whose best fit in its scan is lower, 0 to 1."""
+    """As of ``Thing``: the share of everyday words whose best fit in its scan is lower, 0 to 1. Of an image: the cosine
+    with it."""
     position: Tensor
     """[3] float64 in the units of its scan."""
     box: OrientedBox
@@ -135,6 +138,7 @@ class Archive:
             problem = "is a file, expected the folder of an archive"
             raise FileFormatError(self.folder, problem, "check the path")
         self._encoder: Encoder | None = encoder
+        self._embedder: Any = None
         self._cached: Any = (None, None)
         self._connection = connect(self.folder)
         self._kept = KeptScans(self._connection, self._records)
@@ -222,17 +226,30 @@ class Archive:
         encoder = self.text_encoder()
         search = Search.of(question, encoder, self._encode(encoder), at_least is not None, present_from)
         wanted = None if where is None else self._wanted(where)
-        ranked = self._ranked(search, wanted)
-        if at_least is not None:
-            counted = [[*_found(asked, wanted)] for _, asked in ranked]
-            enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
-            return [found for each in enough[:top] for _, found in each]
-        best: list[tuple[Rank, FoundThing]] = []
-        for bound, asked in ranked:
-            if len(best) >= top and best[-1][0] >= bound:
-                break  # all that follow are lower
-            best = heapq.nlargest(top, [*best, *_found(asked, wanted)], key=lambda each: each[0])
-        return [found for _, found in best]
+        if at_least is None:
+            return self._best(search, wanted, top)
+        counted = [[*_found(asked, wanted)] for _, asked in self._ranked(search, wanted)]
+        enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
+        return [found for each in enough[:top] for _, found in each]
+
+    def find_image(self, image: str | Path, where: str | None = None, top: int = 20) -> list[FoundThing]:
+        """Return the things of all scans that look most like an image, best first; their score is the cosine with it.
+
+        Whether any shows the same is not judged.
+
+        Args:
+            image: a file, of one object, as large as the picture if possible.
+            where: as of ``find``.
+            top: most things.
+
+        Raises:
+            InputError, ScoupError: the embedding model of the archive cannot embed images, or not be opened.
+            MissingFileError, FileFormatError: the image, or a scan, cannot be read.
+        """
+        if top < 1:
+            raise InputError(f"`top` must be 1 or more, got {top}")
+        search = ImageSearch(Path(image).name, self._embedded(Path(image)))
+        return self._best(search, None if where is None else self._wanted(where), top)
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
         """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
@@ -266,7 +283,7 @@ class Archive:
         return opened
 
     def _files(self) -> list[Path]:
-        return sorted(self.folder.glob("[!.]*.parquet"))
+        return sorted(self.folder.glob("[!.]*.parquet"), key=lambda file: file.name)
 
     def _about(self) -> dict[str, Any]:
         """Return what archive.json says; nothing before the first scan."""
@@ -276,13 +293,16 @@ class Archive:
             if about["format"] != FORMAT:
                 raise ValueError(f"it is of the format {about['format']!r:.50}")
             check_format_version(path, about["version"], VERSION)
-            return {**about, "dim": int(about["dim"]), "embedding_model": str(about["embedding_model"])}
+            words, model = about["words"], str(about["embedding_model"])
+            if not isinstance(words, str | None):
+                raise TypeError(f"its words are {words!r:.50}")
+            return {"dim": int(about["dim"]), "embedding_model": model, "words": words}
         except FileNotFoundError as error:
             if self._files():
                 problem = "there is no such file beside the Parquet files"
                 raise MissingFileError(path, problem, "restore it, or use another folder") from error
             return {}
-        except (ValueError, LookupError, TypeError, OSError) as error:
+        except (ValueError, LookupError, TypeError, OSError, OverflowError, RecursionError) as error:
             if isinstance(error, ScoupError):
                 raise
             remedy = "restore it, or add the fields to a new archive"
@@ -315,7 +335,46 @@ class Archive:
             self._cached = encoder, lru_cache(ENCODED)(encoder.encode)
         return self._cached[1]
 
-    def _ranked(self, search: Search, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, AskedScan]]:
+    def _embedded(self, image: Path) -> Tensor:
+        """Return the vector [D] of an image by the embedding model of the archive."""
+        from PIL import ImageOps
+
+        from scoup.extract.masks import Masks
+        from scoup.extract.pipeline import embed_masks
+        from scoup.extract.registry import open_embedder
+
+        with open_image(image) as opened:
+            pixels = np.array(rgb_image(ImageOps.exif_transpose(opened)))
+        about = self._about()
+        if not about:
+            raise InputError(f"{self.folder}: contains no scan; add fields")
+        model = about["embedding_model"]
+        try:
+            self._embedder = self._embedder or open_embedder(model)
+        except ScoupError as error:
+            reason = str(error).partition(";")[0]
+            problem = f"contains {_embeddings(model, about['dim'])}, which embeds no image here ({reason})"
+            raise InputError(f"{self.folder}: {problem}; ask with a text") from error
+        whole = Masks.from_dense(np.ones((1, *pixels.shape[:2]), np.bool_))
+        vector = embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
+        if len(vector) != about["dim"]:
+            problem = f"contains {_embeddings(model, about['dim'])}, which embeds images in {len(vector)}"
+            raise InputError(f"{self.folder}: {problem}; ask with a text")
+        return vector
+
+    def _best(
+        self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None, top: int
+    ) -> list[FoundThing]:
+        best: list[tuple[Rank, FoundThing]] = []
+        for bound, asked in self._ranked(search, wanted):
+            if len(best) >= top and best[-1][0] >= bound:
+                break  # all that follow are lower
+            best = heapq.nlargest(top, [*best, *_found(asked, wanted)], key=lambda each: each[0])
+        return [found for _, found in best]
+
+    def _ranked(
+        self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None
+    ) -> Iterator[tuple[Rank, Asked]]:
         """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
         places = self._kept.places([file for file in self._files() if wanted is None or file.stem in wanted])
         blocks = {id(block): block for block, _ in places}
@@ -328,7 +387,7 @@ class Archive:
         )
         scans = self._kept.scans([place for _, place in ranked])
         for (bound, _), scan in zip(ranked, scans, strict=True):
-            yield bound, AskedScan.of(search, scan)
+            yield bound, search.ask(scan)
 
     def _wanted(self, where: str) -> dict[str, set[int]]:
         """Return the things of each scan for which a condition holds."""
@@ -370,7 +429,7 @@ def _presences(names: NameTable) -> dict[str, tuple[float, int]]:
     return dict(zip(names.texts, zip(names.presence.tolist(), counts, strict=True), strict=True))
 
 
-def _found(asked: AskedScan, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, FoundThing]]:
+def _found(asked: Asked, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, FoundThing]]:
     """Yield the things of a scan that answer and are wanted, best first."""
     scan, record = asked.scan, asked.scan.record
     for number, text in asked.things():

@@ -88,7 +88,8 @@ def read_scans(scans: Sequence[tuple[ScanBlock, int]], connection: DuckDBPyConne
         records = [block.records[number] for block, number in scans]
         columns = (*_NUMBERS, "level", "parent", *_PLACES, "len(shares)", "len(names)")
         rows = _rows(records, columns, connection)
-        shares, names = (_unnested(records, name, connection) for name in ("shares", "names"))
+        shares = _unnested(records, "shares", connection)
+        names = _unnested(records, "names", connection) if rows["len(names)"].any() else {}
         ends = [*accumulate((record.n_things for record in records), initial=0)]
         of_shares, of_names = (
             [0, *np.cumsum(rows[f"len({name})"].astype(np.int64)).tolist()] for name in ("shares", "names")
@@ -138,11 +139,12 @@ def _rows(records: Sequence[ScanRecord], columns: Sequence[str], connection: Duc
         f"SELECT thing, {selected} FROM read_parquet($files)",
         {"files": [str(record.file) for record in records]},
     ).fetchnumpy()
-    numbers = np.concatenate([np.arange(record.n_things) for record in records])
-    if not np.array_equal(np.ma.filled(found["thing"], -1), numbers) or not all(
-        record.n_things for record in records
-    ):
-        raise InputError(f"expected things 0 to {records[0].n_things - 1}")
+    sizes = [record.n_things for record in records]
+    if min(sizes) < 1 or sum(sizes) != len(found["thing"]):
+        raise InputError(f"has {len(found['thing'])} things, expected {sum(sizes)}")
+    numbers = np.concatenate([np.arange(size) for size in sizes])
+    if not np.array_equal(np.ma.filled(found["thing"], -1), numbers):
+        raise InputError("its things are not numbered from 0 on")
     rows = {column: found[f"c{number}"] for number, column in enumerate(columns)}
     for column, values in rows.items():
         if column in _STATISTICS or column in _PLACES:
@@ -255,5 +257,6 @@ def _read(
         file = file_of(items[0])
         if not file.is_file():
             raise MissingFileError.of(file, "a scan of an archive") from error
-        reason, remedy = str(error).splitlines()[0][:200], "add its field again, or remove the file"
+        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
+        remedy = "add its field again, or remove the file"
         raise FileFormatError(file, f"is damaged, or not a scan of an archive ({reason})", remedy) from error

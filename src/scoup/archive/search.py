@@ -36,6 +36,8 @@ UNKNOWN: Rank = (math.inf, math.inf)
 """The bound of scans whose statistics are of other words."""
 ROUNDING = 1e-3
 """Fits that are computed together differ by less from those of a scan."""
+SAME_PLACE = 0.5
+"""Of two things that look like an image, the lower is left out if they share more of the Gaussians of one."""
 _RULE = (
     matching.HUB_QUANTILE,
     matching.HUB_SHARE,
@@ -76,6 +78,10 @@ class Search:
         if not question.can_judge_presence:
             others = others[:, :0]
         return cls(expression, question, encoder, words, words_digest(words), others, encode)
+
+    def ask(self, scan: Scan) -> AskedScan:
+        """Ask a scan."""
+        return AskedScan.of(self, scan)
 
     def near(self, record: ScanRecord) -> tuple[str | None, ...]:
         """Return the names of things of a scan that are nearly the texts."""
@@ -213,6 +219,54 @@ class AskedScan:
         )
         warnings.warn(f"{message}; add it again", ScoupWarning, stacklevel=2)
         return []
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSearch:
+    """An image for every scan. Its things are ordered by their cosines with it: those of texts, by which scans are
+    compared otherwise, are all lower."""
+
+    name: str
+    vector: Tensor  # [D] of unit norm
+
+    def bounds(self, block: ScanBlock) -> list[Rank | None]:
+        """Return a rank for each scan that none of its things exceeds; None where nothing can answer."""
+        cosines = block.vectors @ self.vector.numpy()
+        cosines[np.isinf(block.lowered)] = -np.inf
+        best = np.maximum.reduceat(cosines, block.starts[:-1]).tolist()
+        return [None if cosine == -math.inf else (cosine + ROUNDING, 0.0) for cosine in best]
+
+    def ask(self, scan: Scan) -> AskedImage:
+        """Ask a scan."""
+        cosines = scan.table.embeddings.float() @ self.vector
+        cosines[(scan.counts <= 0) | (scan.table.mass <= 0)] = -torch.inf
+        return AskedImage(self, scan, cosines)
+
+
+@dataclass(frozen=True, eq=False)
+class AskedImage:
+    """A scan, and the cosines of its things with an image."""
+
+    search: ImageSearch
+    scan: Scan
+    cosines: Tensor  # [T]
+
+    def rank(self, thing: int, text: str) -> tuple[float, Rank]:
+        """Return the cosine of a thing, and its rank."""
+        cosine = float(self.cosines[thing])
+        return cosine, (cosine, 0.0)
+
+    def things(self) -> Iterator[tuple[int, str]]:
+        """Yield the numbers of things, best first; parts of one before, and what it is a part of, are left out."""
+        shared = self.scan.shared.to_dense() > SAME_PLACE * self.scan.counts.clamp(min=1)
+        left = shared.new_ones(len(shared)) & (self.cosines > -torch.inf)
+        for thing in self.cosines.argsort(descending=True, stable=True).tolist():
+            if left[thing]:
+                left &= ~(shared[thing] | shared[:, thing])
+                yield thing, self.search.name
+
+
+Asked: TypeAlias = "AskedScan | AskedImage"
 
 
 def _is_same(one: ThingTable, other: ThingTable) -> bool:

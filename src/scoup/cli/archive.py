@@ -10,20 +10,27 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import Common, OptionalInteger, OptionalNumber, OptionalText, OptionGroups
+from scoup.cli.options import (
+    OptionalInteger,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+    WritesCommon,
+)
 
 if TYPE_CHECKING:
-    from scoup.archive.archive import Archive
+    from scoup.archive.archive import Archive, FoundThing
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchArchive(Common):
+class SearchArchive(WritesCommon):
     """Find things in many scans at once, or add, remove and list the scans of an archive: a folder with a Parquet file
     per scan."""
 
     option_groups: ClassVar[OptionGroups] = {
         "scan": "add remove list_scans columns",
-        "search": "where top at_least presence text",
+        "search": "image where top at_least presence text page",
     }
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
@@ -43,6 +50,8 @@ class SearchArchive(Common):
         tyro.conf.arg(name="set", metavar="NAME=VALUE", help_behavior_hint=""),
     ] = ()
     """With --add, a column of the scans for --where, such as floor=2; repeat it for several."""
+    image: OptionalPath = None
+    """Find what looks like the object in a picture, in place of TEXT. Needs the embedding model of the archive."""
     where: OptionalText = None
     """A condition in SQL over the columns of the Parquet files: "floor = 2 and gaussians > 100"."""
     top: int = 20
@@ -53,21 +62,27 @@ class SearchArchive(Common):
     """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
     text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: that of the first field."""
+    page: OptionalPath = None
+    """Write what was found to this HTML file, with pictures. Each thing links to itself in the page of its scan that
+    scoup view FIELD.scoup --export FIELD.html wrote, if there is one."""
 
     def run(self, console: Console) -> None:
         """Add, remove, list, search."""
         from scoup.archive.archive import Archive
         from scoup.base.errors import InputError
 
-        chosen = [bool(self.add), bool(self.remove), self.list_scans, self.question is not None]
-        if sum(chosen) != 1:
-            raise InputError(f"{self.folder}: pass one of TEXT, --add, --remove and --list")
+        is_search = self.question is not None or self.image is not None
+        changes = bool(self.add), bool(self.remove), self.list_scans
+        if sum((*changes, self.question is not None, self.image is not None)) != 1:
+            raise InputError(f"{self.folder}: pass one of TEXT, --image, --add, --remove and --list")
         columns = _own_columns(self.columns)
         if columns and not self.add:
             raise InputError("--set is for --add")
+        if self.page is not None and not is_search:
+            raise InputError("--page is for TEXT and --image")
         archive = Archive(self.folder, self.text)
-        if self.question is not None:
-            return self._search(archive, self.question, console)
+        if is_search:
+            return self._search(archive, console)
         if len({path.stem for path in self.add}) < len(self.add):
             raise InputError(
                 f"expected .scoup files with different names, got {', '.join(map(str, self.add))}"
@@ -80,8 +95,14 @@ class SearchArchive(Common):
             archive.remove(name)
         return _list(archive, console, self.list_scans)
 
-    def _search(self, archive: Archive, question: str, console: Console) -> None:
-        found = archive.find(question, self.where, self.top, self.at_least, self.presence)
+    def _search(self, archive: Archive, console: Console) -> None:
+        from scoup.archive.results_page import results_page
+        from scoup.base.atomic import check_output, write_text
+
+        if self.page is not None:
+            check_output(self.page, self.overwrite)
+        question = str(self.image or self.question)
+        found = self._found(archive)
         counts: dict[str, int] = {}
         for each in found:
             counts[each.scan] = counts.get(each.scan, 0) + 1
@@ -89,8 +110,20 @@ class SearchArchive(Common):
             console.say(f"{score}{each.text}: {each.describe()}")
         total = f"{counted(len(found), 'thing')} in {counted(len(counts), 'scan')}"
         console.say(f"{question}: {total if found else 'nothing found'}")
-        record = {"question": question, "scans": counts, "things": [each.to_dict() for each in found]}
-        console.result(record)
+        if self.page is not None:
+            write_text(self.page, results_page(question, found, self.page), self.overwrite)
+            console.say(f"{self.page}: written")
+        console.result({"question": question, "scans": counts, "things": [each.to_dict() for each in found]})
+
+    def _found(self, archive: Archive) -> list[FoundThing]:
+        from scoup.base.errors import InputError
+
+        if self.image is None:
+            assert self.question is not None
+            return archive.find(self.question, self.where, self.top, self.at_least, self.presence)
+        if self.at_least is not None or self.presence is not None:
+            raise InputError("--at-least and --presence are for texts")
+        return archive.find_image(self.image, self.where, self.top)
 
 
 def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import tyro
 
@@ -20,19 +22,24 @@ from scoup.cli.build_options import BuildOptions
 from scoup.cli.console import Console, with_options
 from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
 
-REPORT = "batch.json"
+REPORT, PAGE = "batch.json", "batch.html"
+RETRIES = 3  # of a scan whose worker was killed
+Commands: TypeAlias = "Mapping[str, Sequence[str]]"
+"""Name of a scan -> arguments of scoup."""
+Ended: TypeAlias = "tuple[int, str, float]"
+"""Exit code, standard output and seconds of a command."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(BuildOptions):
     """Build the field of every scan in a folder; scans without regions are extracted first.
 
-    The same command resumes: it makes only fields that are missing. A scan that fails stops no other; batch.json in the
-    folder of the fields says how each went.
+    The same command resumes: it makes only fields that are missing. A scan that fails stops no other; batch.json and
+    batch.html in the folder of the fields say how each went.
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "scan": "model segmenter embedder jobs",
+        "scan": "model segmenter embedder jobs ray",
         "output": "out archive text",
     }
 
@@ -46,6 +53,9 @@ class Batch(BuildOptions):
     """Text encoder of the archive, as for scoup archive."""
     jobs: int = 1
     """Scans at a time, each in a process of its own."""
+    ray: Annotated[OptionalText, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
+    nodes need scoup, and this folder, SCANS and --out under the same paths."""
     model: OptionalText = None
     """Model of the region embeddings, as for scoup build."""
     segmenter: OptionalText = None
@@ -64,8 +74,10 @@ class Batch(BuildOptions):
         folders = self._folders()
         archive = None if self.archive is None else Archive(self.archive, self.text)
         records: dict[str, dict[str, Any]] = {}
-        with reserved_output(self.out / REPORT, overwrite=True), console.progress() as progress:
-            for name, record in self._built(folders):
+        # Ray prints to standard output, too.
+        for_json = redirect_stdout(sys.stderr) if self.as_json else nullcontext()
+        with reserved_output(self.out / REPORT, overwrite=True), console.progress() as progress, for_json:
+            for name, record in self._built([folder.name for folder in folders]):
                 file = self.out / f"{name}.scoup"
                 if archive is not None and "error" not in record:
                     try:
@@ -103,42 +115,30 @@ class Batch(BuildOptions):
             raise MissingFileError(self.scans, "contains no folders of scans", "check the path")
         return folders
 
-    def _built(self, folders: list[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield name and record of each scan as it is done; an interruption ends the processes."""
-        started: list[subprocess.Popen[str]] = []
-        with ThreadPoolExecutor(self.jobs) as pool:
-            futures = {pool.submit(self._build, folder, started): folder.name for folder in folders}
-            try:
-                for future in as_completed(futures):
-                    yield futures[future], future.result()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                for process in started:
-                    process.terminate()
-                raise
-
-    def _build(self, folder: Path, started: list[subprocess.Popen[str]]) -> dict[str, Any]:
-        """Build a scan in a process of its own, unless its field is there."""
-        file, begun = self.out / f"{folder.name}.scoup", time.perf_counter()
-        if file.exists() and not self.overwrite:
-            return {"kept": True}
-        command = [sys.executable, "-m", "scoup", "build", folder, "--out", file, *self._options(), "--json"]
-        cores = str(max(1, (os.cpu_count() or 1) // self.jobs))
-        process = subprocess.Popen(
-            [str(part) for part in command], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-            env={"OMP_NUM_THREADS": cores, **os.environ},
-        )  # fmt: skip
-        started.append(process)
-        said = _parsed(process.communicate()[0])
-        record: dict[str, Any] = {"kept": False, "warnings": said.get("warnings", [])}
-        if process.returncode:
-            how = f"scoup build ended with code {process.returncode}; run it alone to see why"
-            record["error"] = said.get("error", how)
-        return {**record, "seconds": round(time.perf_counter() - begun, 2)}
+    def _built(self, names: list[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield name and record of each scan as it is done."""
+        missing: dict[str, list[str]] = {}
+        for name in names:
+            file = self.out / f"{name}.scoup"
+            if file.exists() and not self.overwrite:
+                yield name, {"kept": True}
+            else:
+                files = [str(self.scans / name), "--out", str(file)]
+                missing[name] = ["build", *files, *self._options(), "--json"]
+        ends = _in_processes(missing, self.jobs)
+        if self.ray is not None and missing:
+            ends = _on_cluster(missing, self.ray, self.device)
+        for name, (code, text, seconds) in ends:
+            said = _parsed(text)
+            record: dict[str, Any] = {"kept": False, "warnings": said.get("warnings", [])}
+            if code:
+                how = f"scoup build ended with code {code}; run it alone to see why"
+                record["error"] = said.get("error", how)
+            yield name, {**record, "seconds": round(seconds, 2)}
 
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
-        passed = ["--device", self.device, *(["--overwrite"] if self.overwrite else [])]
+        passed = ["--device", self.device, "--overwrite"]
         named = {f"--{name}": getattr(self, name) for name in ("model", "segmenter", "embedder")}
         values = {option: getattr(self, option[2:].replace("-", "_")) for option in self.given()}
         for option, value in {**values, **named}.items():
@@ -151,6 +151,85 @@ class Batch(BuildOptions):
 
         ordered = dict(sorted(records.items()))
         write_text(self.out / REPORT, json.dumps({"scans": ordered}, indent=1) + "\n", overwrite=True)
+        write_text(self.out / PAGE, _page(ordered), overwrite=True)
+
+
+def _in_processes(commands: Commands, jobs: int) -> Iterator[tuple[str, Ended]]:
+    """Run commands, some at a time; an interruption ends the processes."""
+    started: list[subprocess.Popen[str]] = []
+    environment = {"OMP_NUM_THREADS": str(max(1, (os.cpu_count() or 1) // jobs)), **os.environ}
+
+    def run(command: Sequence[str]) -> Ended:
+        begun = time.perf_counter()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "scoup", *command],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment,
+        )  # fmt: skip
+        started.append(process)
+        text = process.communicate()[0]
+        return process.returncode, text, time.perf_counter() - begun
+
+    with ThreadPoolExecutor(jobs) as pool:
+        futures = {pool.submit(run, command): name for name, command in commands.items()}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in started:
+                process.terminate()
+            raise
+
+
+def _on_cluster(commands: Commands, address: str, device: str) -> Iterator[tuple[str, Ended]]:
+    """Run commands as tasks of Ray; those of killed workers run again, an interruption ends all."""
+    from scoup.base.errors import ScoupError
+
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+        from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise ScoupError("--ray needs the package ray: pip install 'scoup[ray]'") from error
+    try:
+        ray.init(address, log_to_driver=False, configure_logging=False)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise ScoupError(f"--ray {address}: cannot be reached ({error})") from error
+    try:
+        task = ray.remote(_run_here).options(max_retries=RETRIES, num_gpus=int(device != "cpu"))
+        waiting = {task.remote(os.getcwd(), command): name for name, command in commands.items()}
+        while waiting:
+            (done,), _ = ray.wait([*waiting])
+            name = waiting.pop(done)
+            try:
+                ended = ray.get(done)
+            except RayError as error:
+                reason = str(error).strip().splitlines()[-1]
+                ended = 1, json.dumps({"error": f"its task failed: {reason}"}), 0.0
+            yield name, ended
+    finally:
+        ray.shutdown()
+
+
+def _run_here(folder: str, command: Sequence[str]) -> Ended:
+    """Run a command in this process, which is killed with it."""
+    from scoup.cli.app import run
+
+    os.chdir(folder)
+    begun, text = time.perf_counter(), io.StringIO()
+    with redirect_stdout(text), redirect_stderr(io.StringIO()):
+        code = run([*command])
+    return code, text.getvalue(), time.perf_counter() - begun
+
+
+def _page(records: Mapping[str, Mapping[str, Any]]) -> str:
+    from scoup.base.html import page, shown
+
+    rows = [
+        f"<tr><td>{shown(name)}<td>{'failed' if 'error' in of else 'done'}<td>{of.get('seconds', 'was there')}"
+        f"<td>{shown(of.get('error') or ' '.join(of.get('warnings', [])))}"
+        for name, of in records.items()
+    ]
+    return page("Scans", f"<table><tr><th>scan<th>field<th>seconds<th>{''.join(rows)}</table>")
 
 
 def _is_older(file: Path, other: Path) -> bool:

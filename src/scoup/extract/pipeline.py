@@ -140,16 +140,22 @@ def describe_masks(
             painted = _painted(found, photograph)
         labels[level] = photograph.as_stored(painted)
         visible_masks[level] = found
-    pixels = torch.from_numpy(photograph.image).to(embedder.device)
-    if isinstance(embedder, RegionEmbedder):
-        vectors = embedder.embed_regions(pixels, visible_masks)
-    else:
-        vectors = {
-            level: _embed_crops(mask_crops(pixels, found, embedder.side, segmenter.cut_last), embedder)
-            for level, found in visible_masks.items()
-        }
+    vectors = embed_masks(photograph.image, visible_masks, embedder, segmenter.cut_last)
     arrays = {level: rows.numpy() for level, rows in vectors.items()}
     return ViewRegions(name, labels, arrays, photograph.digest)
+
+
+def embed_masks(
+    image: NDArray[np.uint8], masks: dict[str, Masks], embedder: Embedder, cut_last: bool = True
+) -> dict[str, Tensor]:
+    """Return level -> [N, D] float32 unit vectors of masks over an image [H, W, 3] uint8."""
+    pixels = torch.from_numpy(image).to(embedder.device)
+    if isinstance(embedder, RegionEmbedder):
+        return embedder.embed_regions(pixels, masks)
+    return {
+        level: _embed_crops(mask_crops(pixels, found, embedder.side, cut_last), embedder)
+        for level, found in masks.items()
+    }
 
 
 def _painted(masks: Masks, photograph: Pixels) -> NDArray[np.int32]:

@@ -59,11 +59,16 @@ class TextEncoder:
         self.name = name
         self.dim = dim
         self.names = names
+        self._forms = None if names is None else {name.strip().casefold() for name in names}
         self._encode = encode
         self._made_by: tuple[Callable[..., TextEncoder], tuple[Any, ...]] | None = None
         self._canonical: Tensor | None = None
         self._everyday: Tensor | None = None
         self._model: tuple[ModelIdentity, Tensor] | None = None  # with its vector of the probe
+
+    def __contains__(self, phrase: str) -> bool:
+        """Return whether it encodes a phrase: a table has it in one of its forms (``word_forms``)."""
+        return self._forms is None or not self._forms.isdisjoint(word_forms(phrase))
 
     def __reduce__(self) -> tuple[Callable[..., TextEncoder], tuple[Any, ...]]:
         if self._encode is None or self._made_by is None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import csv
-import html
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import torch
 from PIL import Image
 
 from scoup.base.atomic import write_text
-from scoup.base.printable import printable
+from scoup.base.html import page, shown
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.pictures import as_picture, mask_overlay
@@ -63,7 +62,16 @@ def save_catalog(
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_text(folder / TABLE, text.getvalue())
-    drawn = _save_pictures(field, catalog, folder, cameras, progress) if cameras else set()
+    drawn = set[int | None]()
+    if cameras:
+        (folder / PICTURES).mkdir()
+        progress("pictures", 0, len(catalog.things))
+    for thing, picture in draw_things(field, catalog.things, cameras):
+        Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
+        drawn.add(thing.number)
+        progress("pictures", len(drawn), len(catalog.things))
+    if cameras:
+        progress("pictures", len(catalog.things), len(catalog.things))
     title = field.path.name if field.path else "scene"
     write_text(folder / PAGE, _page(catalog, drawn, title, metres_per_unit))
 
@@ -77,35 +85,27 @@ def _picture_name(thing: Thing) -> str:
     return f"{PICTURES}/{thing.number:05d}.jpg"
 
 
-def _save_pictures(
-    field: LanguageField, catalog: Catalog, folder: Path, cameras: Sequence[Camera], progress: Progress
-) -> set[int | None]:
-    """Draw each thing in the view that shows it largest, one render per view, else in a view of its own; return the
-    numbers of those drawn."""
-    (folder / PICTURES).mkdir()
-    best, drawn = [_best_view(thing, cameras) for thing in catalog.things], set[int | None]()
-    progress("pictures", 0, len(catalog.things))
-
-    def draw(view: FieldView, colors: Picture, thing: Thing) -> None:
-        picture = _crop(thing_mask(view, thing), colors)
-        if picture is not None:
-            Image.fromarray(picture).save(folder / _picture_name(thing), quality=85)
-            drawn.add(thing.number)
-            progress("pictures", len(drawn), len(catalog.things))
-
+def draw_things(
+    field: LanguageField, things: Sequence[Thing], cameras: Sequence[Camera]
+) -> Iterator[tuple[Thing, Picture]]:
+    """Yield each thing that can be seen, with its picture: in the camera that sees it largest, one render per camera,
+    else in a view of its own."""
+    best, drawn = [_best_view(thing, cameras) for thing in things], set[int | None]()
     for number, camera in enumerate(cameras):
-        largest_here = [thing for thing, view in zip(catalog.things, best, strict=True) if view == number]
+        largest_here = [thing for thing, view in zip(things, best, strict=True) if view == number]
         if largest_here:
             view = field.at(camera)
             colors = as_picture(view.renders.colors().cpu())
             for thing in largest_here:
-                draw(view, colors, thing)
-    for thing in catalog.things:
+                if (picture := _crop(thing_mask(view, thing), colors)) is not None:
+                    drawn.add(thing.number)
+                    yield thing, picture
+    for thing in things if cameras else ():
         if thing.number not in drawn:
             view = field.at(_own_view(thing, cameras))
-            draw(view, as_picture(view.renders.colors().cpu()), thing)
-    progress("pictures", len(catalog.things), len(catalog.things))
-    return drawn
+            picture = _crop(thing_mask(view, thing), as_picture(view.renders.colors().cpu()))
+            if picture is not None:
+                yield thing, picture
 
 
 def _own_view(thing: Thing, cameras: Sequence[Camera]) -> Camera:
@@ -155,11 +155,6 @@ def _crop(mask: torch.Tensor, colors: Picture) -> Picture | None:
     return np.asarray(picture)
 
 
-_STYLE = """body{font:14px/1.4 system-ui,sans-serif;margin:1.5rem;color-scheme:light dark}
-input,select{font:inherit;padding:.4rem .6rem}input{width:min(26rem,100%)}summary{margin:1rem 0;cursor:pointer}
-ul{display:grid;grid-template-columns:repeat(auto-fill,minmax(14rem,1fr));gap:1rem;list-style:none;padding:0}
-li{border:1px solid #8886;border-radius:.5rem;padding:.6rem}img{width:100%;height:11rem;object-fit:contain}
-b{font-size:1.05rem}small{opacity:.75}[hidden]{display:none}"""
 _SCRIPT = """const box=document.querySelector("input"),sort=document.querySelector("select");
 const lists=[...document.querySelectorAll("ul")],items=[...document.querySelectorAll("li")];
 box.addEventListener("input",()=>{const wanted=box.value.toLowerCase();let count=0;
@@ -169,10 +164,6 @@ document.querySelector("output").textContent=`${count} of ${items.length} things
 sort.addEventListener("change",()=>{for(const list of lists)list.append(...[...list.children].sort((a,b)=>
 sort.value==="name"?(a.dataset.name||"\\uffff").localeCompare(b.dataset.name||"\\uffff"):
 b.dataset[sort.value]-a.dataset[sort.value]))});"""
-
-
-def _shown(text: str) -> str:
-    return html.escape(printable(text))
 
 
 def size_in_words(thing: Thing, metres_per_unit: float | None) -> str:
@@ -189,14 +180,12 @@ def _card(
     thing: Thing, names: Sequence[str], related: str, drawn: set[int | None], metres_per_unit: float | None
 ) -> str:
     image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
-    alternatives = f"or {_shown(', '.join(names[1:]))}<br>" if names[1:] else ""
+    alternatives = f"or {shown(', '.join(names[1:]))}<br>" if names[1:] else ""
     sure = certainty(thing.score, True) or ""
-    data = (
-        f'data-name="{_shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{thing.score or 0:.4f}"'
-    )
+    data = f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{thing.score or 0:.4f}"'
     return (
-        f"<li {data}>{image}<b>{_shown(thing.text) or 'unnamed'}</b> <small>{sure}</small><br><small>{alternatives}"
-        f"{_shown(size_in_words(thing, metres_per_unit))}<br>thing {thing.number}{related}</small></li>"
+        f"<li {data}>{image}<b>{shown(thing.text) or 'unnamed'}</b> <small>{sure}</small><br><small>{alternatives}"
+        f"{shown(size_in_words(thing, metres_per_unit))}<br>thing {thing.number}{related}</small></li>"
     )
 
 
@@ -212,23 +201,18 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit:
     ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda each: -(each[0].score or 0))
     for thing, names in ordered:
         inside = parts.get(thing.number, set()) - {"", thing.text}
-        related = f", with {_shown(', '.join(sorted(inside)))}" if inside else ""
+        related = f", with {shown(', '.join(sorted(inside)))}" if inside else ""
         related += (
-            f", in {_shown(whole)}"
-            if (whole := text_of.get(thing.parent, "")) not in ("", thing.text)
-            else ""
+            f", in {shown(whole)}" if (whole := text_of.get(thing.parent, "")) not in ("", thing.text) else ""
         )
         cards[thing.number not in objects].append(_card(thing, names, related, drawn, metres_per_unit))
-    shown, folded = ("\n".join(each) for each in cards)
-    heading = _shown(title)
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Things of {heading}</title>\n'
-        f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style>\n'
-        f"<h1>Things of {heading}</h1>\n"
+    first, folded = ("\n".join(each) for each in cards)
+    return page(
+        f"Things of {title}",
         '<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
         '<select aria-label="Sort by"><option value="score">sort by certainty<option value="name">by name'
         '<option value="size">by size</select> '
-        f"<output>{len(catalog.things)} things</output></p>\n<ul>\n{shown}\n</ul>\n"
+        f"<output>{len(catalog.things)} things</output></p>\n<ul>\n{first}\n</ul>\n"
         f"<details><summary>Parts, groups and fragments ({len(cards[1])})</summary><ul>\n{folded}\n</ul></details>\n"
-        f"<script>{_SCRIPT}</script>\n"
+        f"<script>{_SCRIPT}</script>",
     )

@@ -233,7 +233,7 @@ def near_names(
     """
     if all(number_of(names, text) is not None for text in vectors.texts):
         return ()
-    known = tuple(text for text in given if encoder.names is None or text in encoder.names)
+    known = tuple(text for text in given if text in encoder)
     if not known:
         return ()
     cosines, places = (vectors.queries @ encode(known).to(vectors.queries).T).max(1)

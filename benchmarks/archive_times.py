@@ -1,0 +1,124 @@
+"""What archives of many things cost: time and memory of adding, removing and asking."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.archive_scans import World
+from benchmarks.data import data_folder
+from benchmarks.embedding_kinds import KINDS
+from benchmarks.study import Record, Study
+from scoup.archive.archive import ABOUT, FORMAT, VERSION, Archive
+from scoup.archive.scan_files import write_scan
+from scoup.archive.search import words_digest
+from scoup.models.text import TextEncoder
+from scoup.models.word_table import save_table
+from scoup.models.words import CANONICAL_PHRASES
+from scoup_lab.bench import markdown
+
+TEXT, SCANS = "teapot", 48
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArchiveTimes(Study):
+    """Time archives in which some simulated scans are repeated."""
+
+    data: Path = field(default_factory=data_folder)
+    """Folder of the scenes with real models, whose words are asked."""
+    things: tuple[int, ...] = (150_000, 1_000_000)
+    """Things of each archive."""
+
+    rows_depend_on = ()
+
+    def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        world = World.open(self.data)
+        for count in self.things:
+            if str(count) not in known:
+                with tempfile.TemporaryDirectory() as folder:
+                    yield str(count), _times(world, count, Path(folder))
+
+    def line(self, figures: Any) -> str:
+        return json.dumps(figures)
+
+    @staticmethod
+    def table(record: Record) -> str:
+        columns = record["rows"].values()
+        heads = [f"{of['things']:,} things in {of['scans']:,} scans" for of in columns]
+        first, *_ = columns
+        body = [
+            *([what, *(f"{of['seconds'][what][1]:.2f} s" for of in columns)] for what in first["seconds"]),
+            ["memory of a search from the shell", *(f"{of['memory in MB']:,.0f} MB" for of in columns)],
+            ["files", *(f"{of['files in MB']:,.0f} MB" for of in columns)],
+        ]
+        return markdown(["processor time", *heads], body)
+
+
+def _times(world: World, count: int, folder: Path) -> Record:
+    """Return wall and processor seconds, and memory, with an archive of so many things: some scans many times."""
+    words = [*world.everyday, *CANONICAL_PHRASES]
+    table = folder / "words.npz"
+    save_table(table, words, world.of(words).numpy(), model="simulated")
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "embedding_model": "simulated",
+        "dim": 512,
+        "words": "words.npz",
+    }
+    (folder / ABOUT).write_text(json.dumps(about))
+    some = [each.scan for each in world.simulate(KINDS["clip"], SCANS, seed=7)]
+    files = [folder / f"{scan.record.name}.parquet" for scan in some]
+    encoder = TextEncoder.open(table)
+    digest = words_digest(encoder.everyday())
+    written = [
+        _seconds(write_scan, replace(scan, record=replace(scan.record, file=file, words=digest)))
+        for scan, file in zip(some, files, strict=True)
+    ]
+    clock: Record = {"write one scan": np.median(written, 0).tolist()}
+    total, number = sum(len(scan.counts) for scan in some), 0
+    while total < count:
+        shutil.copy(files[number % len(some)], folder / f"copy-{number:05}.parquet")
+        total += len(some[number % len(some)].counts)
+        number += 1
+    shell = [sys.executable, "-c", "from scoup.cli.app import entry; entry()", "archive", str(folder)]
+    for name, words in (("shell, empty", ["--help"]), ("shell", [TEXT])):
+        clock[name] = _seconds(subprocess.run, [*shell, *words], check=True, stdout=subprocess.DEVNULL)
+    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
+    archive = Archive(folder, encoder)
+    clock["first text"] = _seconds(archive.find, TEXT)
+    clock["further texts"] = np.median([_seconds(archive.find, text) for text in world.asked[:5]], 0).tolist()
+    clock["same texts again"] = np.median(
+        [_seconds(archive.find, text) for text in world.asked[:5]], 0
+    ).tolist()
+    os.utime(files[0])
+    clock["a text after one scan was added"] = _seconds(archive.find, TEXT)
+    clock["remove one scan"] = _seconds(archive.remove, files[0].stem)
+    size = sum(file.stat().st_size for file in folder.glob("*.parquet"))
+    return {
+        "things": total,
+        "scans": number + len(some),
+        "files in MB": size / 1e6,
+        "memory in MB": memory,
+        "seconds": clock,
+    }
+
+
+def _seconds(work: Callable[..., Any], *arguments: Any, **options: Any) -> list[float]:
+    """Return wall and processor seconds, children's included."""
+    before, start = os.times(), time.perf_counter()
+    work(*arguments, **options)
+    after = os.times()
+    return [round(time.perf_counter() - start, 3), round(sum(after[:4]) - sum(before[:4]), 3)]

@@ -1,0 +1,66 @@
+"""What an archive found, as a page with pictures."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+import torch
+
+from scoup.archive.archive import FoundThing
+from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base.html import data_address, page, shown
+from scoup.field.container import relative_place
+from scoup.query.catalog_files import draw_things
+from scoup.query.things import things_of_table
+
+
+def results_page(title: str, found: Sequence[FoundThing], place: Path) -> str:
+    """Return a page of things, with pictures of those whose fields are there and have cameras.
+
+    Pictures are drawn now, for these things only: drawing all would slow adding scans, and most are never shown.
+
+    Args:
+        title: above them.
+        found: each links to its scan's page, if `scoup view` has exported one beside the field.
+        place: of the page, for links.
+    """
+    pictures = {
+        (scan, number): picture
+        for scan in dict.fromkeys(each.scan for each in found)
+        for number, picture in _pictures([each for each in found if each.scan == scan])
+    }
+    cards = (_card(each, pictures.get((each.scan, each.thing), ""), place) for each in found)
+    return page(title, "<ul>\n" + "\n".join(cards) + "\n</ul>")
+
+
+def _pictures(found: Sequence[FoundThing]) -> Iterator[tuple[int, str]]:
+    """Yield number and picture, as an address, of things of one scan."""
+    try:
+        field = found[0].field()
+        count = 0 if field.thing_table is None else len(field.thing_table)
+        wanted = {each.thing: each.position for each in found if each.thing < count}
+        things = [
+            thing
+            for thing in (things_of_table(field, [*wanted]) if wanted else ())
+            if torch.equal(thing.position, wanted[thing.number or 0])
+        ]
+        if len(things) < len(found):
+            warnings.warn(f"{field.path}: has changed; add it again", ScoupWarning, stacklevel=3)
+        for thing, picture in draw_things(field, things, list(field.cameras or ())):
+            yield thing.number or 0, data_address(picture)
+    except ScoupError as error:
+        warnings.warn(f"no pictures of the scan {found[0].scan}: {error}", ScoupWarning, stacklevel=3)
+
+
+def _card(thing: FoundThing, picture: str, place: Path) -> str:
+    image = f'<img alt="" src="{picture}">' if picture else ""
+    where, exported = shown(thing.describe()), thing.field_path.with_suffix(".html")
+    if exported.is_file():
+        link = quote(relative_place(place, exported) or "")
+        where = f'<a href="{link}#thing={thing.thing}">{where}</a>'
+    score = "" if thing.score is None else f"{thing.score:.2f}"
+    own = "".join(f"<br>{shown(f'{name} = {value}')}" for name, value in thing.columns.items())
+    return f"<li>{image}<b>{shown(thing.text)}</b> <small>{score}<br>{where}{own}</small></li>"
