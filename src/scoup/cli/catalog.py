@@ -30,14 +30,16 @@ class MakeCatalog(TextOptions, FrameOptions):
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""
+        from scoup.models.text import everyday_vocabulary
         from scoup.query.catalog_files import catalog_files, save_catalog
-        from scoup.view.vocabulary import everyday_vocabulary, read_words
+        from scoup.query.question import literal
+        from scoup.view.vocabulary import read_words
 
         check_metres(self.metres_per_unit)
         out = self.output_folder(self.out, "catalog")
         field = self.open_field()
         words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
-        catalog = field.catalog(self.question(field, words), self.open_frame(field))
+        catalog = field.catalog(self.question(field, literal(words)), self.open_frame(field))
         cameras = list(field.cameras or ())
         files = catalog_files(catalog, cameras)
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
