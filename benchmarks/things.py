@@ -22,7 +22,7 @@ from benchmarks.study import Record, Study
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
 from scoup.field.part_sizes import part_sizes
 from scoup.query.frame import Frame
-from scoup.query.phrases import is_plain_text
+from scoup.query.phrases import quoted
 from scoup_lab.bench import markdown, torch_threads
 
 PAIRS = ("left of", "right of", "in front of", "behind", "on", "above", "under", "near", "inside")
@@ -201,7 +201,7 @@ def relation_cases(boxes: Mapping[str, NDArray[np.float64]], relations: Sequence
 
     Names that are phrases themselves ("tea in a glass") are left out.
     """
-    names, rng = list(filter(is_plain_text, boxes)), np.random.default_rng(0)
+    names, rng = [name for name in boxes if quoted(name) == name], np.random.default_rng(0)
     cases = {
         relation: [
             (is_true(relation, boxes[one], boxes[other], other), f"{one} {relation} {other}")
@@ -231,7 +231,7 @@ def relations(built: scoup.LanguageField, frame: Frame, cases: Cases, most: int)
         for wanted in (True, False):
             clear = [phrase for holds, phrase in of if holds is wanted]
             asked = [clear[place] for place in rng.permutation(len(clear))[:most]]
-            answered = sum(bool(built.things(phrase, frame)) for phrase in asked)
+            answered = sum(bool(built.things(built.question(phrase, frame=frame))) for phrase in asked)
             tally += [answered, len(asked) - answered]
         found[relation] = tally
     return found
@@ -246,8 +246,8 @@ def of_desk(data: Path) -> Record:
     frame = built.frame(VIEWER)
     texts = sorted({label for labelled, _ in desk.frames for label in labelled.labels})
     _, times = _asked(built, texts)
-    missed = [fact for fact in FACTS if not built.things(fact, frame)]
-    wrong = [converse for converse in FACTS.values() if built.things(converse, frame)]
+    missed = [fact for fact in FACTS if not built.things(built.question(fact, frame=frame))]
+    wrong = [each for each in FACTS.values() if built.things(built.question(each, frame=frame))]
     return {
         "facts": [len(FACTS) - len(missed), len(FACTS)],
         "converses": [len(wrong), len(FACTS)],

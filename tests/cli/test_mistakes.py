@@ -7,14 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import ASK, BUILD, refused, run, run_json
-from scoup.models.text import TextEncoder
+from cli_support import ASK, BUILD, refused, run
 
 pytestmark = pytest.mark.usefixtures("here")
 
 TABLE, PLY = "scene/words.npz", "scene/point_cloud.ply"
 SELECT, FREE = ("--out", "a.ply"), ("--segmenter", "felzenszwalb", "--embedder", "colors")
-SELECTS = "relations, orders, and, or, not are for scoup select"
 
 
 @pytest.mark.parametrize(
@@ -27,8 +25,8 @@ SELECTS = "relations, orders, and, or, not are for scoup select"
         (("extract", "scene", "--segmenter", "no such/x"), "no segmenter named 'no such/x'; nearest names: "),
         (("query", "f.scoup", "g.scoup"), "g.scoup: is a field, expected a text; ask one field at a time"),
         (("label", "f.scoup", "scene/README.txt"), "scene/README.txt: is a file, expected a text; type its words"),
-        (("query", "f.scoup", "mug left of the kettle"), SELECTS),
-        (("label", "f.scoup", "mug and kettle"), SELECTS),
+        (("query", "f.scoup", "mug across the kettle"), "mug across the kettle: unknown relation 'across'; known"),
+        (("label", "f.scoup", "mug and"), "mug and: a text is missing after 'and'"),
         (("query", "scene/README.txt", "mug"), "scene/README.txt: is not a SCOUP language field; pass a .scoup file"),
         (("query", TABLE, "mug"), "words.npz: is not a SCOUP language field; pass a .scoup file; scoup build writes"),
         (("select", "f.scoup", "mug and", *SELECT), "mug and: a text is missing after 'and'; write texts joined by"),
@@ -69,15 +67,6 @@ def test_a_scene_without_regions_and_photographs(options, said):
     code, _, err = run("build", "bare", "--out", "a.scoup", *options)
     assert code == 2
     assert said in err
-
-
-def test_relations_are_one_text_for_a_model(monkeypatch):
-    table = TextEncoder.open(TABLE)
-    model = TextEncoder("", table.dim, lambda texts: table.encode(["mug"] * len(texts)))
-    monkeypatch.setattr(TextEncoder, "open", lambda *_, **__: model)
-    ask = ("query", "f.scoup", "mug on the table", "kettle", "--text", "any/model", "--always")
-    (said,) = run_json(*ask)["warnings"]
-    assert said == f"mug on the table: read as one text each; {SELECTS}"
 
 
 def test_no_option_is_said_to_take_none():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import pytest
@@ -13,7 +14,7 @@ from scoup.query.answer_scene import answer_scene
 from scoup.query.drawing import moving_cameras
 from scoup.query.edits import best_camera, edit_picture, edited
 from scoup.query.expression import parse_expression
-from scoup.query.select import combined_answer
+from scoup.query.question import Question
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import SH_C0
 from support import random_gaussians
@@ -52,21 +53,24 @@ def test_faded_gaussians_are_fainter() -> None:
             edited(gaussians, mask, "recolor", (wrong, 0, 0))
 
 
+def asked(texts: Question, *words: str) -> Question:
+    return replace(texts, asked=tuple((word, parse_expression([word])) for word in words))
+
+
 def test_an_expression_is_answered_by_its_texts(queried: Queried) -> None:
     field, texts = queried.field, queried.texts
     answers = answer_scene(field, texts)
     masks = {answer.text: answer.mask for answer in answers}
-    expression = parse_expression(["word 1 and not word 2"])
-    two = [answer for answer in answers if answer.text in expression.texts]
-    found = combined_answer(field, expression, two)
+    two = [answer for answer in answers if answer.text in ("word 1", "word 2")]
+    found = field.select(asked(texts, "word 1 and not word 2"))
     assert found.mask.equal(masks["word 1"] & ~masks["word 2"])
     assert found.relevancy().equal(two[0].relevancy())
     assert (found.level, found.score, found.text) == (two[0].level, two[0].score, "word 1 and not word 2")
-    assert found.parts == tuple(two)
-    alone = combined_answer(field, parse_expression(["word 1"]), two[:1])
+    assert [part.text for part in found.parts] == ["word 1", "word 2"]
+    alone = field.select(asked(texts, "word 1"))
     assert alone.to_dict() == two[0].to_dict()
     assert alone.text == "word 1"
-    both = combined_answer(field, parse_expression(["word 1", "word 2"]), two)
+    both = field.select(asked(texts, "word 1", "word 2"))
     assert both.relevancy().equal(torch.maximum(two[0].relevancy(), two[1].relevancy()))
     assert both.mask.equal(two[0].mask | two[1].mask)
     assert both.score == max(each.score or 0 for each in two)
@@ -110,7 +114,7 @@ def test_a_turntable_needs_a_thing(queried: Queried) -> None:
     assert place.position is not None
     distances = torch.stack([(camera.position - place.position).norm() for camera in moving])
     assert torch.allclose(distances, distances[0].expand(6))
-    nowhere = field.location(combined_answer(field, parse_expression(["word 0 and not word 0"]), [answer]))
+    nowhere = field.location(field.select(asked(queried.texts, "word 0 and not word 0")))
     assert nowhere.position is None
     with pytest.raises(InputError, match="nothing to turn around"):
         moving_cameras(field, nowhere, field.cameras, "turntable", 6)

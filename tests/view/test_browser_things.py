@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,9 +13,11 @@ import torch
 from browser_support import (
     ALIKE,
     CONTRASTS,
+    FILLERS,
     Visit,
     difference,
     field_of_instances,
+    opened,
     places_in,
     table,
     visiting,
@@ -141,6 +144,28 @@ def test_things_of_several_texts_are_seen_and_saved(
     visit.page.get_by_role("button", name="Remove mug").click()
     visit.settle()
     assert difference(visit.picture(), render(viewed, selected(viewed, "kettle"))) < ALIKE
+
+
+def test_phrases_light_up_things(browser: Browser) -> None:
+    """A part that has a name of its own is left out of a thing."""
+    field, fillers = field_of_instances(), [table()[name] for name in FILLERS]
+    things = field.thing_table
+    assert things is not None
+    owners, embeddings = things.owners.clone(), things.embeddings.clone()
+    owners[:30, 0] = 2  # of the kettle, to the thing that is named "book" at the finest level only
+    embeddings[[0, 5, 8]] = torch.stack(fillers[:3]).half()
+    field.thing_table = replace(things, owners=owners, embeddings=embeddings)
+    viewed = ViewedField(field, table())
+    with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
+        for text, count in (("mug right of the kettle", 60), ("kettle and not book", 60)):
+            visit.ask(text)
+            mask = field.answer(text).mask
+            assert int(mask.sum()) == count
+            visit.choose("Only the selection")
+            assert difference(visit.picture(), render(viewed, mask)) < ALIKE
+            visit.page.get_by_role("button", name=f"Remove {text}").click()
+        visit.ask("kettle right of the mug")
+        assert "none that is so, as seen from" in visit.row("kettle right of the mug").inner_text()
 
 
 @pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)

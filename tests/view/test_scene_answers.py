@@ -15,13 +15,14 @@ from view_samples import DIM, WORDS, field_with_things, random_field, table, unp
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.field.language_field import LanguageField
+from scoup.models.text import everyday_vocabulary
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from scoup.view.scene_answers import VERDICT, PageAnswer, spans
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
-from scoup.view.vocabulary import everyday_vocabulary, read_words, vocabulary_answers, words_data
+from scoup.view.vocabulary import read_words, vocabulary_answers, words_data
 
 
 @pytest.fixture(scope="module")

@@ -35,6 +35,10 @@ export interface Answer {
   chosen_things: number[] | null;
   /** The same if a level is chosen, level by level. */
   things: (number[] | null)[];
+  /** Things whose Gaussians do not answer, as in “mug and not handle”. */
+  without: number[];
+  /** Of a phrase: score, what was found, and the camera that left and right are seen from; null of a text alone. */
+  remark: string | null;
   /** [S, L] inner products of atoms and text. */
   scores: Float32Array;
 }

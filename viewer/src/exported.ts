@@ -99,6 +99,8 @@ export class ExportedPage implements Source {
         gaussians: numbers("gaussians")[row],
         chosen_things: things(row, 0),
         things: Array.from({ length: levels }, (_, level) => things(row, 1 + level)),
+        without: [],
+        remark: null,
         scores: (numbers("scores") as Float32Array).slice(row * levels * atoms, (row + 1) * levels * atoms),
       };
     });
@@ -162,7 +164,8 @@ function unknown(text: string, names: string[]): string {
     .sort((a, b) => a.distance - b.distance)
     .slice(0, 4)
     .map(({ name }) => `“${name}”`);
-  return `This page knows ${names.length} words, and “${text}” is not among them. Nearest: ${near.join(", ")}.`;
+  const phrases = /\s/.test(wanted) ? " Relations, counts, “and”, “or” and “not” need the field itself, in scoup view." : "";
+  return `This page knows ${names.length} words, and “${text}” is not among them. Nearest: ${near.join(", ")}.${phrases}`;
 }
 
 function editDistance(a: string, b: string): number {

@@ -158,6 +158,7 @@ export class Panel {
 
   private certainty({ answer }: Query): [string, string] {
     const { score, certainty, runner_up: rival } = answer;
+    if (answer.remark) return [answer.remark, ""];
     if (score === null) return ["not here", ""];
     const title = [`Score ${score.toFixed(2)}: ${SCORE_TITLE}; present from ${this.metadata.present_from}, if enough Gaussians answer`];
     if (rival) title.push(`Next best: ${this.nameOf(rival.thing)}${rival.score === null ? "" : `, ${rival.score.toFixed(2)}`}`);

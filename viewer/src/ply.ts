@@ -47,8 +47,10 @@ function rowsOf(scene: Scene, isIn: (i: number) => boolean): number[] {
 /** Whether a Gaussian answers a query. */
 export function answers(scene: Scene, query: ShownQuery): (i: number) => boolean {
   if (!query.things) return (i) => votes(scene, i, query);
-  const things = new Set(query.things);
-  return (i) => things.has(scene.owner(i, query.level));
+  const [things, without] = [new Set(query.things), new Set(query.without)];
+  const levels = [...scene.metadata.levels.keys()];
+  const isOf = (i: number, numbers: Set<number>) => levels.some((level) => numbers.has(scene.owner(i, level)));
+  return (i) => isOf(i, things) && !isOf(i, without);
 }
 
 /** Gaussians that answer any query, or all others. */

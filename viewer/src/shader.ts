@@ -70,12 +70,6 @@ bool scoupCoded(usampler2D weights, int code) {
   return any(notEqual(sum, uvec4(0u)));
 }
 
-// Whether a query selects the thing that a Gaussian belongs to.
-bool scoupOwned(usampler2D owners, usampler2D things, int code, int query) {
-  uint owner = texelFetch(owners, scoupPlace(code), 0).r;
-  return owner != ${NO_OWNER}u && (texelFetch(things, scoupPlace(int(owner)), 0).r >> uint(query) & 1u) != 0u;
-}
-
 // Bits of all things that a Gaussian belongs to, level by level.
 uint scoupMarks(usampler2D owners, usampler2D things, int index) {
   uint marks = 0u;
@@ -116,6 +110,7 @@ float grey = 0.62 * dot(plain, vec3(0.299, 0.587, 0.114));
 vec3 tint = vec3(0.0);
 float strongest = -1.0, amount = 0.0, relevancy = 0.5;
 bool asked = false, selected = false;
+uint marks = ${things ? `scoupMarks(${inputs.owners}, ${inputs.things}, ${inputs.gsplat}.index)` : "0u"};
 for (int query = 0; query < ${MOST_QUERIES}; query++) {
   vec4 look = texelFetch(${inputs.queries}, ivec2(query, 0), 0);
   int level = int(look.a);
@@ -127,13 +122,12 @@ for (int query = 0; query < ${MOST_QUERIES}; query++) {
   if (!coded && !byThings) continue;
   float found = !coded ? 0.5 : scoupRelevancy(${inputs.indices}, ${inputs.weights}, ${inputs.scale}, ${inputs.canonical}, ${inputs.scores}, ${code}, level, query);
   float rescaled = coded && cut.y - cut.x > 1e-6 ? clamp((found - cut.x) / (cut.y - cut.x), 0.0, 1.0) : 0.0;
-  bool above = byThings ? scoupOwned(${inputs.owners}, ${inputs.things}, ${code}, query) : rescaled > cut.z;
+  bool above = byThings ? (marks >> uint(query) & 0x10001u) == 1u : rescaled > cut.z;
   if (above && rescaled > strongest || !selected && rescaled > amount) tint = look.rgb;
   if (above) { selected = true; strongest = max(strongest, rescaled); }
   amount = max(amount, rescaled);
   if (query == 0) relevancy = found;
 }
-uint marks = ${things ? `scoupMarks(${inputs.owners}, ${inputs.things}, ${inputs.gsplat}.index)` : "0u"};
 bool clicked = (marks & ${MARKS.selected}u) != 0u;
 int several = int(texelFetch(${inputs.queries}, ivec2(0, 1), 0).w);
 int level = ${inputs.level};

@@ -20,6 +20,8 @@ export interface ShownQuery {
   threshold: number;
   /** Numbers of the things that answer; null where relevancy above the threshold does. */
   things: number[] | null;
+  /** Numbers of things whose Gaussians do not answer. */
+  without: number[];
   span: [number, number];
   /** 0..1. */
   color: Color;
@@ -54,7 +56,7 @@ export class Splat {
   private readonly codeColors: THREE.DataTexture;
   private readonly scores: THREE.DataTexture;
   private readonly queries: THREE.DataTexture;
-  /** Bits of each thing: bit q says that query q selects it, the others are `MARKS`. */
+  /** Bits of each thing: bit q says that query q selects it, bit 16 + q that it leaves it out; others are `MARKS`. */
   private readonly things: THREE.DataTexture;
   private readonly mode = dyno.dynoInt(0);
   private readonly level = dyno.dynoInt(0);
@@ -73,7 +75,7 @@ export class Splat {
     this.scores = floats(scene.atoms, (scene.levels * MOST_QUERIES) / 4);
     this.queries = floats(MOST_QUERIES, 2);
     const rows = Math.max(1, Math.ceil((scene.metadata.n_things ?? 0) / WIDTH));
-    this.things = integers(new Uint16Array(WIDTH * rows), rows, THREE.UnsignedShortType, "R16UI");
+    this.things = integers(new Uint32Array(WIDTH * rows), rows, THREE.UnsignedIntType, "R32UI");
     this.world.add(this.spark);
     this.update([], { mode: "colour", level: 0, opacity: 1, selected: [], hidden: [], clean: false });
   }
@@ -146,7 +148,7 @@ export class Splat {
     const { levels, atoms } = this.scene;
     const scores = this.scores.image.data as unknown as Float32Array;
     const queries = this.queries.image.data as unknown as Float32Array;
-    const things = this.things.image.data as unknown as Uint16Array;
+    const things = this.things.image.data as unknown as Uint32Array;
     things.fill(0);
     for (let q = 0; q < MOST_QUERIES; q++) {
       const query = shown[q];
@@ -155,6 +157,7 @@ export class Splat {
       queries.set(query ? [...query.span, cut, shown.length] : [0, 0, 0, 0], 4 * (MOST_QUERIES + q));
       if (!query) continue;
       for (const thing of query.things ?? []) things[thing] |= 1 << q;
+      for (const thing of query.without) things[thing] |= 1 << (16 + q);
       for (let level = 0; level < levels; level++) {
         const row = (level * MOST_QUERIES) / 4 + (q >> 2);
         for (let atom = 0; atom < atoms; atom++) {
@@ -251,7 +254,7 @@ function codeTextures(scene: Scene): Pick<Textures, "indices" | "weights"> {
 }
 
 function integers(
-  data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer>,
+  data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer> | Uint32Array<ArrayBuffer>,
   height: number,
   type: THREE.TextureDataType,
   format: THREE.PixelFormatGPU,

@@ -19,7 +19,7 @@ export interface Query {
 
 export class State {
   queries: Query[] = [];
-  /** Null: heat as soon as there is a text. */
+  /** Null: heat as soon as there is a text, colours if it is a phrase, for which relevancy says little. */
   chosenMode: Mode | null = null;
   /** Null: of each text its own. */
   level: number | null = null;
@@ -39,7 +39,7 @@ export class State {
   }
 
   get mode(): Mode {
-    return this.chosenMode ?? (this.queries.length ? "heat" : "colour");
+    return this.chosenMode ?? (this.queries.every(({ answer }) => answer.remark !== null) ? "colour" : "heat");
   }
 
   /** Add answers; a text that is there already is replaced. */
@@ -94,7 +94,7 @@ export class State {
       const { answer, color } = query;
       const level = this.levelOf(query);
       const threshold = this.threshold ?? answer.thresholds[level];
-      return { text: answer.text, scores: answer.scores, level, threshold, things: this.thingsOf(query), span: answer.spans[level], color };
+      return { text: answer.text, scores: answer.scores, level, threshold, things: this.thingsOf(query), without: answer.without, span: answer.spans[level], color };
     });
   }
 
@@ -115,7 +115,7 @@ export class State {
     const things = (this.things?.selected ?? []).map((number) => ({ number, name: this.things!.nameOf(number) }));
     const texts = this.visible().map((query) => query.answer.text);
     const { level, threshold } = this;
-    return { things, texts, level, threshold, rest: this.mode === "except", always: true };
+    return { things, texts, level, threshold, rest: this.mode === "except", always: this.absent };
   }
 
   /** What the server is to render in place of the page's own picture. */
@@ -128,6 +128,6 @@ export class State {
     const answering = mode === "heat" || mode === "mask" ? visible : [];
     const texts = answering.map(({ answer }) => answer.text);
     const colors = answering.map(({ color }): [number, number, number] => [255 * color[0], 255 * color[1], 255 * color[2]]);
-    return { camera, mode, texts, colors, opacity: this.opacity, level, threshold: this.threshold, always: true, quality };
+    return { camera, mode, texts, colors, opacity: this.opacity, level, threshold: this.threshold, always: this.absent, quality };
   }
 }

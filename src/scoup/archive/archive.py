@@ -47,7 +47,6 @@ from scoup.io.images import open_image, rgb_image
 from scoup.models.text import TextEncoder
 from scoup.query.boxes import OrientedBox
 from scoup.query.matching import compare_things
-from scoup.query.phrases import counted_text
 from scoup.query.question import encode_texts, warn_of_another_model
 from scoup.query.things import things_of_table
 from scoup.scene.names import NameTable
@@ -225,11 +224,7 @@ class Archive:
             if number is not None and number < 1:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")
         encoder = self.text_encoder()
-        text = counted_text(question)
-        is_counted = text is not None or at_least is not None
-        search = Search.of(
-            question if text is None else text, encoder, self._encode(encoder), is_counted, present_from
-        )
+        search = Search.of(question, encoder, self._encode(encoder), at_least is not None, present_from)
         wanted = None if where is None else self._wanted(where)
         if at_least is None:
             return self._best(search, wanted, top)

@@ -15,18 +15,17 @@ from torch import Tensor
 
 from scoup.archive.read_scans import ScanBlock
 from scoup.archive.scan_files import Scan, ScanRecord
-from scoup.base.errors import MissingFileError, ScoupWarning
+from scoup.base.errors import InputError, MissingFileError, ScoupWarning
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.query import matching
-from scoup.query.answer_scene import answers_of
-from scoup.query.expression import parse_expression
+from scoup.query.ask import things
+from scoup.query.expression import Expression, parse_expression
 from scoup.query.matching import ComparedTable, compared_words, hub_cosines
 from scoup.query.named import Named, choose, instances_of, joined_presence, named_texts
-from scoup.query.phrases import Phrase, texts_of
+from scoup.query.phrases import texts_of
 from scoup.query.presence import LEAST_GAUSSIANS, NullScores, is_present, other_words, presence_threshold
 from scoup.query.question import Question, make_question, near_names, text_vectors
-from scoup.query.relations import things_of_question
 from scoup.scene.names import number_of
 from scoup.scene.things import ThingTable
 
@@ -52,9 +51,9 @@ _RULE = (
 class Search:
     """A text or phrase for every scan."""
 
-    question: Question[Any]  # with the expression
+    expression: Expression
+    question: Question[Any]  # of its texts
     encoder: TextEncoder
-    counted: bool  # things are one instance each
     words: Tensor  # [B, D]
     digest: str  # of the words
     others: Tensor  # [Q, B] boolean, the words that count (``other_words``); none with too few words
@@ -66,15 +65,19 @@ class Search:
     ) -> Search:
         """Parse and encode a text; errors are those of ``LanguageField.things``."""
         expression, source = parse_expression([text], encoder.names), encoder.name or "the word table"
-        assert expression.targets  # it raises for what selects Gaussians only
+        if any(not phrase.text for phrase in expression.phrases) or not expression.leaves(True):
+            raise InputError(
+                f"{text}: does not name what is looked for; ask a single field for everything there"
+            )
         vectors = text_vectors(encoder, expression.texts, source)
         least = presence_threshold(len(vectors.everyday), source, present_from)
-        question = Question.from_vectors(vectors.with_everyday(), present_from=least, expression=expression)
+        expression = replace(expression, counted=expression.counted or counted)
+        question = Question.from_vectors(vectors.with_everyday(), present_from=least)
         words = compared_words(question)
         others = other_words(question.queries, words)
         if not question.can_judge_presence:
             others = others[:, :0]
-        return cls(question, encoder, counted, words, words_digest(words), others, encode)
+        return cls(expression, question, encoder, words, words_digest(words), others, encode)
 
     def ask(self, scan: Scan) -> AskedScan:
         """Ask a scan."""
@@ -117,8 +120,7 @@ class Search:
         ]
 
     def _bound(self, record: ScanRecord, best: list[float], shares: list[float]) -> Rank | None:
-        expression, texts, least = self.question.expression, self.question.texts, self.question.present_from
-        assert expression is not None
+        texts, least = self.question.texts, self.question.present_from
         near = self.near(record) if record.names else ()
         ranks: dict[str, Rank] = {}
         for number, (text, fit, share) in enumerate(zip(texts, best, shares, strict=True)):
@@ -130,7 +132,7 @@ class Search:
                 ranks[text] = rank_of(score, fit)
         found = [
             ranks[texts_of(target)[0]]
-            for target in expression.targets
+            for target in self.expression.leaves(True)
             if all(text in ranks for text in texts_of(target))
         ]
         return max(found, default=None)
@@ -172,16 +174,15 @@ class AskedScan:
 
     def things(self) -> list[tuple[int, str]]:
         """Return the numbers of the things that answer, each once and with the text it answers, best first."""
-        question = self.search.question
-        assert question.expression is not None
-        chosen = dict(zip(question.texts, self._chosen(), strict=True))
+        expression = self.search.expression
+        chosen = dict(zip(self.search.question.texts, self._chosen(), strict=True))
         targets = [
-            target for target in question.expression.targets if all(chosen[text] for text in texts_of(target))
+            target for target in expression.leaves(True) if all(chosen[text] for text in texts_of(target))
         ]
-        if any(isinstance(target, Phrase) for target in targets):
+        if targets and not expression.is_plain:
             return self._of_field()
         found: dict[int, str] = {}
-        for text in (texts_of(target)[0] for target in targets):
+        for text in map(str, targets):
             for thing in chosen[text]:
                 found.setdefault(thing, text)
         return list(found.items())
@@ -197,20 +198,19 @@ class AskedScan:
             score = self.scores[number](choice.fit)
             score = score if named is None else named.score(score)
             things = choice.things
-            if self.search.counted:
+            if self.search.expression.counted:
                 things = instances_of(self.known, self.fits[:, number], choice, named)
             yield things.tolist() if is_present(score, size, least) else []
 
     def _of_field(self) -> list[tuple[int, str]]:
         """The things that answer phrases, for which shapes are compared: the field itself is asked."""
-        record, asked, problem = self.scan.record, self.search.question, "has changed"
+        record, search, problem = self.scan.record, self.search, "has changed"
         try:
             field = LanguageField.load(record.field_path)
             if field.thing_table is not None and _is_same(field.thing_table, self.scan.table):
-                always, least = asked.present_from is None, asked.present_from
-                question = make_question(field, asked.expression, self.search.encoder, always, least)
-                answers = answers_of(field, question)
-                found = things_of_question(field, question, answers, None, self.search.counted)
+                least = search.question.present_from
+                question = make_question(field, search.expression, search.encoder, least is None, least)
+                found = things(field, question)
                 return [(thing.number, thing.text) for thing in found if thing.number is not None]
         except MissingFileError as error:
             problem = f"cannot be asked ({error})"

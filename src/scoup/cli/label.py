@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -17,6 +18,7 @@ from scoup.cli.query_options import AnswerOptions, CameraOptions, check_texts
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
+    from scoup.query.answer import Answer
     from scoup.query.labels import GaussianLabels
     from scoup.scene.cameras import Camera
 
@@ -40,7 +42,7 @@ class Label(AnswerOptions, CameraOptions):
     texts: Annotated[
         tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="WORD [WORD ...]", help_behavior_hint="")
     ] = ()
-    """Names of things, for example "kettle" "wooden table"; they are numbered from 0 in this order."""
+    """Things, for example "kettle" "mug left of the laptop" (docs/things.md), numbered from 0 in this order."""
     words: OptionalPath = None
     """File of further words, one per line."""
     out: OptionalPath = None
@@ -76,7 +78,8 @@ class Label(AnswerOptions, CameraOptions):
             blind = save_label_views(field, labels, views, hidden, outputs, progress)
             if views:
                 self.check_seen(blind, len(views))
-        _report(console, labels, out, [name for name in files if (out / name).exists()])
+        answers = field.answer(question)
+        _report(console, labels, answers, out, [name for name in files if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:
         """The words of the command line and of the list, each once."""
@@ -97,21 +100,19 @@ class Label(AnswerOptions, CameraOptions):
         return (self if self.camera else replace(self, camera=("all",))).open_cameras(field)
 
 
-def _report(console: Console, labels: GaussianLabels, out: Path, files: list[str]) -> None:
+def _report(
+    console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
+) -> None:
     """Report the Gaussians of each word, and the files."""
     from scoup.query.label_files import label_record
     from scoup.query.place import numbered_things
 
     record: dict[str, Any] = label_record(labels)
-    for one in record["classes"]:
+    for one, answer in zip(record["classes"], answers, strict=True):
         things = f", {numbered_things(one['things'])}" if one["things"] else ""
-        found = f"{counted(one['gaussians'], 'Gaussian')}{things}"
-        absent = (
-            f"not in this scene (score {one['score']:.2f})"
-            if one["score"] is not None
-            else "not in this scene"
-        )
-        console.say(f"{one['name']}: {found if one['present'] else absent}")
+        seen = f", as seen from {answer.seen_from}" if answer.seen_from else ""
+        found = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
+        console.say(f"{one['name']}: {found if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")
     for name in files:
         console.say(f"{out / name}")

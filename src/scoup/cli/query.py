@@ -60,7 +60,7 @@ class Query(AnswerOptions, CameraOptions):
     }
 
     texts: Texts
-    """What to look for, for example "kettle" "wooden table"."""
+    """What to look for, for example "kettle" "mug left of the laptop" "what is on the table" (docs/things.md)."""
     out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
     level: OptionalText = None
@@ -112,7 +112,7 @@ class Query(AnswerOptions, CameraOptions):
             files.finish(hidden)
             places = field.location(question)
             metres_per_unit = self._metres_per_unit(places[0])
-            videos = self._save_videos(field, question, places, hidden, progress)
+            videos = self._save_videos(field, places, hidden, progress)
             result: dict[str, Any] = {
                 "sheets": [(out / name).as_posix() for name in files.sheet_names],
                 "answers": records,
@@ -156,7 +156,7 @@ class Query(AnswerOptions, CameraOptions):
         if self.scene is not None:
             cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
         self.text_encoder(field)
-        refined = refine(field, self.texts, self.refine, cameras)
+        refined = refine(field, field.question(list(self.texts)).texts, self.refine, cameras)
         console.say(refined.describe())
         if self.keep and field.thing_table is not None and field.thing_table.names is not None:
             save_names(self.field, field.thing_table.names)
@@ -209,7 +209,6 @@ class Query(AnswerOptions, CameraOptions):
     def _save_videos(
         self,
         field: LanguageField,
-        question: Question[Several],
         places: list[Place],
         hidden: Path,
         progress: Progress,
@@ -223,11 +222,11 @@ class Query(AnswerOptions, CameraOptions):
             return []
         everywhere = Cameras(replace(self, camera=("all",)).open_cameras(field))
         written = []
-        for number, (name, place) in enumerate(zip(self._video_names(), places, strict=True)):
+        for name, place in zip(self._video_names(), places, strict=True):
             if self.video == "turntable" and place.position is None:
                 continue
             moving = moving_cameras(field, place, everywhere, self.video, self.frames)
-            frames = heat_frames(field, question.queries[number], question.canonical, place, moving)
+            frames = heat_frames(field, place, moving)
             save_video(
                 reported(frames, "video", len(moving), progress), hidden / name, self.frames_per_second
             )

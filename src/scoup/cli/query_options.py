@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 Asked = TypeVar("Asked", bound="str | Several | Expression")
 LONGEST_SIDE = 16384  # of a picture, in pixels
 
-_SELECTS = "relations, orders, and, or, not are for scoup select"
 _SAME_FRAME = "check that cameras and splat are in the same frame"
 
 
@@ -194,44 +193,12 @@ class NamingOptions(TextOptions):
 
     def naming_question(self, field: LanguageField) -> Question[Any]:
         """The question of these words."""
-        from scoup.view.vocabulary import everyday_vocabulary, read_words
+        from scoup.models.text import everyday_vocabulary
+        from scoup.query.question import literal
+        from scoup.view.vocabulary import read_words
 
         words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
-        return self.question(field, words)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AnswerOptions(TextOptions):
-    """Options of verbs that answer texts."""
-
-    option_groups: ClassVar[OptionGroups] = {"answer": "threshold presence always"}
-
-    threshold: OptionalNumber = None
-    """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
-    in a field without things the Gaussians above the threshold at which the answer changes least."""
-    presence: OptionalNumber = None
-    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
-    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
-    always: Flag = False
-    """Answer every text, without judging presence."""
-
-    def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
-        """The question, with these options."""
-        from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
-        from scoup.query.expression import parses_as_text
-
-        rules = {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
-        plain = texts if isinstance(texts, (list, tuple)) else ()
-        odd = [text for text in plain if not parses_as_text(text)]
-        try:
-            question = super().question(field, texts, **rules, **options)
-        except UnknownNameError as error:
-            if error.name in odd:
-                raise InputError(f"{error}; {_SELECTS}") from error
-            raise
-        if odd and field.text_encoder().names is None:
-            warnings.warn(f"{listed(odd)}: read as one text each; {_SELECTS}", ScoupWarning, stacklevel=2)
-        return question
+        return self.question(field, literal(words))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,6 +217,27 @@ class FrameOptions(FieldOptions):
     def open_frame(self, field: LanguageField) -> Frame | None:
         """The directions of the options; None where none is given."""
         return None if self.seen_from is None and self.up is None else field.frame(self.seen_from, self.up)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerOptions(TextOptions, FrameOptions):
+    """Options of verbs that answer texts and phrases."""
+
+    option_groups: ClassVar[OptionGroups] = {"answer": "threshold presence always"}
+
+    threshold: OptionalNumber = None
+    """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
+    in a field without things the Gaussians above the threshold at which the answer changes least."""
+    presence: OptionalNumber = None
+    """Least score of a text that is in the scene, 0 to 1: the share of everyday words whose best fit in this scene is
+    lower. Below it, nothing answers. Default: 0.37, if the table of --text has 16 words or more."""
+    always: Flag = False
+    """Answer every text, without judging presence."""
+
+    def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
+        """The question, with these options."""
+        rules = {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
+        return super().question(field, texts, frame=self.open_frame(field), **rules, **options)
 
 
 def check_texts(texts: tuple[str, ...]) -> None:

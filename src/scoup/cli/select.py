@@ -12,24 +12,17 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionalText, OptionGroups
-from scoup.cli.query_options import (
-    AnswerOptions,
-    CameraOptions,
-    FrameOptions,
-    check_metres,
-    check_texts,
-)
+from scoup.cli.query_options import AnswerOptions, CameraOptions, check_metres, check_texts
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.answer import Answer
-    from scoup.query.frame import Frame
     from scoup.query.place import Place
     from scoup.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True, kw_only=True)
-class Select(AnswerOptions, CameraOptions, FrameOptions):
+class Select(AnswerOptions, CameraOptions):
     """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
     left.
 
@@ -88,10 +81,8 @@ class Select(AnswerOptions, CameraOptions, FrameOptions):
         field = self.open_field()
         expression = parse_expression(self.texts, self.text_encoder(field).names)
         self._check_out(field)
-        question = self.question(field, expression, level=self.level)
-        frame = self.open_frame(field) or (field.frame() if expression.phrases else None)
-        whole = field.select(question, shape, frame)
-        self._check_found(whole, frame)
+        whole = field.select(self.question(field, expression, level=self.level), shape)
+        self._check_found(whole)
         written = self._write(field, whole)
         self._report(console, whole, written, field.location(whole))
 
@@ -139,7 +130,7 @@ class Select(AnswerOptions, CameraOptions, FrameOptions):
             if source and self.out.exists() and source.exists() and self.out.samefile(source):
                 raise InputError(f"{self.out}: is the {what}; use another name with --out")
 
-    def _check_found(self, answer: Answer, frame: Frame | None) -> None:
+    def _check_found(self, answer: Answer) -> None:
         """Refuse to write nothing, or the scene as it was.
 
         Raises:
@@ -151,12 +142,10 @@ class Select(AnswerOptions, CameraOptions, FrameOptions):
         if found and not (self.edit == "remove" and found == count):
             return
         advice = "try a higher --threshold" if found else "try a lower --threshold"
-        absent = [f"{part.text}: {part.remark()}" for part in answer.parts if not part.presence]
-        if absent and not found:
-            advice = f"{'; '.join(absent)}; --always chooses something anyway"
-        elif frame is not None and not found:
-            there = ", ".join(f"{part.text}: {len(part.things)}" for part in answer.parts)
-            advice = f"found {there}, but none that is so; {frame.describe()}"
+        if not found and not answer.presence:
+            advice = f"{answer.text}: {answer.remark()}"
+            if not all(part.presence for part in answer.parts):
+                advice += "; --always chooses something anyway"
         raise InputError(
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )

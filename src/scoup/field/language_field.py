@@ -327,18 +327,21 @@ class LanguageField:
         present_from: float | None = None,
         threshold: float | None = None,
         level: str | int | None = None,
+        frame: Frame | None = None,
         refine: ConceptModel | str | None = None,
     ) -> Question[Asked]:
         """Make a question, which every method of a field takes; texts alone are a question without options.
 
         Args:
-            texts: one, or a list; or vectors [Q, D] of the field's embedding model, of any norm but zero; or an
-                expression (``scoup.parse_expression``), for ``select``.
+            texts: one, or a list. Each may be a phrase ("mug left of the laptop", "largest box", "how many cups",
+                "what is on the table") or an expression ("mug and not handle"); double quotes take a text as it is
+                (``scoup.parse_expression``). Or vectors [Q, D] of the field's embedding model, of any norm but zero.
             encoder: see ``text_encoder``. For vectors, a dict of the canonical phrases ("object", "things", "stuff",
                 "texture") is enough.
             always: find something for any text; presence is not judged.
             present_from: by default 0.37, where there are enough everyday words; see ``Question``.
             threshold, level: see ``Question``.
+            frame: what left, front and up mean in phrases; by default ``field.frame()``.
             refine: a model with words, or its name, that first looks for the texts in photographs
                 (``scoup.query.refine``).
 
@@ -358,7 +361,7 @@ class LanguageField:
 
             self.text_encoder(encoder)
             refine_texts(self, texts, refine)
-        return make_question(self, texts, encoder, always, present_from, threshold, level)
+        return make_question(self, texts, encoder, always, present_from, threshold, level, frame)
 
     @overload
     def answer(self, question: str | Question[str]) -> Answer: ...
@@ -373,7 +376,7 @@ class LanguageField:
             >>> ", ".join(answer.text for answer in field.answer(["kettle", "wooden table"]))
             'kettle, wooden table'
         """
-        from scoup.query.answer_scene import answer
+        from scoup.query.ask import answer
 
         return answer(self, question)
 
@@ -416,16 +419,12 @@ class LanguageField:
 
         return location(self, question)
 
-    def things(
-        self, question: Question | str | Several | None = None, frame: Frame | None = None
-    ) -> list[Thing]:
+    def things(self, question: Question | str | Several | None = None) -> list[Thing]:
         """Return the things of the scene, or every one that answers a text or phrase, best first.
 
         Args:
-            question: a text ("mug"), a phrase ("mug left of the laptop", "largest box", "second chair from the left",
-                "how many cups": ``scoup.query.phrases``), or several combined with `or`; None: every thing, finer
-                levels first.
-            frame: what left, front and up mean in phrases; by default ``field.frame()``.
+            question: a text, phrase or expression, or several of which any may answer; None: every thing, finer levels
+                first.
 
         Returns:
             Things of the field's table; without one, and with a threshold, the connected parts of the selection.
@@ -434,9 +433,9 @@ class LanguageField:
             >>> field.things(field.question("kettle", always=True))[0].text
             'kettle'
         """
-        from scoup.query.relations import things
+        from scoup.query.ask import things
 
-        return things(self, question, frame)
+        return things(self, question)
 
     def relations(self, frame: Frame | None = None) -> list[tuple[int, str, int]]:
         """Return which things are on or inside others of their level: (number, "on" or "inside", number of the other).
@@ -481,20 +480,14 @@ class LanguageField:
 
         return scene_frame(self, camera, up)
 
-    def select(
-        self,
-        question: Question | str | Several,
-        reshaping: Reshaping | None = None,
-        frame: Frame | None = None,
-    ) -> Answer:
-        """Return the Gaussians that answer an expression, such as "mug and not handle" or "mug left of the laptop".
+    def select(self, question: Question | str | Several, reshaping: Reshaping | None = None) -> Answer:
+        """Return one answer to an expression, such as "mug and not handle"; several are combined with `or`.
 
-        Texts without an operator are combined with `or`. The ``parts`` of the answer are the answers to its texts.
+        The ``parts`` of the answer are the answers to its texts.
 
         Args:
             question: an expression (``scoup.parse_expression``).
             reshaping: changes the selection afterwards.
-            frame: what left, front and up mean in phrases; by default ``field.frame()``.
 
         Example:
             >>> found = field.select("kettle and not wooden table")
@@ -503,7 +496,7 @@ class LanguageField:
         """
         from scoup.query.select import select
 
-        return select(self, question, reshaping, frame)
+        return select(self, question, reshaping)
 
     def label(self, question: Question | str | Several) -> GaussianLabels:
         """Return the word that fits each Gaussian best, or "none". Words must differ from each other and from "none".

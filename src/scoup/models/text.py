@@ -253,6 +253,16 @@ def word_forms(phrase: str) -> list[str]:
     return list(dict.fromkeys([folded, bare, *singular]))
 
 
+def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
+    """Return the words by which things are named by default: everyday words; of a table, all its names but the
+    canonical phrases.
+    """
+    phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
+    names = words.EVERYDAY_WORDS if encoder.names is None else encoder.names
+    kept = (" ".join(name.split()) for name in names)
+    return tuple(dict.fromkeys(name for name in kept if name and name.casefold() not in phrases))
+
+
 def check_model(name: str) -> None:
     """Raise InputError or FileFormatError for a name that no text model can have; none is opened."""
     if name != COLORS:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from scoup.base.counts import listed
 from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.query.presence import Certainty, certainty
@@ -15,6 +18,7 @@ from scoup.query.presence import Certainty, certainty
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
     from scoup.query.question import Question
+    from scoup.query.things import Thing
     from scoup.query.view_answer import ViewAnswer
     from scoup.scene.cameras import Camera
 
@@ -69,6 +73,12 @@ class Answer:
     """The Gaussians that answer are above it, on relevancy rescaled over the scene; None if things answer."""
     parts: tuple[Answer, ...] = ()
     """The answers to the texts of an expression."""
+    without: tuple[int, ...] = ()
+    """Numbers of things whose Gaussians an expression takes out of those of ``things``."""
+    seen_from: str = ""
+    """Name of the camera from which left, right, front and back are meant; "" where nothing depends on it."""
+    found: tuple[Thing, ...] = ()
+    """The things that answer an expression."""
     asked: tuple[AskedText, ...] = ()
     """Whose relevancy is shown as heat: the text, or the wanted texts of an expression. Pickling drops it."""
     field: LanguageField | None = None
@@ -85,15 +95,15 @@ class Answer:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its masks."""
-        return self.mask.nbytes + sum(part.nbytes for part in self.parts)
+        """Bytes of its masks and things."""
+        return self.mask.nbytes + sum(part.nbytes for part in (*self.parts, *self.found))
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "field": None, "asked": ()}  # which hold the scene
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Answer:
         parts = tuple(part.__deepcopy__(memo) for part in self.parts)
-        return replace(self, mask=self.mask.clone(), parts=parts)
+        return replace(self, mask=self.mask.clone(), parts=parts, found=copy.deepcopy(self.found, memo))
 
     @property
     def certainty(self) -> Certainty | None:
@@ -101,11 +111,24 @@ class Answer:
         return certainty(self.score, self.presence)
 
     def remark(self) -> str:
-        """Return score and certainty in a few words."""
+        """Return score and certainty in a few words, after the names of things that were not asked for by name; of an
+        expression that nothing answers, what was found.
+        """
+        seen = f", as seen from {self.seen_from}" if self.seen_from else ""
+        if not self.presence and any(part.text != self.text for part in self.parts):
+            absent = [f"{part.text}: {part.remark()}" for part in self.parts if not part.presence]
+            found = ", ".join(f"{part.text}: {len(part.things) or 1}" for part in self.parts)
+            return "; ".join(absent) or f"found {found}, but none that is so{seen}"
+        texts = {part.text for part in self.parts}
+        named = Counter(
+            thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
+        )
+        names = listed([name if count == 1 else f"{count} x {name}" for name, count in named.items()], 12)
+        start = f"{names}; " if names else ""
         if self.score is None:
-            return "presence not judged" if self.presence else "not in this scene"
+            return f"{start}presence not judged{seen}" if self.presence else "not in this scene"
         where = "not in this scene" if not self.presence else str(self.certainty)
-        return f"{where} (score {self.score:.2f})"
+        return f"{start}{where} (score {self.score:.2f}){seen}"
 
     def relevancy(self) -> Tensor:
         """Return the relevancy of every Gaussian at the level of the answer, [N] float32.
@@ -155,6 +178,7 @@ class Answer:
             "score": _rounded(self.score),
             "certainty": self.certainty,
             "present": self.presence,
+            **({"seen_from": self.seen_from} if self.seen_from else {}),
             **({} if self.threshold is None else {"threshold": round(self.threshold, 3)}),
         }
 

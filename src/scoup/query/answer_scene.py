@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -16,23 +15,12 @@ from scoup.query.answer import Answer, AskedText, RunnerUp
 from scoup.query.matching import compare_things
 from scoup.query.named import choose, instances_of, named_texts
 from scoup.query.presence import NullScores, is_present, other_words
-from scoup.query.question import Question, Several, as_question
+from scoup.query.question import Question
 from scoup.query.votes import SampledVotes, select_each
 
 
-def answer(field: LanguageField, question: Question[Any] | str | Several) -> Any:
-    """Return the answers to texts, or the answer to one; ``field.answer`` documents it."""
-    asked = as_question(field, question)
-    return asked.shaped(answers_of(field, asked))
-
-
-def answers_of(field: LanguageField, question: Question[Any]) -> list[Answer]:
-    """Return ``answer_scene`` from the cache of the field, as a copy of the caller's own."""
-    return copy.deepcopy(field.kept((Answer, question), lambda: answer_scene(field, question)))
-
-
 def answer_scene(field: LanguageField, question: Question[Any]) -> list[Answer]:
-    """Answer each text in the scene; every way to ask calls this.
+    """Answer each text in the scene; every way to ask (``scoup.query.ask``) calls this.
 
     Things answer where the field has them. The votes of the Gaussians answer in other fields, and where the question
     has a threshold for them.

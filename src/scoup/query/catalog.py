@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,9 @@ from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.field.language_field import LanguageField
 from scoup.query.frame import Frame, scene_frame
-from scoup.query.question import Question, Several, as_question
-from scoup.query.relations import relations, things
-from scoup.query.thing_names import find_objects, thing_names
+from scoup.query.question import Question, Several, as_question, literal
+from scoup.query.relations import relations
+from scoup.query.thing_names import find_objects, named_things, thing_names
 from scoup.query.things import Thing
 
 SCHEMA = "scoup scene graph"
@@ -69,19 +69,16 @@ def make_catalog(
     field: LanguageField, words: Question[Any] | str | Several, frame: Frame | None = None
 ) -> Catalog:
     """Return every thing of a field, named by several words; ``field.catalog`` documents it."""
-    question, table = as_question(field, words), field.thing_table
+    question, table = as_question(field, literal(words)), field.thing_table
     if table is None:
         raise InputError(
             f"{field.path or 'this field'}: contains no things; build it again with things, from its photographs"
         )
     frame = scene_frame(field) if frame is None else frame
-    every, names = things(field, None, None), thing_names(field, question)
-    named = []
-    for thing in every:
-        name = names.get(thing.number or 0)
-        named.append(replace(thing, text=name.texts[0] if name else "", score=name.score if name else None))
-    texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in every)
-    objects = tuple(every[place].number or 0 for place in find_objects(named))
+    names = thing_names(field, question)
+    named = named_things(field, names)
+    texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)
+    objects = tuple(named[place].number or 0 for place in find_objects(named))
     return Catalog(tuple(named), texts, objects, tuple(relations(field, frame)), frame)
 
 

@@ -26,7 +26,7 @@ from scoup.pictures import (
     swatch_legend,
 )
 from scoup.pictures.colors import Picture
-from scoup.query.answer_scene import answers_of
+from scoup.query.ask import answers_of
 from scoup.query.edits import best_camera
 from scoup.query.field_view import FieldView
 from scoup.query.place import Place
@@ -159,21 +159,19 @@ def moving_cameras(
     return turntable(closer, place.position, up, count)
 
 
-def heat_frames(
-    field: LanguageField, query: Tensor, canonical: Tensor, place: Place, cameras: Cameras
-) -> Iterator[Picture]:
-    """Yield heat maps of one text [D] beside canonical phrases [P, D], at the level of its answer and with one scale of
-    colours, [H, W, 3] uint8 each.
-    """
+def heat_frames(field: LanguageField, place: Place, cameras: Cameras) -> Iterator[Picture]:
+    """Yield heat maps of an answer at its level and with one scale of colours, [H, W, 3] uint8 each."""
     answer = place.answer
-    level = field.level_index(answer.level)
-    known = field.gaussian_relevancy(query[None], canonical)[level, 0][field.coded_levels()[level]].cpu()
+    asked, level = answer.asked[0].question, answer.asked[0].level
+    known = field.gaussian_relevancy(asked.queries, asked.canonical)[level, 0][
+        field.coded_levels()[level]
+    ].cpu()
     span = (float(known.median()), float(known.max())) if len(known) else (0.0, 1.0)
     low = span[0]
     remark = f"level {answer.level}, {answer.remark()}"
     for camera in cameras:
         view = field.at(camera)
-        heat = view.relevancy(query[None], canonical)[level, 0].cpu()
+        heat = view.relevancy(asked.queries, asked.canonical)[level, 0].cpu()
         rgb = view.renders.colors().cpu()
         yield captioned(heat_overlay(torch.nan_to_num(heat, low), rgb, span), answer.text, remark)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import TypeAlias
@@ -11,9 +11,8 @@ from typing import TypeAlias
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.query.phrases import Phrase, is_plain_text, parse_phrase, texts_of
+from scoup.query.phrases import OPERATORS, Phrase, counted_text, parse_phrase, protected, quoted, texts_of
 
-OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
 _TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
 _GRAMMAR = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
 _DEEPEST = 50  # operators within operators
@@ -33,44 +32,50 @@ Node: TypeAlias = "str | Phrase | Operation"
 
 @dataclass(frozen=True)
 class Expression:
-    """Texts joined by operators."""
+    """Texts joined by operators. One of a text alone keeps the text as it is."""
 
     root: Node
+    counted: bool = False
+    """It asks how many: the things that are one instance each answer."""
 
     @classmethod
-    def of(cls, texts: Sequence[str]) -> Expression:
-        """Combine texts with `or`."""
-        return cls(texts[0] if len(texts) == 1 else Operation("or", tuple(texts)))
+    def of(cls, nodes: Sequence[Node], counted: bool = False) -> Expression:
+        """Combine texts, phrases and operations with `or`."""
+        return cls(nodes[0] if len(nodes) == 1 else Operation("or", tuple(nodes)), counted)
 
     @property
     def texts(self) -> tuple[str, ...]:
         """The texts in their order, each once."""
-        return tuple(dict.fromkeys(text for leaf in _leaves(self.root) for text in texts_of(leaf)))
+        return tuple(dict.fromkeys(text for leaf in self.leaves() for text in texts_of(leaf)))
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """The texts under an even number of "not"; all if there are none."""
-        return tuple(dict.fromkeys(_wanted(self.root, True))) or self.texts
+        """The first texts of what is under an even number of "not"; all texts if nothing is."""
+        return tuple(dict.fromkeys(texts_of(leaf)[0] for leaf in self.leaves(True))) or self.texts
 
     @property
     def phrases(self) -> tuple[Phrase, ...]:
         """Its parts that single out things by relation or order."""
-        return tuple(dict.fromkeys(part for part in _leaves(self.root) if isinstance(part, Phrase)))
-
-    @property
-    def targets(self) -> tuple[str | Phrase, ...]:
-        """Texts and phrases, any of which may answer."""
-        if any(operator != "or" for operator in _operators(self.root)):
-            raise InputError(f'{self}: things are joined by "or" only; "and" and "not" are for selections')
-        return tuple(_leaves(self.root))
+        return tuple(leaf for leaf in self.leaves() if isinstance(leaf, Phrase))
 
     @property
     def is_plain(self) -> bool:
         """Return whether it is texts without phrases, and its only operator is "or"."""
-        return not self.phrases and all(operator == "or" for operator in _operators(self.root))
+        return not self.phrases and set(_operators(self.root)) <= {"or"}
+
+    @property
+    def wants_everything(self) -> bool:
+        """Return whether it is about things that it does not name, as in "what is on the table" and "not mug"."""
+        unnamed = any(not part.text for phrase in self.phrases for part in phrase.parts)
+        return unnamed or not self.leaves(True)
+
+    def leaves(self, wanted: bool | None = None) -> tuple[str | Phrase, ...]:
+        """Return its texts and phrases, each once; those under an even number of "not", or all others, if asked."""
+        signed = _signed(self.root, True)
+        return tuple(dict.fromkeys(leaf for leaf, sign in signed if wanted in (None, sign)))
 
     def __str__(self) -> str:
-        return _text_of(self.root)
+        return f"how many {_text_of(self.root)}" if self.counted else _text_of(self.root)
 
     def combine(self, masks: Mapping[str, Tensor]) -> Tensor:
         """Combine boolean masks of its texts and phrases (by their ``str``), of one shape."""
@@ -84,7 +89,7 @@ def parse_expression(words: Iterable[str], names: Collection[str] | None = None)
     between spaces; brackets group. A text may have several words. Double quotes make one text of operators, as in
     ``'"salt and pepper"'``. Texts without an operator are combined with ``or``. A text with a relation or an order,
     such as "mug left of the laptop" or "largest mug", is a phrase over things (``scoup.query.phrases``), unless it
-    stands in double quotes.
+    stands in double quotes. "how many mugs" counts, and a question mark at the end is left out.
 
     Args:
         words: texts, operators, or expressions.
@@ -97,12 +102,18 @@ def parse_expression(words: Iterable[str], names: Collection[str] | None = None)
         >>> scoup.parse_expression(["mug and not handle", "plate"]).texts
         ('mug', 'handle', 'plate')
     """
-    given, known = list(words), {name.casefold() for name in names or ()}
+    given, known, counted = list(words), {name.casefold() for name in names or ()}, False
     tokens: list[str] = []
     for word in given:
-        part = [word.lower()] if word.lower() in OPERATORS else ["(", *_tokens(word), ")"]
-        if word.strip().casefold() in known:
-            part = ["(", f'"{word.strip()}', ")"]
+        text = word.strip()
+        if text.casefold() in known:
+            part = ["(", f"={protected(text)}", ")"]
+        elif text.lower() in OPERATORS:
+            part = [text.lower()]
+        else:
+            text = text.removesuffix("?")
+            counted = counted or counted_text(text) is not None
+            part = ["(", *_tokens(counted_text(text) or text), ")"]
         if tokens and tokens[-1] == ")" and part[0] == "(":
             tokens.append("or")
         tokens += part
@@ -110,22 +121,22 @@ def parse_expression(words: Iterable[str], names: Collection[str] | None = None)
     root = reader.union()
     if reader.rest:
         raise reader.refusal(f"{reader.rest[0]!r} is not expected")
-    return Expression(root)
+    return Expression(root, counted)
 
 
 def _tokens(text: str) -> list[str]:
-    """Operators as they are, and texts after a mark, `=` or a double quote, that tells them from operators."""
+    """Operators as they are, and texts after a mark, `=`, that tells them from operators."""
     tokens: list[str] = []
-    quotes = text.count('"')
-    if quotes % 2:
+    if text.count('"') % 2:
         raise InputError(f"{text}: a double quote is not closed; {_GRAMMAR}")
-    for quoted, bracket, word in _TOKEN.findall(text):
+    for inside, bracket, word in _TOKEN.findall(text):
+        piece = word or protected(inside)
         if bracket or word.lower() in OPERATORS:
             tokens.append(bracket or word.lower())
-        elif word and tokens and tokens[-1].startswith("="):
-            tokens[-1] += f" {word}"
-        elif word or quoted.strip():
-            tokens.append(f"={word}" if word else f'"{quoted.strip()}')
+        elif piece and tokens and tokens[-1][0] == "=":
+            tokens[-1] += f" {piece}"
+        elif piece:
+            tokens.append(f"={piece}")
     return tokens
 
 
@@ -174,8 +185,6 @@ class _Reader:
         if not token or (token in OPERATORS and token not in ("not", "(")):
             where = f" after {self.before!r}" if self.before else f" before {token!r}" if token != ")" else ""
             raise self.refusal(f"a text is missing{where}")
-        if token[0] == '"':
-            return token[1:]
         if token[0] == "=":
             while (
                 token.lower().count(" between ") > token.count(" and ")
@@ -195,21 +204,19 @@ class _Reader:
         return inner
 
 
-def _leaves(node: Node) -> list[str | Phrase]:
-    return [leaf for part in node.parts for leaf in _leaves(part)] if isinstance(node, Operation) else [node]
+def _signed(node: Node, sign: bool) -> Iterator[tuple[str | Phrase, bool]]:
+    """Yield the leaves, and whether each is under an even number of "not"."""
+    if not isinstance(node, Operation):
+        yield node, sign
+        return
+    for part in node.parts:
+        yield from _signed(part, sign != (node.operator == "not"))
 
 
 def _operators(node: Node) -> list[str]:
     if not isinstance(node, Operation):
         return []
     return [node.operator, *(operator for part in node.parts for operator in _operators(part))]
-
-
-def _wanted(node: Node, positive: bool) -> list[str]:
-    if not isinstance(node, Operation):
-        return [texts_of(node)[0]] if positive else []
-    positive = positive != (node.operator == "not")
-    return [text for part in node.parts for text in _wanted(part, positive)]
 
 
 def _combined(node: Node, masks: Mapping[str, Tensor]) -> Tensor:
@@ -225,13 +232,8 @@ def _text_of(node: Node, outer: str = "") -> str:
     if isinstance(node, Phrase):
         return str(node)
     if isinstance(node, str):
-        return node if parses_as_text(node) else f'"{node}"'
+        return quoted(node)
     if node.operator == "not":
         return f"not {_text_of(node.parts[0], 'not')}"
     text = f" {node.operator} ".join(_text_of(part, node.operator) for part in node.parts)
     return f"({text})" if outer not in ("", node.operator) else text
-
-
-def parses_as_text(text: str) -> bool:
-    """Return whether a text is read as itself without double quotes."""
-    return '"' not in text and _tokens(text) == [f"={text}"] and is_plain_text(text)

@@ -15,7 +15,7 @@ from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import PixelCosines, pixel_relevancy
 from scoup.field.renders import Vectors, checked_vectors, render_codes
 from scoup.query.answer import Answer, AskedText
-from scoup.query.answer_scene import answers_of
+from scoup.query.ask import answers_of
 from scoup.query.question import Question, Several, as_question
 from scoup.query.view_answer import ViewAnswer, ViewRenders, main_parts, mask_box, most_relevant_pixel
 from scoup.scene.cameras import Camera

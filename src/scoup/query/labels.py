@@ -16,7 +16,7 @@ from scoup.field.language_field import LanguageField
 from scoup.pictures import contact_sheet, region_overlay, stacked, swatch_legend
 from scoup.pictures.colors import Picture, label_colors
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import answers_of
+from scoup.query.ask import answers_of
 from scoup.query.field_view import FieldView
 from scoup.query.question import Question, Several, as_question
 from scoup.scene.things import NO_THING
@@ -90,18 +90,19 @@ def label(field: LanguageField, question: Question[Any] | str | Several) -> Gaus
     the one with the largest score.
     """
     asked = as_question(field, question)
-    names = asked.texts
+    answers = answers_of(field, asked)
+    names = tuple(answer.text for answer in answers)
     if len(set(names)) < len(names) or NONE_NAME in names:
         raise InputError(
             f"labels need words that differ from each other and from {NONE_NAME!r} (got {', '.join(names)})"
         )
-    answers = answers_of(field, asked)
     ids = labels_of_answers(answers, field.levels)
     instances = torch.full_like(ids, NO_THING)
     for number, answer in enumerate(answers):
         if answer.things and field.thing_table is not None:
-            owners = field.thing_table.owners[:, field.level_index(answer.level)].cpu()
-            instances = torch.where(ids == number, owners, instances)
+            owners = field.thing_table.owners.cpu()
+            mine = torch.isin(owners, torch.tensor(answer.things, dtype=owners.dtype))
+            instances = torch.where(ids == number, torch.where(mine, owners, NO_THING).amax(1), instances)
     return GaussianLabels(
         ids,
         names,

@@ -24,6 +24,8 @@ RELATIONS: dict[str, tuple[str, ...]] = {
     "inside": ("inside of", "inside", "within", "in"),
 }
 """Relations between two things (for "between" three), and the words for each."""
+DIRECTED = ("left of", "right of", "in front of", "behind")
+"""Relations that depend on where they are seen from."""
 SIDES = ("left", "right", "top", "bottom", "front", "back")
 SIZES = {"largest": "largest", "biggest": "largest", "smallest": "smallest"}
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
@@ -38,6 +40,14 @@ _UNKNOWN = frozenset(
 _COUNTING = re.compile(
     r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE
 )
+_ANYTHING = frozenset(
+    ["what", "what's", "thing", "things", "object", "objects", "anything", "everything", "something"]
+)
+"""Words before a relation that stand for all objects of the scene."""
+_FILLERS = ("is", "are", "that", "which", "there")
+"""Words before a relation that say nothing."""
+OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
+_SPACE = "\0"  # before each word of what stands in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
     f"known relations: {', '.join(RELATIONS)}; also largest, smallest, second largest, second ... from the "
@@ -49,7 +59,7 @@ KNOWN_PHRASES = (
 class Phrase:
     """A text, and what singles out some of the things that answer it. Relations count first, then the order."""
 
-    text: str
+    text: str  # "" before a relation: any object
     relation: str = ""  # a key of RELATIONS; "" for none
     anchors: tuple[Target, ...] = ()  # what the relation refers to: one, for "between" two
     order: str = ""  # "largest", "smallest", or one of SIDES to count from; "" keeps all
@@ -58,16 +68,29 @@ class Phrase:
     @property
     def texts(self) -> tuple[str, ...]:
         """Return all texts to look for, its own first."""
-        return self.text, *(text for anchor in self.anchors for text in texts_of(anchor))
+        own = (self.text,) if self.text else ()
+        return *own, *(text for anchor in self.anchors for text in texts_of(anchor))
+
+    @property
+    def parts(self) -> tuple[Phrase, ...]:
+        """Return itself and the phrases in it."""
+        inner = (part for anchor in self.anchors if isinstance(anchor, Phrase) for part in anchor.parts)
+        return self, *inner
+
+    @property
+    def is_seen(self) -> bool:
+        """Return whether its things depend on where it is seen from."""
+        sides = ("left", "right", "front", "back")
+        return any(part.relation in DIRECTED or part.order in sides for part in self.parts)
 
     def __str__(self) -> str:
         ordinal = ORDINALS[self.rank - 1] if self.rank <= len(ORDINALS) else f"{self.rank}th"
-        text = self.text
+        text = quoted(self.text) if self.text else "thing" if self.order else "what is"
         if self.order in SIZES:
             text = f"{self.order} {text}" if self.rank == 1 else f"{ordinal} {self.order} {text}"
         elif self.order in SIDES:
             text = f"{ordinal} {text} from the {self.order}"
-        anchors = " and ".join(map(str, self.anchors))
+        anchors = " and ".join(quoted(each) if isinstance(each, str) else str(each) for each in self.anchors)
         return f"{text} {self.relation} {anchors}" if self.relation else text
 
 
@@ -98,12 +121,19 @@ def parse_phrase(text: str) -> Target:
     return _parse(text.split(), text, 0)
 
 
-def is_plain_text(text: str) -> bool:
-    """Return whether a text stands for itself, without relation or order."""
+def quoted(text: str) -> str:
+    """Return a text as it is written: in double quotes where it would be read as a phrase or expression."""
+    is_text = not (set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith("?"))
     try:
-        return parse_phrase(text) == text
+        is_text = is_text and counted_text(f"{text} x") is None and parse_phrase(text) == text
     except InputError:
-        return False
+        is_text = False
+    return text if is_text else f'"{text}"'
+
+
+def protected(text: str) -> str:
+    """Return a text as one word, which ``parse_phrase`` takes as it is."""
+    return "".join(_SPACE + word for word in text.split())
 
 
 def _parse(words: Sequence[str], source: str, depth: int) -> Target:
@@ -116,10 +146,11 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
     end = len(words) if place is None else place[0]
     head, order, rank = _ordered(words[:end], source)
     if place is None:
-        text = " ".join(words)
-        return Phrase(_noun(head, source), order=order, rank=rank) if order else text
+        return Phrase(_noun(head, source), order=order, rank=rank) if order else _joined(words)
     _, relation, length = place
     rest = words[end + length :]
+    while head and head[-1].lower() in _FILLERS:
+        head = head[:-1]
     if relation == "between":
         middle = next((k for k, word in enumerate(rest) if word.lower() == "and"), None)
         if middle is None:
@@ -128,7 +159,8 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
     else:
         parts = [rest]
     anchors = tuple(_anchor(part, source, depth) for part in parts)
-    return Phrase(_noun(head, source), relation, anchors, order, rank)
+    noun = _noun(head, source)
+    return Phrase("" if noun.lower() in _ANYTHING else noun, relation, anchors, order, rank)
 
 
 def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
@@ -176,7 +208,11 @@ def _noun(words: Sequence[str], source: str) -> str:
     words = words[1:] if words and words[0].lower() in ARTICLES else words
     if not words:
         raise _refusal(source, "a thing is missing")
-    return " ".join(words)
+    return _joined(words)
+
+
+def _joined(words: Sequence[str]) -> str:
+    return " ".join(words).replace(_SPACE, " ").strip()
 
 
 def _anchor(words: Sequence[str], source: str, depth: int) -> Target:

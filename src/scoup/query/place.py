@@ -14,7 +14,7 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import answers_of
+from scoup.query.ask import answers_of
 from scoup.query.boxes import OrientedBox
 from scoup.query.question import Question, Several, as_question
 from scoup.query.things import Thing, metres_record, things_of_answer

@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from scoup.base.brief import brief
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field.language_field import Encoder, LanguageField
-from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder
+from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.presence import can_judge_presence, presence_threshold
@@ -25,7 +25,10 @@ from scoup.scene.directions import query_vectors
 from scoup.scene.names import number_of
 from scoup.scene.regions import LEAST_EMBEDDING
 
-Several: TypeAlias = "list[str] | tuple[str, ...] | Tensor | np.ndarray"
+if TYPE_CHECKING:
+    from scoup.query.frame import Frame
+
+Several: TypeAlias = "list[str] | tuple[str, ...] | list[Expression] | Tensor | np.ndarray"
 """Several texts, or vectors [Q, D] in their place."""
 Asked = TypeVar("Asked", covariant=True)
 Found = TypeVar("Found")
@@ -90,8 +93,13 @@ class Question(TextVectors, Generic[Asked]):
     """It was one text, not a list, and so is the answer."""
     near: tuple[str | None, ...] = ()
     """Of each text, the name of things that is nearly the same (``NEAR``), if there is one."""
-    expression: Expression | None = None
-    """Of the texts, for ``field.select``; None: they are combined with `or`."""
+    asked: tuple[tuple[str, Expression], ...] = ()
+    """Each text as it was asked, and what it means, where one is more than a text alone: a phrase or expression, which
+    ``texts`` are those of. Otherwise empty."""
+    everything: Question[Any] | None = None
+    """The words that name all objects, where it asks for things that it does not name."""
+    frame: Frame | None = None
+    """What left, front and up mean in phrases; None: ``field.frame()``."""
 
     def __post_init__(self) -> None:
         if self.threshold is not None and not 0 <= self.threshold <= 1:
@@ -118,7 +126,7 @@ class Question(TextVectors, Generic[Asked]):
     def some(self, chosen: slice, **options: Any) -> Question[Asked]:
         """Return the question of some of its texts, with some attributes replaced."""
         some = {"texts": self.texts[chosen], "queries": self.queries[chosen], "near": self.near[chosen]}
-        return replace(self, **{**some, **options})
+        return replace(self, **{**some, "asked": (), **options})
 
 
 def make_question(
@@ -129,49 +137,69 @@ def make_question(
     present_from: float | None = None,
     threshold: float | None = None,
     level: str | int | None = None,
+    frame: Frame | None = None,
 ) -> Question[Any]:
     """Make a question; ``field.question`` documents it."""
     source = field.text_encoder(encoder)
 
     def made() -> Question[Any]:
-        words = list(texts.texts) if isinstance(texts, Expression) else texts
-        vectors = _vectors(field, words)
+        asked = _parsed([texts] if isinstance(texts, (str, Expression)) else texts, source.names)
+        alone = [each.root for _, each in asked if isinstance(each.root, str) and not each.counted]
+        every = [*dict.fromkeys(text for _, each in asked for text in each.texts)]
+        words = alone if len(alone) == len(asked) else every
+        vectors = _vectors(field, words or texts)
+        wants_everything = any(each.wants_everything for _, each in asked)
         return Question.from_vectors(
             vectors.with_everyday(),
             threshold=threshold,
             present_from=(
                 None if always else presence_threshold(len(vectors.everyday), vectors.source, present_from)
             ),
-            is_single=isinstance(texts, str),
-            expression=texts if isinstance(texts, Expression) else None,
+            is_single=isinstance(texts, (str, Expression)),
+            asked=() if words is alone else asked,
+            everything=_named_words(field, source) if wants_everything else None,
+            frame=frame,
             level=None if level is None else field.level_index(level),
             near=_near_names(field, vectors),
         )
 
     words = tuple(texts) if isinstance(texts, (list, tuple)) else texts
     is_kept = isinstance(words, (str, Expression)) or (
-        isinstance(words, tuple) and len(words) <= MOST_TEXTS and all(isinstance(word, str) for word in words)
+        isinstance(words, tuple)
+        and len(words) <= MOST_TEXTS
+        and all(isinstance(word, (str, Expression)) for word in words)
     )
     if not is_kept:
         return made()
-    return field.kept((Question, words, source, always, present_from, threshold, level), made)
+    return field.kept((Question, words, source, always, present_from, threshold, level, frame), made)
+
+
+def _named_words(field: LanguageField, encoder: TextEncoder) -> Question[Any]:
+    """Return the question of the words that name things by default."""
+    words = literal(everyday_vocabulary(encoder))
+    return field.kept((everyday_vocabulary, encoder), lambda: make_question(field, words))
+
+
+def _parsed(texts: Any, names: Collection[str] | None) -> tuple[tuple[str, Expression], ...]:
+    """Return texts and what they mean; nothing for what is not texts."""
+    if not isinstance(texts, (list, tuple)) or not all(isinstance(text, (str, Expression)) for text in texts):
+        return ()
+    return tuple(
+        (str(text), text if isinstance(text, Expression) else parse_expression([text], names))
+        for text in texts
+    )
+
+
+def literal(texts: Any) -> Any:
+    """Return a list of texts for a question that takes each as it is, without relations, orders or operators."""
+    if not isinstance(texts, (list, tuple)):
+        return texts
+    return [Expression(text) if isinstance(text, str) else text for text in texts]
 
 
 def as_question(field: LanguageField, question: Question[Any] | str | Several) -> Question[Any]:
     """Return a question, or the question that texts alone are."""
     return question if isinstance(question, Question) else make_question(field, question)
-
-
-def as_expression(field: LanguageField, question: Question[Any] | str | Several) -> Question[Any]:
-    """Return a question, or that of an expression."""
-    if isinstance(question, Question):
-        return question
-    words = [question] if isinstance(question, str) else question
-    if not isinstance(words, (list, tuple)) or not all(isinstance(word, str) for word in words):
-        raise InputError(
-            f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
-        )
-    return make_question(field, parse_expression(words, field.text_encoder().names))
 
 
 def _near_names(field: LanguageField, vectors: TextVectors) -> tuple[str | None, ...]:
@@ -215,13 +243,12 @@ def near_names(
     )
 
 
-def _vectors(field: LanguageField, texts: str | Several) -> TextVectors:
+def _vectors(field: LanguageField, texts: Any) -> TextVectors:
     encoder, source = field.text_encoder(), field.encoder_name
-    words = [texts] if isinstance(texts, str) else texts
-    if isinstance(words, (list, tuple)) and all(isinstance(word, str) for word in words):
-        if not words:
+    if isinstance(texts, (list, tuple)) and all(isinstance(text, str) for text in texts):
+        if not texts:
             raise InputError('pass at least one text, for example "kettle"')
-        return encode_texts(encoder, field, words, source)
+        return encode_texts(encoder, field, texts, source)
     queries = query_vectors(_as_vectors(texts), field.dim)
     names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
     return replace(encode_texts(encoder, field, [], source), texts=names, queries=queries)

@@ -23,7 +23,7 @@ from scoup.io.camera_images import attach_images
 from scoup.models.concepts import ConceptModel, open_concepts
 from scoup.query.expression import Expression
 from scoup.query.matching import compare_things
-from scoup.query.question import make_question
+from scoup.query.question import literal, make_question
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.names import Detections
 from scoup.uplift.naming import name_things
@@ -101,10 +101,9 @@ def refine(
 
 def refine_texts(field: LanguageField, texts: Any, model: ConceptModel | str) -> Refined:
     """Refine the texts of a question (``field.question``)."""
-    words = texts.texts if isinstance(texts, Expression) else texts
-    if not isinstance(words, (str, list, tuple)) or not all(isinstance(word, str) for word in words):
+    if not isinstance(texts, (str, Expression, list, tuple)):
         raise InputError("a model with words looks for texts, not for vectors; omit `refine`")
-    return refine(field, words, model)
+    return refine(field, make_question(field, texts).texts, model)
 
 
 def photographed_cameras(field: LanguageField) -> Cameras:
@@ -123,7 +122,7 @@ def choose_views(
     field: LanguageField, texts: Sequence[str], cameras: Cameras, most: int = MOST_VIEWS
 ) -> list[Camera]:
     """Return up to ``most`` cameras in which things that may answer texts are seen best, in order of their names."""
-    question = make_question(field, list(texts))
+    question = make_question(field, literal(list(texts)))
     known = compare_things(field, question)
     assert known is not None
     fits = known.fits(question.queries.float().cpu())[known.usable]

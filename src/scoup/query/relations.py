@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from scoup.field.language_field import LanguageField
-from scoup.query.answer import Answer
-from scoup.query.answer_scene import answers_of
-from scoup.query.expression import Expression
 from scoup.query.frame import Frame, scene_frame
-from scoup.query.phrases import Phrase, Target, counted_text, texts_of
-from scoup.query.question import Question, Several, as_expression
+from scoup.query.phrases import Phrase, Target, texts_of
 from scoup.query.relation_rules import AWAY, CONDITIONS, CONTACT, RIGHT, UP, Shapes
-from scoup.query.things import Thing, all_things, things_of_answer
+from scoup.query.things import Thing, all_things
 
 _ENDS = {
     "left": (RIGHT, 1),
@@ -31,21 +23,6 @@ _ENDS = {
 """Side that an order counts from -> axis, and the sign with which it counts."""
 
 
-def things(
-    field: LanguageField, question: Question[Any] | str | Several | None, frame: Frame | None
-) -> list[Thing]:
-    """Return all things, or those that a question singles out; ``field.things`` documents it."""
-    if question is None:
-        return copy.deepcopy(field.kept(Thing, lambda: all_things(field)))
-    text = counted_text(question) if isinstance(question, str) else None
-    asked, counted = as_expression(field, question if text is None else text), text is not None
-
-    def made() -> list[Thing]:
-        return things_of_question(field, asked, answers_of(field, asked), frame, counted)
-
-    return copy.deepcopy(field.kept((Thing, asked, frame, counted), made))
-
-
 def resolve(
     field: LanguageField, target: Target, of_texts: Mapping[str, Sequence[Thing]], frame: Frame | None
 ) -> list[Thing]:
@@ -54,69 +31,19 @@ def resolve(
     Args:
         field: that was asked.
         target: the text or phrase.
-        of_texts: the things that answer each of its texts.
+        of_texts: the things that answer each of its texts; of "", all objects.
         frame: what right, up and away mean; a text alone needs none.
     """
     if isinstance(target, str) or frame is None:
         return list(of_texts[texts_of(target)[0]])
     things = list(of_texts[target.text])
+    anchors = [resolve(field, anchor, of_texts, frame) for anchor in target.anchors]
+    if not target.text:
+        others = [anchor for each in anchors for anchor in each]
+        things = [thing for thing in things if not any(_overlaps(thing, other) for other in others)]
     if target.relation:
-        anchors = [resolve(field, anchor, of_texts, frame) for anchor in target.anchors]
         things = _related(field, target.relation, things, anchors, frame)
     return _ordered(field, target, things, frame)
-
-
-def things_of_question(
-    field: LanguageField,
-    question: Question,
-    answers: Sequence[Answer],
-    frame: Frame | None = None,
-    counted: bool = False,
-) -> list[Thing]:
-    """Return every thing that one of the texts or phrases of a question singles out, best first, each once.
-
-    Args:
-        field: that was asked.
-        question: from ``field.question``; a text or phrase, or several joined by "or".
-        answers: to its texts, from ``answer_scene``.
-        frame: what right, up and away mean; by default ``scene_frame``.
-        counted: return the things that are one instance each, to be counted.
-    """
-    expression = question.expression or Expression.of(question.texts)
-    things = [
-        thing for each in _resolved(field, expression.targets, answers, frame, counted) for thing in each
-    ]
-    first: dict[int, Thing] = {}
-    for thing in things:
-        first.setdefault(id(thing) if thing.number is None else thing.number, thing)
-    return list(first.values())
-
-
-def phrase_masks(
-    field: LanguageField, question: Question, answers: Sequence[Answer], frame: Frame | None = None
-) -> dict[str, Tensor]:
-    """Return the Gaussians [N] boolean of each phrase of an expression; arguments as ``things_of_question``."""
-    phrases = question.expression.phrases if question.expression else ()
-    masks = {str(phrase): torch.zeros(len(field), dtype=torch.bool) for phrase in phrases}
-    for mask, things in zip(masks.values(), _resolved(field, phrases, answers, frame), strict=True):
-        for thing in things:
-            mask[thing.gaussians] = True
-    return masks
-
-
-def _resolved(
-    field: LanguageField,
-    targets: Sequence[Target],
-    answers: Sequence[Answer],
-    frame: Frame | None,
-    counted: bool = False,
-) -> list[list[Thing]]:
-    if not targets:
-        return []
-    of_texts = {answer.text: things_of_answer(field, answer, counted) for answer in answers}
-    related = any(isinstance(target, Phrase) for target in targets)
-    frame = scene_frame(field) if frame is None and related else frame
-    return [resolve(field, target, of_texts, frame) for target in targets]
 
 
 def _related(
@@ -151,6 +78,12 @@ def _related(
     ]
 
 
+def _overlaps(one: Thing, other: Thing) -> bool:
+    """Return whether one is most of the other, or a part of it."""
+    shared = np.intersect1d(one.gaussians, other.gaussians, assume_unique=True)
+    return len(shared) > 0.5 * min(one.n_gaussians, other.n_gaussians)
+
+
 def _same(one: Thing, other: Thing) -> bool:
     return one is other or (one.number is not None and one.number == other.number)
 
@@ -171,7 +104,10 @@ def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: F
 
 def relations(field: LanguageField, frame: Frame | None = None) -> list[tuple[int, str, int]]:
     """Return how the things of a field stand to each other; ``field.relations`` documents it."""
-    frame, every = scene_frame(field) if frame is None else frame, things(field, None, None)
+    frame, every = (
+        scene_frame(field) if frame is None else frame,
+        field.kept(Thing, lambda: all_things(field)),
+    )
     levels = [[thing for thing in every if thing.level == level] for level in field.levels]
     return [pair for of_level in levels for pair in related_pairs(field, of_level, frame)]
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,11 +16,8 @@ from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import answers_of
-from scoup.query.expression import Expression
-from scoup.query.frame import Frame
-from scoup.query.question import Question, Several, as_expression
-from scoup.query.relations import phrase_masks
+from scoup.query.ask import one_answer
+from scoup.query.question import Question, Several, as_question
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS, connected_parts, nearest_points
 
@@ -70,50 +65,25 @@ UNCHANGED = Reshaping()
 
 
 def select(
-    field: LanguageField,
-    question: Question[Any] | str | Several,
-    reshaping: Reshaping | None = None,
-    frame: Frame | None = None,
+    field: LanguageField, question: Question[Any] | str | Several, reshaping: Reshaping | None = None
 ) -> Answer:
     """Return one answer to an expression; ``field.select`` documents it."""
-    reshaping = UNCHANGED if reshaping is None else reshaping
-    check_arguments("select", reshaping=(reshaping, Reshaping))
-    asked = as_expression(field, question)
+    wanted = UNCHANGED if reshaping is None else reshaping
+    check_arguments("select", reshaping=(wanted, Reshaping))
+    if not isinstance(question, (Question, str, list, tuple)):
+        raise InputError(
+            f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
+        )
+    asked = as_question(field, question)
 
     def made() -> Answer:
-        expression, answers = asked.expression or Expression.of(asked.texts), answers_of(field, asked)
-        phrases = phrase_masks(field, asked, answers, frame)
-        return combined_answer(field, expression, answers, reshaping, phrases)
+        whole = one_answer(field, asked)
+        if not wanted.changes:
+            return whole
+        mask = reshaped(field.gaussians, whole.mask, whole.relevancy(), wanted)
+        return replace(whole, mask=mask, presence=whole.presence and bool(mask.any()))
 
-    return copy.deepcopy(field.kept((select, asked, reshaping, frame), made))
-
-
-def combined_answer(
-    field: LanguageField,
-    expression: Expression,
-    answers: Sequence[Answer],
-    wanted: Reshaping = UNCHANGED,
-    phrases: Mapping[str, Tensor] = MappingProxyType({}),  # [N] boolean of each of its phrases, by its text
-) -> Answer:
-    """Return the answer to an expression, from one answer of ``answer_scene`` per text.
-
-    Level, score, runner-up and threshold are those of the wanted text with the largest score.
-    """
-    of_text = {answer.text: answer for answer in answers}
-    mask = expression.combine({**{text: answer.mask for text, answer in of_text.items()}, **phrases})
-    wanted_answers = [of_text[text] for text in expression.wanted]
-    best = max(wanted_answers, key=lambda answer: (answer.presence, answer.score or 0.0))
-    asked = tuple(one for answer in wanted_answers for one in answer.asked)
-    whole = replace(best, mask=mask, parts=tuple(answers), asked=asked)
-    if wanted.changes:
-        whole = replace(whole, mask=reshaped(field.gaussians, mask, whole.relevancy(), wanted))
-    if len(of_text) == 1 and expression.is_plain:
-        return whole
-    things = tuple(dict.fromkeys(thing for answer in wanted_answers for thing in answer.things))
-    presence = best.presence if expression.is_plain else bool(whole.mask.any())
-    return replace(
-        whole, text=str(expression), presence=presence, things=things if expression.is_plain else ()
-    )
+    return copy.deepcopy(field.kept((select, asked, wanted), made))
 
 
 def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Reshaping) -> Tensor:

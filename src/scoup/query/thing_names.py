@@ -11,7 +11,8 @@ names fit best, each weighed by its share of what it is a part of. Ours; measure
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from scoup.field.language_field import LanguageField
@@ -19,7 +20,7 @@ from scoup.query.answer_scene import each_answer, null_scores
 from scoup.query.matching import SAME, ComparedTable, compare_things, compared_words
 from scoup.query.named import NAMES, less_common, voted_names
 from scoup.query.question import Question
-from scoup.query.things import Thing
+from scoup.query.things import Thing, all_things
 
 NEARER_WORDS = 0.02
 """At most this share of the everyday words may be nearer to a thing than its name."""
@@ -78,6 +79,26 @@ def _alike(known: ComparedTable, named: Collection[int]) -> dict[int, int]:
         if one in named and (one == other or (other not in named and share >= SAME)):
             best[other] = max(best.get(other, (0.0, one)), (share, one))
     return {thing: one for thing, (_, one) in best.items()}
+
+
+def named_things(field: LanguageField, names: Mapping[int, ThingName]) -> list[Thing]:
+    """Return all things with their best names as ``text`` and the scores of these, or "" and None."""
+    unnamed = ThingName(("",), None)
+    best = [
+        (thing, names.get(thing.number or 0, unnamed))
+        for thing in field.kept(Thing, lambda: all_things(field))
+    ]
+    return [replace(thing, text=name.texts[0], score=name.score) for thing, name in best]
+
+
+def scene_objects(field: LanguageField, words: Question[Any]) -> list[Thing]:
+    """Return the things that are one object each, named by words."""
+
+    def made() -> list[Thing]:
+        things = named_things(field, thing_names(field, words))
+        return [things[place] for place in find_objects(things)]
+
+    return field.kept((scene_objects, words), made)
 
 
 def find_objects(things: Sequence[Thing]) -> list[int]:

@@ -139,6 +139,8 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
+    if answer.found:
+        return list(answer.found)
     if not answer.things or len(answer.asked) != 1:
         return _connected_things(field, answer)
     asked = answer.asked[0]

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
-from scoup.query.answer_scene import answers_of
-from scoup.query.matching import compare_things
-from scoup.query.named import choose, named_texts
+from scoup.query.ask import answers_of, made_answers
 from scoup.query.question import Question
 from scoup.query.votes import level_thresholds
 from scoup.view.unit_codes import atom_scores
@@ -30,11 +29,12 @@ class PageAnswer:
     """
 
     text: str
-    verdict: dict[str, Any]  # of ``Answer.to_dict``: ``VERDICT``
+    verdict: dict[str, Any]  # of ``Answer.to_dict``: ``VERDICT``; "remark" in words, of all but texts alone
     level: int  # position of the level that answers
     # If presence is not judged: the page shows absent texts on demand, and a level of choice for what is present.
     chosen_things: list[int] | None  # that answer if no level is chosen; None in a field without things
     things: list[list[int] | None]  # per level, that answer if it is chosen; None in a field without things
+    without: list[int]  # things whose Gaussians do not answer
     scores: Tensor  # [S, L] float32, inner products of atoms and text
     thresholds: Tensor  # [S] stable threshold of each level, on the rescaled relevancy
     spans: Tensor  # [S, 2] relevancies that rescaling takes to 0 and 1 at each level
@@ -49,52 +49,51 @@ class PageAnswer:
             "spans": [[round(low, 6), round(high, 6)] for low, high in self.spans.tolist()],
             "chosen_things": self.chosen_things,
             "things": self.things,
+            "without": self.without,
             "scores": base64.b64encode(self.scores.contiguous().numpy().astype("<f4").tobytes()).decode(),
         }
 
 
 def scene_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
-    """Yield the answer to each text, in their order.
+    """Yield the answer to each text or phrase, in their order.
 
     Args:
         field: to be queried.
         question: from ``field.question``.
     """
-    for start in range(0, len(question.texts), AT_A_TIME):
-        yield from _some_answers(field, question.some(slice(start, start + AT_A_TIME)))
+    starts = range(0, len(question.texts), AT_A_TIME)
+    batches = (question.some(slice(start, start + AT_A_TIME)) for start in starts)
+    for some in [question] if question.asked else batches:
+        yield from _some_answers(field, some)
 
 
 def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
-    coded, scores = field.coded_levels().cpu(), atom_scores(field, question.queries)
-    answers = answers_of(field, question)
-    things = _things_of_levels(field, question) if answers[0].threshold is None else None
-    for number, answer in enumerate(answers):
-        one, record = question.one(number), answer.to_dict()
-        relevancy = field.gaussian_relevancy(one.queries, one.canonical)[:, 0].cpu()
-        chosen, *of_levels = [None] * (1 + len(field.levels)) if things is None else things[number]
+    coded, answers = field.coded_levels().cpu(), answers_of(field, question)
+    by_things = answers[0].threshold is None
+    if question.asked and not by_things:
+        raise InputError(
+            f"{question.asked[0][0]}: this field has no things, so pages answer single texts only"
+        )
+    of_levels = [
+        made_answers(field, replace(question, present_from=None, level=level)) if by_things else answers
+        for level in (None, *range(len(field.levels)))
+    ]
+    for answer, of_any, *others in zip(answers, *of_levels, strict=True):
+        asked, record = answer.asked[0], answer.to_dict()
+        queries, canonical = asked.question.queries, asked.question.canonical
+        relevancy = field.gaussian_relevancy(queries, canonical)[:, 0].cpu()
+        chosen = answer if answer.presence else of_any
         yield PageAnswer(
             answer.text,
-            {key: record[key] for key in VERDICT},
-            answer.asked[0].level,
-            chosen,
-            of_levels,
-            scores[:, :, number].contiguous(),
+            {**{key: record[key] for key in VERDICT}, "remark": answer.remark() if answer.parts else None},
+            asked.level,
+            list(chosen.things) if by_things else None,
+            [list(each.things) if by_things else None for each in others],
+            list(chosen.without),
+            atom_scores(field, queries)[:, :, 0].contiguous(),
             level_thresholds(relevancy, coded),
             spans(relevancy, coded),
         )
-
-
-def _things_of_levels(field: LanguageField, question: Question) -> list[list[list[int] | None]]:
-    """Return what answers each text without a level of choice, and at each level, whether it is present or not."""
-    known = compare_things(field, question)
-    assert known is not None
-    fits = known.fits(question.queries.float().cpu())
-    named = named_texts(field.thing_table, question)
-    chosen = [choose(known, fits, named, level) for level in (None, *range(len(field.levels)))]
-    return [
-        [[] if choice is None else choice.things.tolist() for choice in of_text]
-        for of_text in zip(*chosen, strict=True)
-    ]
 
 
 def spans(relevancy: Tensor, coded: Tensor) -> Tensor:

@@ -14,17 +14,16 @@ import numpy as np
 from scoup.base.errors import InputError, ScoupError, looked_up
 from scoup.field.language_field import LanguageField
 from scoup.io import save_gaussians
-from scoup.models.text import LONGEST
+from scoup.models.text import LONGEST, everyday_vocabulary
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
-from scoup.query.phrases import counted_text
 from scoup.query.presence import certainty
+from scoup.query.question import literal
 from scoup.query.relations import related_pairs
 from scoup.query.thing_names import ThingName, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
-from scoup.view.vocabulary import everyday_vocabulary
 
 MOST_LISTED = 200
 """Things in one reply."""
@@ -124,27 +123,28 @@ class SceneTools:
     def find(self, scene: str, text: str, seen_from: str | None = None, limit: int = 50) -> dict[str, Any]:
         """Find every thing that a text or phrase names, the best first.
 
-        `text` is a name ("mug"), or a phrase with a relation or an order: "mug left of the laptop", "book on the
-        shelf", "kettle nearest to the sink", "largest box", "second chair from the left", "how many cups". An unknown
-        relation is an error that lists the known ones. Left, right, in front of and behind are meant as seen from the
-        camera `seen_from`. A score is the share of everyday words that fit this scene less well than the text, 0 to 1;
-        null with too few everyday words.
+        `text` is a name ("mug"), or a phrase with a relation or an order: "mug left of the laptop", "what is on the
+        shelf", "kettle nearest to the sink", "largest box", "second chair from the left", "how many cups", also with
+        and, or, not. An unknown relation is an error that lists the known ones. Left, right, in front of and behind are
+        meant as seen from the camera `seen_from`. A score is the share of everyday words that fit this scene less well
+        than the text, 0 to 1; null with too few everyday words.
         `texts` has one entry per text of the phrase: its score, the same in words (sure, likely, doubtful, not here),
         and the runner-up, the best thing elsewhere. `count` is 0 where a text is not here, or where no thing has the
-        relation. `frame` says what positions are in: unit vectors right, up and away from the viewer in the same axes,
-        and the unit of length.
+        relation; `remark` says which. `frame` says what positions are in: unit vectors right, up and away from the
+        viewer in the same axes, and the unit of length.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
-        things = field.things(_bounded(text), frame)
-        asked = counted_text(text) or text
-        answers = {answer.text: answer.to_dict() for answer in field.select(asked, frame=frame).parts}
+        question = field.question(_bounded(text), frame=frame)
+        things, answer = field.things(question), field.select(question)
         units = "scene" if self.metres_per_unit is None else f"scene, of {self.metres_per_unit:g} metres"
         axes = "x, y, z of the splat that the field was built on"
         return {
             **_reply(things, limit, lambda thing: thing.to_dict(self.metres_per_unit)),
+            "remark": answer.remark(),
             "texts": [
-                {"text": name, **{key: each[key] for key in _OF_TEXTS}} for name, each in answers.items()
+                {"text": part.text, **{key: part.to_dict()[key] for key in _OF_TEXTS}}
+                for part in answer.parts
             ],
             "directions": frame.describe(),
             "frame": {"axes": axes, "units": units, **frame.to_dict()},
@@ -203,8 +203,7 @@ class SceneTools:
         path = self.export_folder / f"{name}.ply"
         if path.exists():
             raise InputError(f"{path.name}: already exists; choose another name")
-        frame = field.frame(seen_from) if seen_from is not None else None
-        answer = field.select(_bounded(text), frame=frame)
+        answer = field.select(field.question(_bounded(text), frame=field.frame(seen_from)))
         count = int(answer.mask.sum())
         if not count:
             raise InputError(f"{text[:80]!r}: nothing answers in this scene, so nothing was written")
@@ -222,7 +221,7 @@ class SceneTools:
         def made() -> dict[int, ThingName]:
             try:
                 words = self.words or everyday_vocabulary(field.text_encoder())
-                return thing_names(field, field.question(words))
+                return thing_names(field, field.question(literal(words)))
             except ScoupError:
                 return {}
 

@@ -15,13 +15,14 @@ import torch
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.language_field import Encoder, LanguageField
 from scoup.io import PlyTable
+from scoup.models.text import everyday_vocabulary
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.query.answer import Answer
 from scoup.query.edits import SplatTable
 from scoup.query.field_view import FieldView
-from scoup.query.question import Question
+from scoup.query.question import Question, literal
 from scoup.scene.cameras import Camera
 from scoup.view import parts
 from scoup.view.decimation import MOST_GAUSSIANS, decimate
@@ -31,7 +32,6 @@ from scoup.view.parts import Parts
 from scoup.view.scene_answers import PageAnswer, scene_answers
 from scoup.view.scene_data import part_data, scene_data, scene_metadata
 from scoup.view.unit_codes import UnitCodes, atom_scores
-from scoup.view.vocabulary import everyday_vocabulary
 
 THUMBNAIL_WIDTH = 160
 NO_WORDS = "this page was exported without words"
@@ -108,7 +108,7 @@ class ViewedField:
         """Return the words that a click chooses from; None if the field has no text encoder."""
         if self._vocabulary is None and self.words_problem is None:
             words = self._wanted_words or everyday_vocabulary(self.field.text_encoder())
-            self._vocabulary = self.question(words)
+            self._vocabulary = self.question(literal(words))
         return self._vocabulary
 
     def is_closed(self) -> bool:
@@ -188,7 +188,8 @@ class ViewedField:
 
     def answers(self, texts: Sequence[str], always: bool = False) -> list[PageAnswer]:
         """Return the answers of the scene to texts."""
-        return list(scene_answers(self.field, self.question(texts, always)))
+        answers = scene_answers(self.field, self.question(texts, always))
+        return [replace(answer, text=text) for text, answer in zip(texts, answers, strict=True)]
 
     def picture(
         self,
@@ -233,11 +234,13 @@ class ViewedField:
         self, texts: Sequence[str], level: int | None, threshold: float | None, always: bool
     ) -> list[Answer]:
         """Return the answers to texts; without a level of choice, a threshold leaves the level that answers."""
-        question = self.question(texts, always, level=level, threshold=threshold)
         if threshold is None or level is not None:
-            return self.field.answer(question)
+            return self.field.answer(self.question(texts, always, level=level, threshold=threshold))
         levels = [answer.asked[0].level for answer in self.field.answer(self.question(texts, always))]
-        return [self.field.answer(question.one(number, level=best))[0] for number, best in enumerate(levels)]
+        return [
+            self.field.answer(self.question([text], always, level=best, threshold=threshold))[0]
+            for text, best in zip(texts, levels, strict=True)
+        ]
 
     def things(self) -> list[dict[str, Any]]:
         """Return the things of the scene as the page lists them (``page_things``)."""

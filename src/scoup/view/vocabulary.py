@@ -14,8 +14,6 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io.reading import existing_file, read_text
-from scoup.models.text import TextEncoder
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.presence import Certainty
 from scoup.query.question import Question
 from scoup.view.packing import packed
@@ -23,18 +21,6 @@ from scoup.view.scene_answers import AT_A_TIME, PageAnswer, scene_answers
 from scoup.view.scene_data import NO_OWNER
 
 _NONE = 255  # of a certainty
-
-
-def everyday_vocabulary(encoder: TextEncoder) -> tuple[str, ...]:
-    """Return the default words of a page: everyday words; of a table, all its names but the canonical phrases.
-
-    Args:
-        encoder: of the texts.
-    """
-    phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-    names = EVERYDAY_WORDS if encoder.names is None else encoder.names
-    kept = (" ".join(name.split()) for name in names)
-    return tuple(dict.fromkeys(name for name in kept if name and name.casefold() not in phrases))
 
 
 def read_words(path: Path) -> tuple[str, ...]:

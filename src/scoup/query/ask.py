@@ -1,0 +1,129 @@
+"""The one way to ask: a text, phrase or expression, and the things and Gaussians of the scene that answer it.
+
+Command line, page and agents show these answers. Relations and orders are of things; "and" and "not" are of Gaussians:
+a thing answers where more than half of its Gaussians do.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from scoup.field.language_field import LanguageField
+from scoup.query.answer import Answer
+from scoup.query.answer_scene import answer_scene
+from scoup.query.expression import Expression
+from scoup.query.frame import scene_frame
+from scoup.query.question import Question, Several, as_question
+from scoup.query.relations import resolve
+from scoup.query.thing_names import scene_objects
+from scoup.query.things import Thing, all_things, things_of_answer
+
+
+def answer(field: LanguageField, question: Question[Any] | str | Several) -> Any:
+    """Return the answers to texts, or the answer to one; ``field.answer`` documents it."""
+    asked = as_question(field, question)
+    return asked.shaped(answers_of(field, asked))
+
+
+def answers_of(field: LanguageField, question: Question[Any]) -> list[Answer]:
+    """Return the answer to each text, phrase or expression from the cache of the field, as a copy for the caller."""
+    return copy.deepcopy(field.kept((Answer, question), lambda: made_answers(field, question)))
+
+
+def made_answers(field: LanguageField, question: Question[Any]) -> list[Answer]:
+    """Return ``answers_of`` without the cache."""
+    answers = answer_scene(field, question)
+    if not question.asked:
+        return answers
+    return [_joined(field, question, said, expression, answers) for said, expression in question.asked]
+
+
+def one_answer(field: LanguageField, question: Question[Any]) -> Answer:
+    """Return the answer to all texts, phrases and expressions of a question together, any of which may answer.
+
+    Its ``parts`` are the answers to the texts.
+    """
+    nodes = [expression.root for _, expression in question.asked] or list(question.texts)
+    expression = Expression.of(nodes, any(each.counted for _, each in question.asked))
+    answers = answer_scene(field, question) if question.asked else answers_of(field, question)
+    whole = _joined(field, question, str(expression), expression, answers)
+    return replace(whole, parts=whole.parts or (whole,))
+
+
+def things(field: LanguageField, question: Question[Any] | str | Several | None) -> list[Thing]:
+    """Return all things, or those that a question singles out; ``field.things`` documents it."""
+    if question is None:
+        return copy.deepcopy(field.kept(Thing, lambda: all_things(field)))
+    asked = as_question(field, question)
+
+    def made() -> list[Thing]:
+        return _once(thing for each in answers_of(field, asked) for thing in things_of_answer(field, each))
+
+    return copy.deepcopy(field.kept((Thing, asked), made))
+
+
+def _joined(
+    field: LanguageField,
+    question: Question[Any],
+    said: str,
+    expression: Expression,
+    answers: Sequence[Answer],
+) -> Answer:
+    """Return the answer to an expression from those to its texts.
+
+    Level, score, runner-up and threshold are those of the wanted text with the largest score.
+    """
+    of_text = {answer.text: answer for answer in answers}
+    parts = tuple(of_text[text] for text in expression.texts)
+    if expression.root == parts[0].text and not expression.counted:
+        return parts[0]
+    by_things = parts[0].threshold is None
+    frame = (question.frame or scene_frame(field)) if expression.phrases else None
+    of_leaf: dict[Any, list[Thing]] = {leaf: [] for leaf in expression.leaves()}
+    of_texts: dict[str, list[Thing]] = {}
+    if by_things or expression.counted or frame is not None:
+        of_texts = {part.text: things_of_answer(field, part, expression.counted) for part in parts}
+        of_texts[""] = scene_objects(field, question.everything) if question.everything else []
+        of_leaf = {leaf: resolve(field, leaf, of_texts, frame) for leaf in of_leaf}
+    masks = {text: part.mask for text, part in of_text.items()}
+    for leaf, mine in of_leaf.items():
+        if expression.counted or not isinstance(leaf, str):
+            masks[str(leaf)] = torch.zeros(len(field), dtype=torch.bool)
+            for thing in mine:
+                masks[str(leaf)][thing.gaussians] = True
+    mask, wanted = expression.combine(masks), expression.leaves(True)
+    found = of_leaf.get(expression.root, [])
+    if by_things:
+        mine = [thing for leaf in wanted for thing in of_leaf[leaf]] if wanted else of_texts[""]
+        found = [thing for thing in _once(mine) if 2 * int(mask[thing.gaussians].sum()) > thing.n_gaussians]
+    without = [thing.number for leaf in expression.leaves(False) for thing in of_leaf[leaf]]
+    ranked = [of_text[text] for text in expression.wanted]
+    ranked.sort(key=lambda each: (each.presence, each.score or 0.0), reverse=True)
+    numbers = tuple(thing.number for thing in found if thing.number is not None)
+    return replace(
+        ranked[0],
+        text=said,
+        mask=mask,
+        level=found[0].level if found and frame is not None else ranked[0].level,
+        presence=ranked[0].presence if expression.is_plain else bool(mask.any()),
+        things=numbers,
+        instances=numbers,
+        without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
+        parts=parts,
+        asked=tuple(one for each in ranked for one in each.asked),
+        seen_from=frame.seen_from if frame and any(each.is_seen for each in expression.phrases) else "",
+        found=tuple(found),
+    )
+
+
+def _once(things: Iterable[Thing]) -> list[Thing]:
+    """Return things, each once."""
+    first: dict[int, Thing] = {}
+    for thing in things:
+        first.setdefault(id(thing) if thing.number is None else thing.number, thing)
+    return list(first.values())

@@ -1,0 +1,141 @@
+"""A phrase gives the same things wherever it is asked: three verbs, the live page, and agents."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette", reason="needs scoup[view]")
+from starlette.testclient import TestClient
+from view_samples import PAGE
+
+from cli_support import run, run_json
+from query.planted_room import ABSENT, FRONT, ROOM, Box, planted_room
+from scoup.field.language_field import LanguageField
+from scoup.models.word_table import save_table
+from scoup.view.guard import Guard
+from scoup.view.scene_tools import SceneTools
+from scoup.view.server import application
+from scoup.view.viewed_field import ViewedField
+
+TABLE, LEFT, RIGHT, LAPTOP, LAMP, BALL, BOWL, APPLE, PEN, SALT = range(10)
+MUGS = {LEFT, RIGHT}
+ON_TABLE = {*MUGS, LAPTOP, BOWL, SALT}  # the pen hangs a little above it
+PHRASES: dict[str, set[int]] = {
+    "mug": MUGS,
+    "the mug": MUGS,
+    "Mugs": MUGS,
+    '"mugs"': MUGS,
+    "how many mugs": MUGS,
+    "how many mugs are there?": MUGS,
+    "how many mugs on the table": MUGS,
+    "mug left of the laptop": {LEFT},
+    "the mug to the left of the laptop": {LEFT},
+    "mug that is right of the laptop": {RIGHT},
+    "mugs on the table": MUGS,
+    "what is on the table": ON_TABLE,
+    "What is on the table?": ON_TABLE,
+    "things on the table": ON_TABLE,
+    "what is inside the bowl": {APPLE},
+    "everything under the table": {BALL},
+    "largest thing on the table": {BOWL},
+    "ball under the table": {BALL},
+    "largest mug": {RIGHT},
+    "the second largest mug": {LEFT},
+    "second mug from the left": {RIGHT},
+    "mug nearest to the pen": {RIGHT},
+    "laptop between mug and mug": {LAPTOP},
+    "mug or laptop": {*MUGS, LAPTOP},
+    "mug and not mug left of the laptop": {RIGHT},
+    "(mug or pen) and not (mug behind laptop)": {LEFT, PEN},
+    "Salt and pepper": {SALT},
+    'mug nearest to "salt and pepper"': {RIGHT},
+    "mug and laptop": set(),
+    "mug near the laptop": set(),
+    "laptop right of the lamp": set(),
+    ABSENT: set(),
+    f"mug left of the {ABSENT}": set(),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A saved field of the room, with its word table."""
+    folder = tmp_path_factory.mktemp("room")
+    field = planted_room((*ROOM, Box("salt and pepper", (1.5, -0.5, 1.1), (0.2, 0.2, 0.2))))
+    encoder = field.text_encoder()
+    assert encoder.names is not None
+    save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
+    field.info = replace(field.info, embedding_model="some/model", words=folder / "words.npz")
+    field.save(folder / "room.scoup")
+    return folder / "room.scoup"
+
+
+@pytest.fixture(scope="module")
+def said(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
+    """What query, label, page and agents say of each phrase."""
+    out = path.parent
+    query = run_json("query", path, *PHRASES, "--pictures", "none", "--out", out / "answers")
+    label = run_json("label", path, *PHRASES, "--outputs", "sidecar", "--out", out / "labels")
+    client = TestClient(
+        application(ViewedField(LanguageField.load(path)), PAGE, Guard.of("127.0.0.1")),
+        "http://127.0.0.1:8350",
+    )
+    tools = SceneTools({"room": LanguageField.load(path)})
+    places: dict[str, dict[str, dict[str, Any]]] = {"page": {}, "agents": {}}
+    for some in zip(*[iter(PHRASES)] * 3, strict=True):
+        answers = client.post("/api/query", json={"texts": some}).json()["answers"]
+        places["page"] |= dict(zip(some, answers, strict=True))
+    for text in PHRASES:
+        places["agents"][text] = tools.find("room", text)
+    records = dict(zip(PHRASES, query["places"], strict=True))
+    classes = dict(zip(PHRASES, label["classes"], strict=True))
+    return {"query": records, "label": classes, **places}
+
+
+@pytest.mark.parametrize("text", PHRASES)
+def test_a_phrase_gives_the_same_things_in_five_places(text: str, path: Path, said, tmp_path: Path) -> None:
+    found, out = PHRASES[text], tmp_path / "selected.ply"
+    query, label, page, agents = (said[place][text] for place in ("query", "label", "page", "agents"))
+    if found:
+        assert set(run_json("select", path, text, "--out", out)["place"]["things"]) == found
+    else:
+        code, _, problem = run("select", path, text, "--out", out)
+        assert code == 2
+        assert "nothing to write" in problem
+    assert set(query["things"]) == set(label["things"]) == found
+    assert (page["present"], query["present"], label["present"]) == (bool(found),) * 3
+    assert (set(page["chosen_things"]) if found else set()) == found
+    assert page["text"] == text
+    assert {thing["thing"] for thing in agents["things"]} == found
+    assert agents["count"] == query["count"] == len(found)
+
+
+def test_left_and_right_are_seen_from_one_camera_which_answers_name(path: Path, said) -> None:
+    text = "mug left of the laptop"
+    assert said["query"][text]["seen_from"] == FRONT.name
+    assert f"as seen from {FRONT.name}" in said["page"][text]["remark"]
+    assert FRONT.name in said["agents"][text]["directions"]
+    assert "seen_from" not in said["query"]["mugs on the table"]
+    other = run_json(
+        "query", path, text, "--pictures", "none", "--seen-from", "back", "--out", path.parent / "back"
+    )
+    assert (other["places"][0]["things"], other["places"][0]["seen_from"]) == ([RIGHT], "back.png")
+
+
+def test_answers_say_what_was_found(path: Path, said, tmp_path: Path) -> None:
+    text, found = (
+        "laptop right of the lamp",
+        "found laptop: 1, lamp: 1, but none that is so, as seen from front.png",
+    )
+    assert found in run("select", path, text, "--out", tmp_path / "a.ply")[2]
+    assert said["page"][text]["remark"] == said["agents"][text]["remark"] == found
+    assert said["page"]["what is on the table"]["remark"].startswith(
+        "2 x mug, laptop, bowl, salt and pepper; sure"
+    )
+    assert said["page"]["mug"]["remark"] is None
+    absent = f"mug left of the {ABSENT}"
+    assert said["page"][absent]["remark"].startswith(f"{ABSENT}: not in this scene")
