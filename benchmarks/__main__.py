@@ -28,6 +28,7 @@ STUDIES = Family(
         "viewer": "benchmarks.viewer:ViewerCost",
         "archive": "benchmarks.archive:Archives",
         "archive-times": "benchmarks.archive_times:ArchiveTimes",
+        "compare": "benchmarks.compare:Compare",
     },
 )
 

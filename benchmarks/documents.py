@@ -25,6 +25,7 @@ from benchmarks.agents import Agents
 from benchmarks.answers import Real
 from benchmarks.archive import Archives
 from benchmarks.archive_times import ArchiveTimes
+from benchmarks.compare import Compare
 from benchmarks.concepts import Concepts
 from benchmarks.documents_summaries import ablations, answers, baselines, scales
 from benchmarks.extract import Extraction
@@ -178,6 +179,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "viewer": (ViewerCost, "viewer"),
     "archive": (Archives, "archive"),
     "archive times": (ArchiveTimes, "archive_times"),
+    "compare": (Compare, "compare"),
     "gpu": (Gpu, "gpu-nvidia-h200"),
 }
 """Tables that a study makes of its record: the study, and the name of the record."""

@@ -9,6 +9,7 @@ import pytest
 import torch
 from benchmarks import bounds
 from benchmarks.answer_presence import auc, presence_of_group
+from benchmarks.compare import Compare
 from benchmarks.documents import STUDIES, record
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
@@ -64,6 +65,14 @@ def test_things_and_relations() -> None:
     assert hits > 3 * missed  # so small a scene loses some
     assert sum(row["relations"]["left of"]) == 4  # two true ones, two false
     assert row["bytes"][0] > row["bytes"][1] == 6  # three levels, two bytes each
+
+
+@pytest.mark.slow
+def test_changes_between_captures() -> None:
+    rows = ran(Compare(scenes=("yard-0",), n_gaussians=12_000, real=()))["rows"]["yard-0"]
+    assert all(right <= reported for of in rows.values() for right, reported, _ in of.values())
+    assert sum(right for right, _, _ in rows["changed"].values()) >= 4
+    assert sum(reported for _, reported, _ in rows["unchanged"].values()) <= 1
 
 
 def test_the_area_under_the_curve_counts_ties_half() -> None:

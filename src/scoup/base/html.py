@@ -19,7 +19,9 @@ _STYLE = """body{font:14px/1.4 system-ui,sans-serif;margin:1.5rem;color-scheme:l
 input,select{font:inherit;padding:.4rem .6rem}input{width:min(26rem,100%)}summary{margin:1rem 0;cursor:pointer}
 ul{display:grid;grid-template-columns:repeat(auto-fill,minmax(14rem,1fr));gap:1rem;list-style:none;padding:0}
 li{border:1px solid #8886;border-radius:.5rem;padding:.6rem}img{width:100%;height:11rem;object-fit:contain}
-td,th{padding:.2rem .6rem;text-align:left}b{font-size:1.05rem}small{opacity:.75}[hidden]{display:none}"""
+td,th{padding:.2rem .6rem;text-align:left}b{font-size:1.05rem}small,figcaption{opacity:.75}[hidden]{display:none}
+.pairs{grid-template-columns:repeat(auto-fill,minmax(24rem,1fr))}.pairs div{display:grid;grid-template-columns:1fr 1fr}
+figure{margin:0;text-align:center}"""
 
 
 def shown(text: str) -> str:

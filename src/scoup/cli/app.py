@@ -26,6 +26,7 @@ Try `scoup demo` first: it needs no data, network or GPU. Then, with a scene of 
   scoup mcp scene.scoup
   scoup batch SCANS --out FIELDS --archive DIR
   scoup archive DIR "kettle"
+  scoup compare old.scoup new.scoup
   scoup info scene.scoup
   scoup eval lerf-ovs ROOT
 
@@ -52,6 +53,7 @@ SCOUP = Family(
         "mcp": "scoup.cli.mcp:ServeAgents",
         "batch": "scoup.cli.batch:Batch",
         "archive": "scoup.cli.archive:SearchArchive",
+        "compare": "scoup.cli.compare:CompareCaptures",
         "info": "scoup.cli.info:Info",
         "eval": "scoup_lab.cli.evaluate:EVAL",
         "bench": "scoup_lab.cli.bench:Bench",

@@ -9,20 +9,18 @@ from scoup.base.counts import counted
 from scoup.base.staging import staged
 from scoup.cli.console import Console
 from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
-from scoup.cli.query_options import FrameOptions, TextOptions, check_metres
+from scoup.cli.query_options import FrameOptions, NamingOptions, check_metres
 
 SHOWN = 12  # things printed; the files contain all
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakeCatalog(TextOptions, FrameOptions):
+class MakeCatalog(NamingOptions, FrameOptions):
     """Name the things in a scene with words, and write a scene graph (catalog.json), a table (catalog.csv) and a page
     with pictures (index.html)."""
 
-    option_groups: ClassVar[OptionGroups] = {"words": "words", "output": "out metres_per_unit"}
+    option_groups: ClassVar[OptionGroups] = {"output": "out metres_per_unit"}
 
-    words: OptionalPath = None
-    """Words to name things with, one per line. Default: all words of the table of --text, else everyday words."""
     out: OptionalPath = None
     """Folder to write. Default: <name of FIELD>_catalog here."""
     metres_per_unit: OptionalNumber = None
@@ -30,16 +28,12 @@ class MakeCatalog(TextOptions, FrameOptions):
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""
-        from scoup.models.text import everyday_vocabulary
         from scoup.query.catalog_files import catalog_files, save_catalog
-        from scoup.query.question import literal
-        from scoup.view.vocabulary import read_words
 
         check_metres(self.metres_per_unit)
         out = self.output_folder(self.out, "catalog")
         field = self.open_field()
-        words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
-        catalog = field.catalog(self.question(field, literal(words)), self.open_frame(field))
+        catalog = field.catalog(self.naming_question(field), self.open_frame(field))
         cameras = list(field.cameras or ())
         files = catalog_files(catalog, cameras)
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:

@@ -183,6 +183,25 @@ class TextOptions(FieldOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class NamingOptions(TextOptions):
+    """Options of verbs that name things."""
+
+    option_groups: ClassVar[OptionGroups] = {"words": "words"}
+
+    words: OptionalPath = None
+    """Words to name things with, one per line. Default: all words of the table of --text, else everyday words."""
+
+    def naming_question(self, field: LanguageField) -> Question[Any]:
+        """The question of these words."""
+        from scoup.models.text import everyday_vocabulary
+        from scoup.query.question import literal
+        from scoup.view.vocabulary import read_words
+
+        words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
+        return self.question(field, literal(words))
+
+
+@dataclass(frozen=True, kw_only=True)
 class FrameOptions(FieldOptions):
     """Options of verbs that understand relations between things."""
 

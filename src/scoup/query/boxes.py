@@ -54,6 +54,10 @@ class OrientedBox:
             "extent": rounded_vector(self.extent.tolist()),
         }
 
+    def contains(self, point: Tensor) -> bool:
+        """Return whether a point [3] is in the box."""
+        return bool(((self.axes @ (point - self.centre)).abs() <= self.extent / 2).all())
+
     def corners(self) -> Tensor:
         """Return the corners [8, 3]."""
         signs = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5], dtype=torch.float64)] * 3)
@@ -140,7 +144,7 @@ class PointSets:
         side /= np.linalg.norm(side)
         level = np.stack([side, np.cross(upright, side)])
         turns = self._principal_turns(level)[:, None] + np.arange(TURNS) * (np.pi / 2 / TURNS)
-        some = self._sample(SAMPLED)
+        some = self.sample(SAMPLED)
         areas = np.stack([some._extents(_upright(turn, level))[:, :2].prod(1) for turn in turns.T], 1)
         best = np.where(areas.min(1) < CLEARLY * areas[:, 0], areas.argmin(1), 0)
         axes = _upright(turns[np.arange(len(self)), best], level)
@@ -161,10 +165,10 @@ class PointSets:
     def _principal_turns(self, level: Array) -> Array:
         """[T] angle of the principal axis in the plane of two directions [2, 3], in radians."""
         flat = self.means @ level.T
-        total = np.maximum(self._sums(self.weights), 1e-12)
-        middle = np.stack([self._sums(self.weights * axis) for axis in flat.T], 1) / total[:, None]
+        total = np.maximum(self.sums(self.weights), 1e-12)
+        middle = np.stack([self.sums(self.weights * axis) for axis in flat.T], 1) / total[:, None]
         x, y = (flat - middle[self.owners]).T
-        xx, yy, xy = (self._sums(self.weights * product) for product in (x * x, y * y, x * y))
+        xx, yy, xy = (self.sums(self.weights * product) for product in (x * x, y * y, x * y))
         return 0.5 * np.arctan2(2 * xy, xx - yy)
 
     def _extents(self, axes: Array) -> Array:
@@ -172,14 +176,15 @@ class PointSets:
         ends = self.quantiles([(1 - INSIDE) / 2, (1 + INSIDE) / 2], axes)
         return ends[..., 1] - ends[..., 0]
 
-    def _sample(self, most: int) -> PointSets:
+    def sample(self, most: int) -> PointSets:
         """Return every n-th Gaussian of each thing, about ``most`` of each."""
         counts = np.diff(self.starts)
         place = np.arange(len(self.means)) - np.repeat(self.starts[:-1], counts)
         some = place % np.repeat(np.maximum(1, counts // most), counts) == 0
         return PointSets(self.means[some], self.weights[some], np.append(0, np.cumsum(some))[self.starts])
 
-    def _sums(self, values: Array) -> Array:
+    def sums(self, values: Array) -> Array:
+        """Return the sum of values [M] over each thing, [T]."""
         return np.bincount(self.owners, values, len(self)).astype(np.float64)
 
 

@@ -108,6 +108,12 @@ def draw_things(
                 yield thing, picture
 
 
+def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
+    """Return the camera that sees a thing largest, if any sees it, and one of its own."""
+    best = _best_view(thing, cameras)
+    return [*(() if best is None else (cameras[best],)), _own_view(thing, cameras)]
+
+
 def _own_view(thing: Thing, cameras: Sequence[Camera]) -> Camera:
     """Return a camera that looks at a thing from the side of the nearest one, and from so near that it fills half."""
     near = min(cameras, key=lambda each: float((each.position - thing.position).norm()))
@@ -142,15 +148,26 @@ def _best_view(thing: Thing, cameras: Sequence[Camera]) -> int | None:
 
 
 def _crop(mask: torch.Tensor, colors: Picture) -> Picture | None:
+    window = crop_window(mask)
+    return None if window is None else cropped(colors, window, mask)
+
+
+def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:
+    """Return the rows and columns around a mask [H, W] with a margin; None if it is empty."""
     rows, columns = np.nonzero(mask.numpy())
     if not len(rows):
         return None
     margin = int(MARGIN * max(np.ptp(rows), np.ptp(columns))) + 8
-    part = (
+    return (
         slice(max(0, rows.min() - margin), rows.max() + margin + 1),
         slice(max(0, columns.min() - margin), columns.max() + margin + 1),
     )
-    picture = Image.fromarray(mask_overlay(mask.numpy()[part], colors[part]))
+
+
+def cropped(colors: Picture, window: tuple[slice, slice], mask: torch.Tensor | None = None) -> Picture:
+    """Return a window of a picture, small, with the mask [H, W] drawn over it."""
+    part = colors[window] if mask is None else mask_overlay(mask.numpy()[window], colors[window])
+    picture = Image.fromarray(np.ascontiguousarray(part))
     picture.thumbnail((SIDE, SIDE))
     return np.asarray(picture)
 
@@ -160,20 +177,18 @@ const lists=[...document.querySelectorAll("ul")],items=[...document.querySelecto
 box.addEventListener("input",()=>{const wanted=box.value.toLowerCase();let count=0;
 for(const item of items){item.hidden=!item.textContent.toLowerCase().includes(wanted);count+=!item.hidden}
 if(wanted)document.querySelector("details").open=true;
-document.querySelector("output").textContent=`${count} of ${items.length} things`});
+document.querySelector("output").textContent=`${count} of ${items.length}`});
 sort.addEventListener("change",()=>{for(const list of lists)list.append(...[...list.children].sort((a,b)=>
 sort.value==="name"?(a.dataset.name||"\\uffff").localeCompare(b.dataset.name||"\\uffff"):
 b.dataset[sort.value]-a.dataset[sort.value]))});"""
 
 
-def size_in_words(thing: Thing, metres_per_unit: float | None) -> str:
-    """Return length, width and height for people: "about 12 x 8 x 8 cm"; in units of the scene without metres."""
-    sides = thing.box.extent.tolist()
-    if metres_per_unit is None:
-        return f"{' x '.join(f'{side:.2g}' for side in sides)} units"
-    metres = [side * metres_per_unit for side in sides]
-    scale, unit = (1, "m") if max(metres) >= 1 else (100, "cm")
-    return f"about {' x '.join(f'{side * scale:.2g}' for side in metres)} {unit}"
+def in_words(sides: Sequence[float], metres_per_unit: float | None) -> str:
+    """Return lengths for people: "about 12 x 8 x 8 cm"; in units of the scene without metres."""
+    metres = [side * (metres_per_unit or 1.0) for side in sides]
+    scale, unit = (100, "cm") if metres_per_unit is not None and max(metres) < 1 else (1, "m")
+    text = " x ".join(f"{float(f'{side * scale:.2g}'):g}" for side in metres)
+    return f"{text} units" if metres_per_unit is None else f"about {text} {unit}"
 
 
 def _card(
@@ -185,13 +200,11 @@ def _card(
     data = f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{thing.score or 0:.4f}"'
     return (
         f"<li {data}>{image}<b>{shown(thing.text) or 'unnamed'}</b> <small>{sure}</small><br><small>{alternatives}"
-        f"{shown(size_in_words(thing, metres_per_unit))}<br>thing {thing.number}{related}</small></li>"
+        f"{in_words(thing.box.extent.tolist(), metres_per_unit)}<br>thing {thing.number}{related}</small></li>"
     )
 
 
 def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit: float | None) -> str:
-    """A page of the objects, and folded, of all other things, with a box that filters them; it loads nothing but its
-    pictures."""
     text_of: dict[int | None, str] = {thing.number: thing.text for thing in catalog.things}
     parts: dict[int | None, set[str]] = {}
     for thing in catalog.things:
@@ -206,13 +219,19 @@ def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit:
             f", in {shown(whole)}" if (whole := text_of.get(thing.parent, "")) not in ("", thing.text) else ""
         )
         cards[thing.number not in objects].append(_card(thing, names, related, drawn, metres_per_unit))
-    first, folded = ("\n".join(each) for each in cards)
+    objects_list, folded = ("<ul>\n" + "\n".join(each) + "\n</ul>" for each in cards)
+    summary = f"Parts, groups and fragments ({len(cards[1])})"
+    return cards_page(f"Things of {title}", f"{len(catalog.things)} things", objects_list, summary, folded)
+
+
+def cards_page(heading: str, count: str, lists: str, summary: str, folded: str) -> str:
+    """Return a page of lists of cards, the last folded, with a box that filters them; it loads nothing but its
+    pictures."""
     return page(
-        f"Things of {title}",
+        heading,
         '<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
         '<select aria-label="Sort by"><option value="score">sort by certainty<option value="name">by name'
         '<option value="size">by size</select> '
-        f"<output>{len(catalog.things)} things</output></p>\n<ul>\n{first}\n</ul>\n"
-        f"<details><summary>Parts, groups and fragments ({len(cards[1])})</summary><ul>\n{folded}\n</ul></details>\n"
-        f"<script>{_SCRIPT}</script>",
+        f"<output>{count}</output></p>\n{lists}\n"
+        f"<details><summary>{summary}</summary>{folded}</details>\n<script>{_SCRIPT}</script>",
     )

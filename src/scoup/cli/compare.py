@@ -1,0 +1,66 @@
+"""scoup compare: what was added, removed and moved between two captures of one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from scoup.base.counts import counted
+from scoup.cli.console import Console
+from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
+from scoup.cli.query_options import NamingOptions, check_metres
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareCaptures(NamingOptions):
+    """Find the objects that were added, removed or moved between two captures of one place, and write them as
+    compare.json and a page with pictures (index.html)."""
+
+    option_groups: ClassVar[OptionGroups] = {
+        "field": "new_gaussians transform",
+        "output": "out metres_per_unit",
+    }
+
+    field: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OLD", help_behavior_hint="")]
+    """The .scoup file of the first capture."""
+    new: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="NEW", help_behavior_hint="")]
+    """The .scoup file of the second one, with embeddings of the same model."""
+    new_gaussians: OptionalPath = None
+    """The splat that NEW was built on; --gaussians is that of OLD. Default: the one NEW names."""
+    transform: OptionalPath = None
+    """Text or JSON file with 4 x 4 numbers: the rotation, scale and translation from the frame of NEW to that of OLD.
+    Default: the frames are the same."""
+    out: OptionalPath = None
+    """Folder to write. Default: <name of NEW>_changes here."""
+    metres_per_unit: OptionalNumber = None
+    """Length of the unit of OLD in metres."""
+
+    def run(self, console: Console) -> None:
+        """Compare and write."""
+        from scoup.base.staging import staged
+        from scoup.io.similarity import read_similarity
+        from scoup.query.compare import compare
+        from scoup.query.compare_files import PAGE, RECORD, save_comparison
+
+        check_metres(self.metres_per_unit)
+        second = replace(self, field=self.new, gaussians=self.new_gaussians)
+        out = second.output_folder(self.out, "changes")
+        transform = None if self.transform is None else read_similarity(self.transform)
+        old, new = self.open_field(), second.open_field()
+        found = compare(old, new, self.naming_question(old), transform)
+        with staged(out, [RECORD, PAGE], self.overwrite) as hidden, console.progress() as progress:
+            save_comparison(old, new, found, hidden, self.metres_per_unit, progress)
+        for change in found.changes:
+            thing = change.new or change.old
+            assert thing is not None
+            far = "" if change.distance is None else f" by {change.distance:.3g}"
+            text = f"{thing.text or 'unnamed'}: thing {thing.number}, {thing.describe()}"
+            console.say(f"{change.kind}{far}, confidence {change.confidence:.2f}: {text}")
+        changed = sum(change.kind != "unseen" for change in found.changes)
+        console.say(
+            f"{out}: {counted(changed, 'change')} among {found.counts[0]} and {found.counts[1]} objects"
+        )
+        console.result({"out": out, "files": [RECORD, PAGE], **found.to_dict(self.metres_per_unit)})

@@ -1,0 +1,46 @@
+"""A similarity transform in a file: how one frame lies in another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scoup.base.errors import FileFormatError
+from scoup.base.json_node import JsonNode
+from scoup.io.reading import existing_file, read_text
+
+REMEDY = "the file should contain 4 rows of 4 numbers: a rotation times a scale, with a translation"
+STRAIGHT = 1e-3  # of the rotation's products
+
+
+def read_similarity(path: str | Path) -> NDArray[np.float64]:
+    """Return the similarity [4, 4] of a text or JSON file.
+
+    Raises:
+        FileFormatError: the file contains something else.
+    """
+    path = existing_file(path, "a transform")
+    text = read_text(path)
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = [[_number(word) for word in line.replace(",", " ").split()] for line in text.splitlines()]
+        value = [row for row in value if row]
+    matrix = JsonNode(path, value, REMEDY).numbers(4, 4)
+    with np.errstate(all="ignore"):
+        scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
+        turn = matrix[:3, :3] / scale
+        straight = bool(np.abs(turn @ turn.T - np.eye(3)).max() <= STRAIGHT)
+    if not (straight and scale > 0 and np.array_equal(matrix[3], [0, 0, 0, 1])):
+        raise FileFormatError(path, "is not a rotation, scale and translation", REMEDY)
+    return matrix
+
+
+def _number(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word

@@ -1,0 +1,361 @@
+"""What differs between two captures of one place: objects that were added, removed or moved.
+
+Two builds cut one place into things differently, so a thing of one capture is not compared with things of the other,
+but with its Gaussians: it is still there if its own lie on Gaussians whose things look like it. Things that are not
+there are one object if they lie in the box of the largest of them. It has gone only if cameras of the other capture
+look through its place, or at something else in it. An object gone from one place and a new one elsewhere that look
+alike, one to one, are one that moved. Ours; measured in docs/many_scenes.md.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scoup.base.errors import InputError, ScoupWarning
+from scoup.field.language_field import LanguageField
+from scoup.field.renders import render_depth
+from scoup.query.boxes import PointSets
+from scoup.query.catalog import Catalog, make_catalog
+from scoup.query.question import Question, Several
+from scoup.query.things import Thing
+from scoup.scene.things import NO_THING
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
+SCHEMA = "scoup comparison"
+REACH = 0.05
+"""Gaussians lie on each other up to this share of an object's size, or its size over the root of its Gaussians."""
+LIKE = (0.2, 0.5)
+"""Cosines, less the mean of all things, from which a thing looks like an object a little, and fully."""
+GONE = 0.7
+"""A thing has gone if this share of it is not there."""
+LEAST_REGIONS = 6
+"""What has gone had so many regions, over all levels; less is a fragment."""
+SEEN = 0.65
+"""A place was seen from this share of it on."""
+RESIZED = 1.5
+"""A thing that moved is at most so many times as large as before."""
+STILL = 0.25
+"""In sizes of an object, how far it has to move."""
+SAMPLED = 150  # Gaussians of a thing that are looked for
+NEAREST = 8  # Gaussians of the other capture that are tried for each of them
+LEAST_OPACITY = 0.1  # of a Gaussian that something can lie on
+SIDE = 320  # pixels of the longer side of a depth map
+INNER = (0.02, 0.98)  # shares of the Gaussians between which a capture lies
+MOST_CHANGES = 0.5  # share of the objects, beyond which the frames may differ
+
+Array = NDArray[np.floating[Any]]
+Kind = Literal["added", "removed", "moved", "unseen"]
+KINDS: tuple[Kind, ...] = ("added", "removed", "moved", "unseen")
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """An object that is not where it was."""
+
+    kind: Kind
+    """Unseen: it is in one capture only, and the other did not see its place."""
+    old: Thing | None
+    """In the frame of the old capture."""
+    new: Thing | None
+    """In the frame of the new capture."""
+    distance: float | None
+    """How far it moved, in units of the old capture."""
+    confidence: float
+    """0 to 1: the share of it that is not there, times the share of its place that was seen (for unseen, was not); if
+    it moved, of the surer side, times its cosine with what it was."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The changes between two captures of one place."""
+
+    changes: tuple[Change, ...]
+    """By kind, the surest first."""
+    counts: tuple[int, int]
+    """Objects of the old and of the new capture."""
+    transform: Array
+    """[4, 4] from the frame of the new capture to that of the old one."""
+
+    def of_kind(self, kind: Kind) -> list[Change]:
+        """Return the changes of a kind."""
+        return [change for change in self.changes if change.kind == kind]
+
+    def lengths(self, metres_per_unit: float | None) -> tuple[float | None, float | None]:
+        """Return the metres per unit of both captures from those of the old one."""
+        return metres_per_unit, metres_per_unit and metres_per_unit * scale_of(self.transform)
+
+    def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
+        """Return the comparison as plain JSON values, rounded.
+
+        Args:
+            metres_per_unit: length of the old capture's unit; with it, lengths are given in metres, too.
+        """
+        changes = []
+        for change in self.changes:
+            found: dict[str, Any] = {"kind": change.kind, "confidence": round(change.confidence, 4)}
+            if change.distance is not None:
+                found["distance"] = round(change.distance, 6)
+                if metres_per_unit is not None:
+                    found["distance_metres"] = round(change.distance * metres_per_unit, 6)
+            for side, thing, unit in zip(
+                ("old", "new"), (change.old, change.new), self.lengths(metres_per_unit), strict=True
+            ):
+                found[side] = thing and thing.to_dict(unit)
+            changes.append(found)
+        return {
+            "format": SCHEMA,
+            "version": 1,
+            "transform": self.transform.tolist(),
+            "objects": {"old": self.counts[0], "new": self.counts[1]},
+            "changes": changes,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Capture:
+    """A capture, whose things are looked for in the other one."""
+
+    field: LanguageField
+    catalog: Catalog
+    to_other: Array  # [4, 4]
+
+    @cached_property
+    def points(self) -> PointSets:
+        """Some Gaussians of each thing, without strays."""
+        members = [thing.gaussians for thing in self.catalog.things]
+        return PointSets.of(self.field.gaussians, members).sample(SAMPLED)
+
+    @cached_property
+    def embeddings(self) -> Array:
+        """[T, D] of all things."""
+        table = self.field.thing_table
+        assert table is not None
+        return table.embeddings.double().cpu().numpy()
+
+    @cached_property
+    def solid(self) -> NDArray[np.int64]:
+        """Gaussians that something can lie on."""
+        gaussians = self.field.gaussians
+        return np.flatnonzero((gaussians.finite() & (gaussians.opacities >= LEAST_OPACITY)).cpu().numpy())
+
+    @cached_property
+    def tree(self) -> KDTree:
+        from scipy.spatial import KDTree
+
+        return KDTree(self.field.gaussians.means.double().cpu().numpy()[self.solid])
+
+    @property
+    def places(self) -> Array:
+        """[M, 3] the points in the other's frame."""
+        return moved_points(self.points.means, self.to_other)
+
+    @property
+    def reach(self) -> Array:
+        """[M] up to which distance, in the other's units, each point lies on another."""
+        sizes = np.array([thing.size * max(REACH, thing.n_gaussians**-0.5) for thing in self.catalog.things])
+        return sizes[self.points.owners] * scale_of(self.to_other)
+
+
+def scale_of(transform: Array) -> float:
+    """Return the scale of a similarity [4, 4]."""
+    return float(np.cbrt(np.linalg.det(transform[:3, :3])))
+
+
+def moved_points(points: Array, transform: Array) -> Array:
+    """Return points [M, 3] moved by a transform [4, 4]."""
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def compare(
+    old: LanguageField,
+    new: LanguageField,
+    words: Question[Any] | Several,
+    transform: Array | None = None,
+) -> Comparison:
+    """Return the objects that were added, removed or moved between two captures of one place.
+
+    Args:
+        old, new: with things and cameras, and embeddings of one model.
+        words: that name the things.
+        transform: [4, 4] similarity from the frame of ``new`` to that of ``old``; None: they are the same.
+
+    Raises:
+        InputError: a field has no things or cameras, the embeddings are of two models, or the frames do not fit.
+    """
+    _check(old, new)
+    matrix = np.eye(4) if transform is None else transform
+    both = (
+        _Capture(old, make_catalog(old, words), np.linalg.inv(matrix)),
+        _Capture(new, make_catalog(new, words), matrix),
+    )
+    _check_frames(*both)
+    centre = np.concatenate([each.embeddings for each in both]).mean(0)
+    gone, come = (_missing(one, other, centre) for one, other in (both, both[::-1]))
+    changes = sorted(
+        _changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.confidence)
+    )
+    counts = len(both[0].catalog.objects), len(both[1].catalog.objects)
+    if len(gone) + len(come) > MOST_CHANGES * sum(counts):
+        warnings.warn(
+            f"{_name(new)}: {len(gone) + len(come)} of {sum(counts)} objects are in one place here and in another, or "
+            f"nowhere, in {_name(old)}; if most did not change, the frames differ: pass `transform`",
+            ScoupWarning,
+            stacklevel=2,
+        )
+    return Comparison(tuple(changes), counts, matrix)
+
+
+def _name(field: LanguageField) -> str:
+    return str(field.path or "this field")
+
+
+def _check(old: LanguageField, new: LanguageField) -> None:
+    for field in (old, new):
+        if not field.cameras:
+            raise InputError(
+                f"{_name(field)}: contains no cameras, which say what it saw; build it from photographs"
+            )
+    models = [
+        f"{field.embedding_model or 'an unnamed model'} ({field.dim} dimensions)" for field in (old, new)
+    ]
+    if models[0] != models[1]:
+        raise InputError(
+            f"{_name(new)}: contains embeddings of {models[1]}, {_name(old)} of {models[0]}; build both with one model"
+        )
+
+
+def _check_frames(old: _Capture, new: _Capture) -> None:
+    low, high = np.quantile(old.tree.data, INNER, axis=0)
+    ends = np.quantile(moved_points(new.tree.data, new.to_other), INNER, axis=0)
+    if bool(((ends[1] < low) | (ends[0] > high)).any()):
+        raise InputError(
+            f"{_name(new.field)}: lies beside {_name(old.field)}, so the frames differ; pass the `transform` from its "
+            "frame to that of the old capture"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Missing:
+    """An object that is not there in the other capture."""
+
+    things: list[Thing]  # it and its parts, as levels cut it; the largest first
+    looks: Array  # [T, D] of each
+    absent: float  # share of the first that is not there
+    seen: float  # share of its place that the other capture saw
+
+    def change(self, kind: Literal["added", "removed"]) -> Change:
+        """Return it as a change by itself, preferably a named thing."""
+        most = [thing for thing in self.things if 2 * thing.n_gaussians >= self.things[0].n_gaussians]
+        thing = next((each for each in most if each.text), self.things[0])
+        old, new = (thing, None) if kind == "removed" else (None, thing)
+        if self.seen < SEEN:
+            return Change("unseen", old, new, None, self.absent * (1 - self.seen))
+        return Change(kind, old, new, None, self.absent * self.seen)
+
+
+def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
+    """Return what is not there in the other capture; things in the box of a larger one belong to it."""
+    absent, things = 1 - _present(one, other, centre), one.catalog.things
+    together: dict[int, list[int]] = {}
+    gone = np.flatnonzero(absent >= GONE).tolist()
+    for place in sorted(gone, key=lambda place: -things[place].n_gaussians):
+        around = (first for first in together if things[first].box.contains(things[place].position))
+        together.setdefault(next(around, place), []).append(place)
+    together = {
+        first: places
+        for first, places in together.items()
+        if sum(things[place].n_regions or 0 for place in places) >= LEAST_REGIONS
+    }
+    seen = _seen(one, other, np.isin(one.points.owners, [*together]))
+    looks = _looks(one.embeddings, centre)
+    return [
+        _Missing(
+            [things[place] for place in places],
+            looks[[things[place].number or 0 for place in places]],
+            float(absent[first]),
+            float(seen[first]),
+        )
+        for first, places in together.items()
+    ]
+
+
+def _looks(embeddings: Array, centre: Array) -> Array:
+    """Return unit vectors [T, D] of how embeddings differ from the mean of all things."""
+    differing = embeddings - centre
+    return differing / np.linalg.norm(differing, axis=1, keepdims=True).clip(1e-9)
+
+
+def _present(one: _Capture, other: _Capture, centre: Array) -> Array:
+    """Return the share of each thing [T] that lies on what looks like it in the other capture."""
+    numbers = np.array([thing.number for thing in one.catalog.things], np.int64)
+    cosines = _looks(one.embeddings, centre)[numbers] @ _looks(other.embeddings, centre).T
+    alike = ((cosines - LIKE[0]) / (LIKE[1] - LIKE[0])).clip(0, 1)
+    points, table = one.points, other.field.thing_table
+    assert table is not None
+    found = other.tree.query(one.places, k=min(NEAREST, len(other.solid)))
+    distances, near = (np.asarray(part).reshape(len(points.means), -1) for part in found)
+    owners = table.owners.cpu().numpy()[other.solid[near]]  # [M, k, S]
+    found = np.where(owners == NO_THING, 0.0, alike[points.owners[:, None, None], owners]).max(2)
+    found = np.where((owners == NO_THING).all(2), 1.0, found)  # what is of no thing may be anything
+    on = np.where(distances <= one.reach[:, None], found, 0.0).max(1)
+    return points.sums(points.weights * on) / points.sums(points.weights).clip(1e-12)
+
+
+def _seen(one: _Capture, other: _Capture, asked: NDArray[np.bool_]) -> Array:
+    """Return the share of the place of each thing [T] at which, or through which, a camera of the other capture looks.
+
+    Args:
+        asked: [M] boolean, the points that count.
+    """
+    places, reach, seen = one.places[asked], one.reach[asked], np.zeros(int(asked.sum()), bool)
+    for camera in other.field.cameras or ():
+        small = camera.scaled(min(1.0, SIDE / max(camera.width, camera.height)))
+        ahead = moved_points(places, small.viewmat.double().cpu().numpy())
+        with np.errstate(all="ignore"):
+            pixels = np.floor((ahead @ small.K.double().cpu().numpy().T)[:, :2] / ahead[:, 2:])
+        inside = (ahead[:, 2] > 0) & ((pixels >= 0) & (pixels < [small.width, small.height])).all(1) & ~seen
+        if inside.any():
+            depth = render_depth(other.field.project(small), other.field.gaussians, small).numpy()
+            columns, rows = pixels[inside].astype(int).T
+            seen[inside] = ~(depth[rows, columns] < ahead[inside, 2] - reach[inside])  # NaN: nothing is there
+    weights = np.zeros(len(asked))
+    weights[asked] = one.points.weights[asked] * seen
+    return one.points.sums(weights) / one.points.sums(one.points.weights).clip(1e-12)
+
+
+def _changes(gone: Sequence[_Missing], come: Sequence[_Missing], matrix: Array) -> list[Change]:
+    """Return what moved, one to one, and all others by themselves."""
+    from scipy.optimize import linear_sum_assignment
+
+    scale, cosines, best = scale_of(matrix), np.zeros((len(gone), len(come))), {}
+    for (one, old), (other, new) in product(enumerate(gone), enumerate(come)):
+        growth = scale * np.array([each.size for each in new.things]) / [[each.size] for each in old.things]
+        fit = np.where((growth <= RESIZED) & (growth >= 1 / RESIZED), old.looks @ new.looks.T, 0)
+        if fit.max() >= LIKE[1] and max(old.seen, new.seen) >= SEEN:
+            cosines[one, other] = fit.max()
+            first, second = np.argwhere(fit >= LIKE[1])[0]  # the largest
+            best[one, other] = old.things[first], new.things[second]
+    pairs = [
+        pair for pair in zip(*linear_sum_assignment(cosines, maximize=True), strict=True) if pair in best
+    ]
+    found = []
+    for pair in pairs:
+        old, new = best[pair]
+        place = moved_points(new.position.numpy(), matrix)
+        distance = float(np.linalg.norm(place - old.position.numpy()))
+        if distance > STILL * old.size:
+            sure = max(each.absent * each.seen for each in (gone[pair[0]], come[pair[1]]))
+            found.append(Change("moved", old, new, distance, float(cosines[pair]) * sure))
+    paired = [{pair[side] for pair in pairs} for side in (0, 1)]
+    found += [each.change("removed") for place, each in enumerate(gone) if place not in paired[0]]
+    return found + [each.change("added") for place, each in enumerate(come) if place not in paired[1]]

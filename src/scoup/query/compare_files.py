@@ -1,0 +1,126 @@
+"""The files of a comparison: JSON, pictures from before and after, and a page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from scoup.base.atomic import write_text
+from scoup.base.counts import counted
+from scoup.base.html import shown
+from scoup.base.progress import Progress, no_progress
+from scoup.field.language_field import LanguageField
+from scoup.pictures import as_picture
+from scoup.pictures.colors import Picture
+from scoup.query.catalog_files import (
+    PAGE,
+    PICTURES,
+    cards_page,
+    crop_window,
+    cropped,
+    in_words,
+    thing_mask,
+    viewing_cameras,
+)
+from scoup.query.compare import KINDS, Array, Change, Comparison, scale_of
+from scoup.scene.cameras import Camera
+
+RECORD = "compare.json"
+SIDES = ("old", "new")
+TITLES: dict[str, str] = {
+    **{kind: kind.capitalize() for kind in KINDS},
+    "unseen": "In one capture only, at a place that the other did not see",
+}
+
+
+def save_comparison(
+    old: LanguageField,
+    new: LanguageField,
+    comparison: Comparison,
+    folder: Path,
+    metres_per_unit: float | None = None,
+    progress: Progress = no_progress,
+) -> None:
+    """Write the files of a comparison of two fields into an empty folder.
+
+    Args:
+        metres_per_unit: length of the old capture's unit.
+        progress: called for the stage "pictures".
+    """
+    record = json.dumps(comparison.to_dict(metres_per_unit), indent=1, allow_nan=False)
+    write_text(folder / RECORD, record + "\n")
+    (folder / PICTURES).mkdir()
+    cards: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    for number, change in enumerate(comparison.changes):
+        progress("pictures", number, len(comparison.changes))
+        names = {}
+        for side, picture in _pictures(old, new, change, comparison):
+            names[side] = f"{PICTURES}/{number:04d}_{side}.jpg"
+            Image.fromarray(picture).save(folder / names[side], quality=85)
+        cards[change.kind].append(_card(change, names, comparison.lengths(metres_per_unit)))
+    progress("pictures", len(comparison.changes), len(comparison.changes))
+    lists = {kind: "<ul class=pairs>\n" + "\n".join(each) + "\n</ul>" for kind, each in cards.items()}
+    titles = {kind: f"{title} ({len(cards[kind])})" for kind, title in TITLES.items()}
+    heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
+    content = cards_page(
+        f"Changes between {heading}",
+        counted(len(comparison.changes) - len(cards["unseen"]), "change"),
+        "\n".join(f"<h2>{titles[kind]}</h2>\n{lists[kind]}" for kind in KINDS if kind != "unseen"),
+        titles["unseen"],
+        lists["unseen"],
+    )
+    write_text(folder / PAGE, content)
+
+
+def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float | None]) -> str:
+    there = [
+        (side, thing, unit)
+        for side, thing, unit in zip(SIDES, (change.old, change.new), lengths, strict=True)
+        if thing is not None
+    ]
+    _, thing, unit = there[-1]
+    far = "" if change.distance is None else f" by {in_words([change.distance], lengths[0])}"
+    images = "".join(
+        f'<figure><img loading="lazy" alt="" src="{pictures[side]}"><figcaption>{side}</figcaption></figure>'
+        for side in SIDES
+        if side in pictures
+    )
+    data = (
+        f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{change.confidence:.4f}"'
+    )
+    numbers = ", ".join(f"thing {each.number} of the {side} capture" for side, each, _ in there)
+    return (
+        f"<li {data}><div>{images}</div><b>{shown(thing.text) or 'unnamed'}</b> <small>{change.kind}{far}, confidence "
+        f"{change.confidence:.2f}<br>{in_words(thing.box.extent.tolist(), unit)}<br>{numbers}</small></li>"
+    )
+
+
+def _pictures(
+    old: LanguageField, new: LanguageField, change: Change, comparison: Comparison
+) -> Iterator[tuple[str, Picture]]:
+    """Yield the object before and after; where it is not there, its place from the same camera."""
+    transform = comparison.transform
+    sides = (old, change.old, new, np.linalg.inv(transform)), (new, change.new, old, transform)
+    for place, (field, thing, other, to_other) in enumerate(sides):
+        if thing is None:
+            continue
+        for camera in viewing_cameras(thing, list(field.cameras or ())):
+            view = field.at(camera)
+            mask = thing_mask(view, thing)
+            window = crop_window(mask)
+            if window is None:
+                continue
+            yield SIDES[place], cropped(as_picture(view.renders.colors().cpu()), window, mask)
+            if change.kind != "moved":
+                again = other.at(_moved_camera(camera, to_other))
+                yield SIDES[1 - place], cropped(as_picture(again.renders.colors().cpu()), window)
+            break
+
+
+def _moved_camera(camera: Camera, transform: Array) -> Camera:
+    scale = scale_of(transform)
+    return camera.moved(transform[:3, :3] / scale, transform[:3, 3] / scale, scale)

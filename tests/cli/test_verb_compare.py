@@ -1,0 +1,51 @@
+"""scoup compare."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from cli_support import refused, run, run_json
+from query.planted_room import planted_room
+from scoup.models.word_table import save_table
+
+LAMP = 4  # of planted_room.ROOM
+
+
+@pytest.fixture(autouse=True)
+def captures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """old.scoup, new.scoup without the lamp, and words.npz."""
+    monkeypatch.chdir(tmp_path)
+    room = planted_room()
+    assert room.thing_table is not None
+    encoder = room.text_encoder()
+    save_table(Path("words.npz"), encoder.names or (), encoder.encode(list(encoder.names or ())).numpy())
+    room.save("old.scoup")
+    room[~room.thing_table.members(torch.tensor([LAMP]))].save("new.scoup")
+
+
+def test_an_object_that_is_gone() -> None:
+    Path("t.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    words = ("--text", "words.npz", "--transform", "t.txt")
+    code, out, err = run("compare", "old.scoup", "new.scoup", *words)
+    assert (code, err) == (0, "")
+    record = json.loads(Path("new_changes/compare.json").read_text())
+    (change,) = record["changes"]
+    assert (change["kind"], change["old"]["text"], change["new"]) == ("removed", "lamp", None)
+    page = Path("new_changes/index.html").read_text()
+    pictures = sorted(path.name for path in Path("new_changes/pictures").iterdir())
+    assert pictures == ["0000_new.jpg", "0000_old.jpg"]
+    assert all(f'src="pictures/{name}"' in page for name in pictures)
+    assert f"removed, confidence {change['confidence']:.2f}: lamp" in out
+    assert "already exists" in refused("compare", "old.scoup", "new.scoup", *words)
+    other = run_json("compare", "new.scoup", "old.scoup", *words, "--out", "back")
+    assert [one["kind"] for one in other["changes"]] == ["added"]
+
+
+def test_refusals() -> None:
+    Path("t.txt").write_text("1 2 3")
+    assert "t.txt: its content" in refused("compare", "old.scoup", "new.scoup", "--transform", "t.txt")
+    assert "no.scoup: there is no such file" in refused("compare", "old.scoup", "no.scoup")

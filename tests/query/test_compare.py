@@ -1,0 +1,104 @@
+"""Changes between two captures of a known room."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
+from scoup.base.errors import InputError, ScoupWarning
+from scoup.field.language_field import LanguageField
+from scoup.query.compare import compare
+from scoup.scene.cameras import Camera, Cameras
+
+WORDS = [*dict.fromkeys(box.name for box in ROOM)]
+MUG, LAPTOP, LAMP = 1, 3, 4
+AWAY = Camera.look_at((0, 60, 1), (0, 70, 1), "away.png", 64, 48, 50)
+TURN = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
+
+
+def without(field: LanguageField, *things: int) -> LanguageField:
+    """The field without some things; it knows the same words."""
+    assert field.thing_table is not None
+    left = field[~field.thing_table.members(torch.tensor(things))]
+    left.keep_encoder_of(field)
+    return left
+
+
+def changes(old: LanguageField, new: LanguageField, transform: np.ndarray | None = None) -> set[tuple]:
+    """Kind and numbers of each change; those that are sure."""
+    found = compare(old, new, WORDS, transform)
+    assert all(change.confidence > 0.5 for change in found.changes)
+    return {
+        (change.kind, change.old and change.old.number, change.new and change.new.number)
+        for change in found.changes
+    }
+
+
+def test_nothing_changed() -> None:
+    assert changes(planted_room(), planted_room(cameras=[BACK])) == set()
+
+
+@pytest.mark.parametrize("camera", [FRONT, BACK])
+def test_what_is_gone_and_what_is_new(camera: Camera) -> None:
+    room, less = planted_room(), without(planted_room(cameras=[camera]), LAMP, LAPTOP)
+    assert changes(room, less) == {("removed", LAMP, None), ("removed", LAPTOP, None)}
+    assert changes(less, room) == {("added", None, LAMP), ("added", None, LAPTOP)}
+
+
+def test_a_place_that_was_not_seen_says_nothing() -> None:
+    blind = without(planted_room(cameras=[AWAY]), LAMP)
+    assert changes(planted_room(), blind) == {("unseen", LAMP, None)}
+    assert changes(blind, planted_room()) == {("unseen", None, LAMP)}
+
+
+def test_how_far_a_thing_moved_in_another_frame() -> None:
+    lamp = Box("lamp", (0.9, 0, 1.8), (0.3, 0.3, 0.3))
+    boxes = [lamp if box.name == "lamp" else box for box in ROOM]
+    frame = Similarity(TURN, 3.0, torch.tensor([5.0, -4.0, 2.0]).double())
+    back = np.eye(4)
+    back[:3, :3] = TURN.numpy().T / 3
+    back[:3, 3] = -back[:3, :3] @ frame.shift.numpy()
+    old, new = planted_room(), planted_room(boxes, moved=frame)
+    (change,) = compare(old, new, WORDS, back).changes
+    assert (change.kind, change.distance) == ("moved", pytest.approx(np.hypot(0.9, 0.2), rel=0.01))
+    record = compare(old, new, WORDS, back).to_dict(metres_per_unit=2)["changes"][0]
+    assert record["distance_metres"] == pytest.approx(2 * record["distance"], rel=1e-4)
+    for side, metres in (("old", 2), ("new", 2 / 3)):
+        extent = record[side]["box"]["extent"]
+        assert record[side]["extent_metres"] == pytest.approx([metres * each for each in extent], rel=1e-3)
+
+
+SOFA = Box("sofa", (0, 0, 1), (2, 1, 1))
+HALVES = Box("sofa", (-0.5, 0, 1), (1, 1, 1)), Box("sofa", (0.5, 0, 1), (1, 1, 1))
+CUPS = tuple(Box("cup", (side, 0, 1), (0.3, 0.3, 0.3)) for side in (-1, 1))
+
+
+@pytest.mark.parametrize(("old", "new"), [([SOFA], HALVES), (CUPS, CUPS[::-1])])
+def test_what_is_cut_or_numbered_in_another_way_did_not_change(old, new) -> None:
+    for one, other in ((old, new), (new, old)):
+        assert not compare(
+            planted_room(one), planted_room(other), ["sofa", "cup"][len(old) - 1 :][:1]
+        ).changes
+
+
+def test_captures_that_cannot_be_compared() -> None:
+    room, apart = (
+        planted_room(),
+        planted_room(moved=Similarity(torch.eye(3).double(), 1, torch.full((3,), 500.0).double())),
+    )
+    with pytest.raises(InputError, match="lies beside"):
+        compare(room, apart, WORDS)
+    shifted = planted_room(moved=Similarity(torch.eye(3).double(), 1, torch.tensor([0, 1.5, 0]).double()))
+    with pytest.warns(ScoupWarning, match="the frames differ"):
+        compare(room, shifted, WORDS)
+    apart.cameras = Cameras([])
+    with pytest.raises(InputError, match="contains no cameras"):
+        compare(room, apart, WORDS)
+    apart.cameras, apart.info = (
+        room.cameras,
+        apart.info.__class__(("m",), "other", apart.fingerprint, len(apart)),
+    )
+    with pytest.raises(InputError, match=r"embeddings of other \(32 dimensions\)"):
+        compare(room, apart, WORDS)
