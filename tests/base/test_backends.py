@@ -1,4 +1,4 @@
-"""Which backend serves: one guard and one loader for the rasteriser, the coder and the vote."""
+"""Which backend serves: one guard and one loader for the rasteriser and the vote."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from scoup import raster
 from scoup.base import backends
 from scoup.base.backends import default_backend, load_backend, require_backend
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError, warn_once
-from scoup.coding import backends as coding
 from scoup.uplift import vote
 
 CPU, GPU = torch.device("cpu"), torch.device("cuda:1")
-TABLES = {"raster": raster.BACKENDS, "coding": coding.BACKENDS, "vote": vote.BACKENDS}
+TABLES = {"raster": raster.BACKENDS, "vote": vote.BACKENDS}
 of_every_room = pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 
 

@@ -171,7 +171,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
     ("verb", "inside"),
     [
         (("query", "f.scoup", "kettle", "--out", "new/answers"), "scoup.query.field_view.FieldView.show"),
-        (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.answer_scene.answer_scene"),
+        (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.ask.answer_scene"),
         (("render", "f.scoup", "--out", "new/a.gif"), "scoup.pictures.animation.save_animation"),
         (("convert", "scene", "new/compact"), "scoup.io.regions.compact.write_view"),
         (("demo", "--out", "new/demo"), "scoup_lab.evaluate.demonstration.make_demo_scene"),

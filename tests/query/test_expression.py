@@ -35,6 +35,7 @@ def test_names_of_a_table_are_taken_whole(words: list[str], texts: tuple[str, ..
         (["mug", "cup"], "mug or cup", ("mug", "cup"), ("mug", "cup")),
         (["mug and not handle"], "mug and not handle", ("mug", "handle"), ("mug",)),
         (["mug", "and", "not", "handle"], "mug and not handle", ("mug", "handle"), ("mug",)),
+        ("mug and not handle", "mug and not handle", ("mug", "handle"), ("mug",)),
         (["mug", "+", "cup", "-", "handle"], "(mug or cup) and not handle", ("mug", "cup", "handle"), ("mug", "cup")),
         (["mug + cup - handle"], "(mug or cup) and not handle", ("mug", "cup", "handle"), ("mug", "cup")),
         (["mug or cup and handle"], "mug or (cup and handle)", ("mug", "cup", "handle"), ("mug", "cup", "handle")),

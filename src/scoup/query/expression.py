@@ -82,7 +82,7 @@ class Expression:
         return _combined(self.root, masks)
 
 
-def parse_expression(words: Iterable[str], names: Collection[str] | None = None) -> Expression:
+def parse_expression(words: Iterable[str] | str, names: Collection[str] | None = None) -> Expression:
     """Parse the words of a command line.
 
     ``not`` binds closest, then ``and``, then ``or``, ``+`` (the same) and ``-`` (and not), which are operators only
@@ -92,7 +92,7 @@ def parse_expression(words: Iterable[str], names: Collection[str] | None = None)
     stands in double quotes. "how many mugs" counts, and a question mark at the end is left out.
 
     Args:
-        words: texts, operators, or expressions.
+        words: texts, operators, or expressions; or one of them.
         names: of a word table: a text that is one of them, as "power plugs and sockets" may be, stands for itself.
 
     Raises:
@@ -102,10 +102,13 @@ def parse_expression(words: Iterable[str], names: Collection[str] | None = None)
         >>> scoup.parse_expression(["mug and not handle", "plate"]).texts
         ('mug', 'handle', 'plate')
     """
-    given, known, counted = list(words), {name.casefold() for name in names or ()}, False
+    given = [words] if isinstance(words, str) else list(words)
+    known, counted = {name.casefold() for name in names or ()}, False
     tokens: list[str] = []
     for word in given:
         text = word.strip()
+        if not text:
+            raise InputError(f"a text is blank; {_GRAMMAR}")
         if text.casefold() in known:
             part = ["(", f"={protected(text)}", ")"]
         elif text.lower() in OPERATORS:
