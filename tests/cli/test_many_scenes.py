@@ -50,7 +50,7 @@ def needs(tool: str) -> None:
 
 
 def test_the_page_has_what_is_tested() -> None:
-    assert list(RECIPES) == ["Make", "Slurm", "Snakemake"]
+    assert list(RECIPES) == ["Make", "Slurm"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of Unix shells")
@@ -67,11 +67,4 @@ def test_make(here: Path) -> None:
     needs("make")
     Path("Makefile").write_text(RECIPES["Make"])
     succeeds("make", "--keep-going", "--jobs", "2")
-    check_fields()
-
-
-def test_snakemake(here: Path) -> None:
-    needs("snakemake")
-    Path("Snakefile").write_text(RECIPES["Snakemake"])
-    succeeds("snakemake", "--cores", "2")
     check_fields()
