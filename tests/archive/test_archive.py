@@ -151,6 +151,10 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     field.save(tmp_path / "named.scoup", overwrite=True)
     with pytest.warns(ScoupWarning, match="has changed since"):
         archive.find("mug left of the laptop")
+    field.thing_table = replace(things, names=names_of({"mug": {}}, {"mug": 0.1}))  # looked for in vain
+    field.save(tmp_path / "named.scoup", overwrite=True)
+    archive.add(field)
+    assert_answers_are_those_of(archive.find("lamp"), {"named": field}, "lamp")
 
 
 def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive) -> None:

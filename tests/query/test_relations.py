@@ -171,3 +171,16 @@ def test_misplaced_gaussians_make_no_container_of_a_table(count: int, relation: 
     assert field.thing_table is not None
     field.thing_table.owners[2 * 216 : 10 * 216].view(8, 216)[:, 216 - count :] = 0
     assert [each for each in field.relations() if each[0] == 1] == [(1, relation, 0)]
+
+
+def test_what_no_thing_satisfies_is_not_there() -> None:
+    field = planted_room()
+    found = field.answer(field.question("mug and table", always=True))
+    assert (found.presence, found.things, field.things("mug and table")) == (False, (), [])
+    assert field.answer("not mug").score is None
+
+
+def test_directions_are_found_once() -> None:
+    field = planted_room()
+    assert field.frame() is field.frame()
+    assert field.frame("back.png") is not field.frame()

@@ -210,9 +210,9 @@ def _scan(record: ScanRecord, embeddings: torch.Tensor, rows: Arrays, shares: Ar
         given = NameTable(
             tuple(record.names),
             torch.tensor([presence for presence, _ in record.names.values()], dtype=torch.float32),
-            torch.tensor([of_text[text] for text in names["name"]], dtype=torch.int32),
+            torch.tensor([of_text[text] for text in names.get("name", ())], dtype=torch.int32),
             torch.from_numpy(of_votes.astype(np.int32)),
-            torch.from_numpy(np.ma.filled(names["vote"], np.nan).astype(np.float32)),
+            torch.from_numpy(np.ma.filled(names.get("vote", np.zeros(0)), np.nan).astype(np.float32)),
         )
     tensors = {name: torch.from_numpy(rows[name]) for name in _NUMBERS}
     table = ThingTable(

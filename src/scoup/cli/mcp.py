@@ -94,6 +94,8 @@ class ServeAgents(Common):
         check_metres(self.metres_per_unit)
         if self.http is not None and not 0 <= self.http <= 65535:
             raise InputError(f"--http must be a port, 0 to 65535, got {self.http}")
+        if self.http is not None and self.quiet and not self.as_json:
+            raise InputError("--quiet hides the token, without which no client of --http is served; omit it")
         names = [path.stem for path in self.fields]
         if not names or len(set(names)) < len(names):
             raise InputError(f"expected .scoup files with different names, got {', '.join(names) or 'none'}")
@@ -103,6 +105,7 @@ class ServeAgents(Common):
     def _open_fields(self, words: tuple[str, ...] | None) -> dict[str, LanguageField]:
         """Open the fields by name; what is missing is said now, not to the model."""
         from scoup.field.language_field import LanguageField
+        from scoup.query.question import literal
 
         fields = {}
         for path in self.fields:
@@ -110,7 +113,7 @@ class ServeAgents(Common):
             field.text_encoder(self.text)
             len(field.gaussians)
             if words:
-                field.question(words)
+                field.question(literal(words))
             fields[path.stem] = field
         return fields
 

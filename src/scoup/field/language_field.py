@@ -476,9 +476,10 @@ class LanguageField:
             >>> field.frame("view_00.png").seen_from
             'view_00.png'
         """
-        from scoup.query.frame import scene_frame
+        from scoup.query.frame import Frame, scene_frame
 
-        return scene_frame(self, camera, up)
+        key = (Frame, self.cameras, camera, None if up is None else tuple(up))
+        return self.kept(key, lambda: scene_frame(self, camera, up))
 
     def select(self, question: Question | str | Several, reshaping: Reshaping | None = None) -> Answer:
         """Return one answer to an expression, such as "mug and not handle"; several are combined with `or`.

@@ -17,7 +17,6 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.expression import Expression
-from scoup.query.frame import scene_frame
 from scoup.query.question import Question, Several, as_question
 from scoup.query.relations import resolve
 from scoup.query.thing_names import scene_objects
@@ -83,7 +82,7 @@ def _joined(
     if expression.root == parts[0].text and not expression.counted:
         return parts[0]
     by_things = parts[0].threshold is None
-    frame = (question.frame or scene_frame(field)) if expression.phrases else None
+    frame = (question.frame or field.frame()) if expression.phrases else None
     of_leaf: dict[Any, list[Thing]] = {leaf: [] for leaf in expression.leaves()}
     of_texts: dict[str, list[Thing]] = {}
     if by_things or expression.counted or frame is not None:
@@ -104,13 +103,18 @@ def _joined(
     without = [thing.number for leaf in expression.leaves(False) for thing in of_leaf[leaf]]
     ranked = [of_text[text] for text in expression.wanted]
     ranked.sort(key=lambda each: (each.presence, each.score or 0.0), reverse=True)
+    present = ranked[0].presence
+    if not expression.is_plain:
+        present = bool(found) if by_things and wanted else bool(mask.any())
+        mask = mask if present else torch.zeros_like(mask)
     numbers = tuple(thing.number for thing in found if thing.number is not None)
+    judged = {} if wanted else {"score": None, "runner_up": None}  # by a text that is not wanted
     return replace(
         ranked[0],
         text=said,
         mask=mask,
         level=found[0].level if found and frame is not None else ranked[0].level,
-        presence=ranked[0].presence if expression.is_plain else bool(mask.any()),
+        presence=present,
         things=numbers,
         instances=numbers,
         without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
@@ -118,6 +122,7 @@ def _joined(
         asked=tuple(one for each in ranked for one in each.asked),
         seen_from=frame.seen_from if frame and any(each.is_seen for each in expression.phrases) else "",
         found=tuple(found),
+        **judged,
     )
 
 

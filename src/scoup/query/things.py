@@ -139,7 +139,7 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
-    if answer.found:
+    if answer.found or (answer.threshold is None and any(part.text != answer.text for part in answer.parts)):
         return list(answer.found)
     if not answer.things or len(answer.asked) != 1:
         return _connected_things(field, answer)

@@ -41,6 +41,7 @@ def serve_http(server: Any, port: int, announce: Callable[[str, str], None]) -> 
             access_log=False,
             ws="none",
             timeout_graceful_shutdown=2,
+            limit_concurrency=64,
         )
         uvicorn.Server(config).run(sockets=[listening])
 
