@@ -21,6 +21,7 @@ from scoup.base.errors import InputError, ScoupError
 from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
+from scoup.query.relations import overlaps
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
 
 
@@ -60,6 +61,10 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     assert {each["thing"]: each["text"] for each in graph["things"]}.items() <= {
         each["thing"]: each["text"] for each in listed["things"]
     }.items()
+    for part in things:
+        around = {each["thing"] for each in tools.describe_scene("f", part.number)["things"]}
+        alike = {each.number for each in things if overlaps(part, each)}
+        assert around & alike == {part.number}, "nothing is on or in its own whole"
     level = things[0].level
     assert {one["level"] for one in tools.list_things("f", level)["things"]} == {level}
     one, other = things[0], things[1]

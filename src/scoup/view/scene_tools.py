@@ -20,7 +20,7 @@ from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
 from scoup.query.presence import certainty
 from scoup.query.question import literal
-from scoup.query.relations import related_pairs
+from scoup.query.relations import overlaps, related_pairs
 from scoup.query.thing_names import ThingName, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
@@ -107,7 +107,8 @@ class SceneTools:
         objects = list(every.values())
         objects = [objects[place] for place in find_objects(objects)]
         if thing is not None:
-            objects = [_numbered_thing(every, thing), *(each for each in objects if each.number != thing)]
+            asked = _numbered_thing(every, thing)
+            objects = [asked, *(each for each in objects if not overlaps(each, asked))]
         related: dict[int, dict[str, list[int]]] = {}
         shown = {thing}
         for one, what, other in related_pairs(field, objects, field.frame()):
