@@ -155,8 +155,10 @@ def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
         pytest.fail("the scene of this test has something to export")
     reply = tools.export_selection("f", "kettle or mug or wooden table", "found")
     assert len(load_gaussians(folder / "out" / reply["file"])) == reply["gaussians"] == int(answer.mask.sum())
-    with pytest.raises(InputError, match="already exists"):
-        tools.export_selection("f", "kettle or mug or wooden table", "found.ply")
+    (folder / "out" / "link.ply").symlink_to("nowhere.ply")
+    for taken in ("found.ply", "link"):
+        with pytest.raises(InputError, match="already exists; choose another name"):
+            tools.export_selection("f", "kettle or mug or wooden table", taken)
     with pytest.raises(InputError, match="writes no files"):
         SceneTools(tools.fields).export_selection("f", "kettle", "a")
 
@@ -212,7 +214,11 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
     assert json.loads(found.content[0].text)["count"] == len(expected)
     assert [text.removeprefix("Error executing tool ") for text in said] == [text for _, _, text in MISTAKES]
     kettles = Archive(folder / "archive").find("kettle")
-    assert json.loads(archived.content[0].text)["things"] == [each.to_dict() for each in kettles]
+    records = json.loads(archived.content[0].text)["things"]
+    assert [{**each, "field": str(folder / "f.scoup")} for each in records] == [
+        each.to_dict() for each in kettles
+    ]
+    assert not any("field" in each for each in records)
     image = Image.open(io.BytesIO(base64.b64decode(picture.content[0].data)))
     assert np.asarray(image).shape[2] == 3
 
