@@ -48,4 +48,10 @@ def test_an_object_that_is_gone() -> None:
 def test_refusals() -> None:
     Path("t.txt").write_text("1 2 3")
     assert "t.txt: its content" in refused("compare", "old.scoup", "new.scoup", "--transform", "t.txt")
+    moved = planted_room()
+    moved.geometry_path = Path("gone.ply")
+    moved.save("moved.scoup")
+    for captures, option in (("old", "moved"), "--new-gaussians"), (("moved", "old"), "--gaussians"):
+        said = refused("compare", *(f"{name}.scoup" for name in captures))
+        assert f"say where it is now with {option}" in said
     assert "no.scoup: there is no such file" in refused("compare", "old.scoup", "no.scoup")
