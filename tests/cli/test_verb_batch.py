@@ -48,7 +48,9 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     shutil.copy("scans/a/point_cloud.ply", "scans/broken/point_cloud.ply")
     Path("archive/a.parquet").unlink()
     before = Path("fields/a.scoup").stat().st_mtime_ns, Path("archive/b.parquet").stat().st_mtime_ns
+    first = said["scans"]["b"]
     said = run_json(*command)
+    assert said["scans"]["b"] == {**first, "kept": True}
     assert {name: record["kept"] for name, record in said["scans"].items()} == {
         "a": True,
         "b": True,
@@ -83,6 +85,7 @@ def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch:
         (("nowhere", "--out", "f"), "nowhere"),
         ((".", "--out", "f"), "no folders of scans"),
         ((".", "--out", "f", "--jobs", "0"), "--jobs"),
+        ((".", "--out", "f", "--jobs", "2", "--ray", "auto"), "without --ray"),
     ],
 )
 def test_what_cannot_be_run_is_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from cli_support import refused, run, run_json
 from query.planted_room import planted_room
+from query.test_named import names_of
 from scoup.models.word_table import save_table
 
 LAMP = 4  # of planted_room.ROOM
@@ -45,7 +47,30 @@ def test_an_object_that_is_gone() -> None:
     assert [one["kind"] for one in other["changes"]] == ["added"]
 
 
+def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    room, seen = planted_room(), []
+    assert room.thing_table is not None
+    room.thing_table = replace(room.thing_table, names=names_of({"lantern": {LAMP: 0.6}}))
+    room.save("named.scoup")
+    encoder = room.text_encoder()
+    names = list(encoder.names or ())
+    vectors = encoder.encode([*names, "lamp"]).numpy()
+    save_table(Path("lantern.npz"), [*names, "lantern"], vectors)
+    Path("lamp.txt").write_text("lamp\n")
+    monkeypatch.setattr(
+        "scoup.query.compare.thing_names", lambda _, question: seen.append(question.near) or {}
+    )
+    run("compare", "old.scoup", "named.scoup", "--text", "lantern.npz", "--words", "lamp.txt")
+    assert seen == [(), ("lantern",)]
+
+
 def test_refusals() -> None:
     Path("t.txt").write_text("1 2 3")
     assert "t.txt: its content" in refused("compare", "old.scoup", "new.scoup", "--transform", "t.txt")
+    moved = planted_room()
+    moved.geometry_path = Path("gone.ply")
+    moved.save("moved.scoup")
+    for captures, option in (("old", "moved"), "--new-gaussians"), (("moved", "old"), "--gaussians"):
+        said = refused("compare", *(f"{name}.scoup" for name in captures))
+        assert f"say where it is now with {option}" in said
     assert "no.scoup: there is no such file" in refused("compare", "old.scoup", "no.scoup")

@@ -88,6 +88,8 @@ def test_words_of_a_list():
     assert listed["classes"] == given["classes"]
     assert [one["name"] for one in listed["classes"]] == ["mug", "kettle"]
     assert "expected" in refused("label", "f.scoup", "--words", "missing.txt")
+    Path("phrase.txt").write_text("mug\nmug on the kettle\n")
+    assert "named 'mug on the kettle'" in refused("label", "f.scoup", "mug", "--words", "phrase.txt")
     Path("empty.txt").write_text("\n")
     assert "contains no word" in refused("label", "f.scoup", "--words", "empty.txt")
 

@@ -27,9 +27,9 @@ def _here(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_table_answers_as_its_model():
-    said = run_json("words", "--model", "clip", "--list", "list.txt")
+    said = run_json("words", "--model", "clip", "--words", "list.txt")
     names = (*CANONICAL_PHRASES, "red apple", "chair", *(word for word in EVERYDAY_WORDS if word != "chair"))
-    assert said == {"words": "words.npz", "names": len(names), "dim": 12, "embedding_model": "clip"}
+    assert said == {"out": "words.npz", "names": len(names), "dim": 12, "embedding_model": "clip"}
     assert load_table("words.npz").names == names
     table, model = TextEncoder.open("words.npz"), TextEncoder.open("clip")
     asked = ["red apple", "chair", "the lamps"]
@@ -51,8 +51,8 @@ def test_everyday_words_alone():
         (("--out", "words.json"), "words.json: tables are written as .npz"),
         (("--model", "w.npz"), "w.npz: is a word table, not a model; pass the model that made it"),
         (("--model", "nobody/none"), "text model 'nobody/none' cannot be loaded"),
-        (("--list", "none.txt"), "none.txt: there is no such file (a list of words was expected)"),
-        (("--list", "clip"), "clip: is a folder, not a list of words"),
+        (("--words", "none.txt"), "none.txt: there is no such file (a list of words was expected)"),
+        (("--words", "clip"), "clip: is a folder, not a list of words"),
     ],
 )
 def test_refusals(arguments, said):

@@ -93,6 +93,8 @@ def test_captures_that_cannot_be_compared() -> None:
     shifted = planted_room(moved=Similarity(torch.eye(3).double(), 1, torch.tensor([0, 1.5, 0]).double()))
     with pytest.warns(ScoupWarning, match="the frames differ"):
         compare(room, shifted, WORDS)
+    with pytest.raises(InputError, match="contains no things"):
+        compare(room, planted_room(has_things=False), WORDS)
     apart.cameras = Cameras([])
     with pytest.raises(InputError, match="contains no cameras"):
         compare(room, apart, WORDS)

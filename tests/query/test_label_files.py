@@ -136,6 +136,20 @@ def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_p
     assert found == int((labels.ids != NONE).sum()) > 0
 
 
+def test_a_prim_of_its_own_for_words_that_read_alike_and_gaussians_of_no_thing(
+    queried: Queried, tmp_path: Path
+) -> None:
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    rows = torch.arange(len(queried.field)).int()
+    facts = (None, None), (True, True), ("m", "m"), ((0,), (0,))
+    labels = GaussianLabels(rows % 2, ("a b", "a-b"), *facts, rows % 4 // 2 - 1)
+    save_labels(queried.field, labels, tmp_path, ("usd",))
+    stage = usd.Stage.Open(str(tmp_path / "labels.usdc"))
+    beyond = len(queried.field.thing_table or ())
+    names = {prim.GetName() for prim in stage.GetDefaultPrim().GetChildren()}
+    assert names == {"a_b_0", "a_b__0", f"a_b_{beyond}", f"a_b_{beyond + 1}"}
+
+
 def test_colours_are_those_of_the_words(queried: Queried, labels: GaussianLabels, tmp_path: Path) -> None:
     shown = labelled_colors(queried.field.gaussians, labels)
     save_labels(queried.field, labels, tmp_path, ("colors",))

@@ -21,6 +21,7 @@ from scoup.base.errors import InputError, ScoupError
 from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
+from scoup.query.relations import overlaps
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
 
 
@@ -60,6 +61,10 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     assert {each["thing"]: each["text"] for each in graph["things"]}.items() <= {
         each["thing"]: each["text"] for each in listed["things"]
     }.items()
+    for part in things:
+        around = {each["thing"] for each in tools.describe_scene("f", part.number)["things"]}
+        alike = {each.number for each in things if overlaps(part, each)}
+        assert around & alike == {part.number}, "nothing is on or in its own whole"
     level = things[0].level
     assert {one["level"] for one in tools.list_things("f", level)["things"]} == {level}
     one, other = things[0], things[1]
@@ -150,8 +155,10 @@ def test_exports_are_new_files_of_one_folder(tools: SceneTools, folder: Path):
         pytest.fail("the scene of this test has something to export")
     reply = tools.export_selection("f", "kettle or mug or wooden table", "found")
     assert len(load_gaussians(folder / "out" / reply["file"])) == reply["gaussians"] == int(answer.mask.sum())
-    with pytest.raises(InputError, match="already exists"):
-        tools.export_selection("f", "kettle or mug or wooden table", "found.ply")
+    (folder / "out" / "link.ply").symlink_to("nowhere.ply")
+    for taken in ("found.ply", "link"):
+        with pytest.raises(InputError, match="already exists; choose another name"):
+            tools.export_selection("f", "kettle or mug or wooden table", taken)
     with pytest.raises(InputError, match="writes no files"):
         SceneTools(tools.fields).export_selection("f", "kettle", "a")
 
@@ -207,7 +214,11 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
     assert json.loads(found.content[0].text)["count"] == len(expected)
     assert [text.removeprefix("Error executing tool ") for text in said] == [text for _, _, text in MISTAKES]
     kettles = Archive(folder / "archive").find("kettle")
-    assert json.loads(archived.content[0].text)["things"] == [each.to_dict() for each in kettles]
+    records = json.loads(archived.content[0].text)["things"]
+    assert [{**each, "field": str(folder / "f.scoup")} for each in records] == [
+        each.to_dict() for each in kettles
+    ]
+    assert not any("field" in each for each in records)
     image = Image.open(io.BytesIO(base64.b64decode(picture.content[0].data)))
     assert np.asarray(image).shape[2] == 3
 

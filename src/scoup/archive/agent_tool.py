@@ -30,6 +30,9 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
                 f"expected a text of 1 to {LONGEST} characters, and a limit of 1 to {MOST_FOUND}"
             )
         found = archive.find(text, where, limit, at_least)
-        return {"count": len(found), "things": [each.to_dict() for each in found]}
+        records = [each.to_dict() for each in found]
+        for record in records:
+            del record["field"]  # a path of this machine
+        return {"count": len(found), "things": records}
 
     return find_in_archive

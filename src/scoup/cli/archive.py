@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class SearchArchive(WritesCommon):
     """Find things in many scans at once, or add, remove and list the scans of an archive: a folder with a Parquet file
-    per scan."""
+    per scan. It works on the CPU, whatever --device says."""
 
     option_groups: ClassVar[OptionGroups] = {
         "scan": "add remove list_scans columns",

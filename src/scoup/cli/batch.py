@@ -71,6 +71,8 @@ class Batch(BuildOptions):
 
         if self.jobs < 1:
             raise InputError(f"--jobs must be 1 or more, got {self.jobs}")
+        if self.ray is not None and self.jobs != 1:
+            raise InputError("--jobs is for builds without --ray; Ray builds a scan per CPU or GPU")
         folders = self._folders()
         archive = None if self.archive is None else Archive(self.archive, self.text)
         records: dict[str, dict[str, Any]] = {}
@@ -116,12 +118,15 @@ class Batch(BuildOptions):
         return folders
 
     def _built(self, names: list[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield name and record of each scan as it is done."""
+        """Yield name and record of each scan as it is done; of those that are there, what was recorded before."""
+        report = self.out / REPORT
+        before = _parsed(report.read_text(encoding="utf-8")).get("scans", {}) if report.exists() else {}
         missing: dict[str, list[str]] = {}
         for name in names:
             file = self.out / f"{name}.scoup"
             if file.exists() and not self.overwrite:
-                yield name, {"kept": True}
+                record = {key: value for key, value in before.get(name, {}).items() if key != "error"}
+                yield name, {**record, "kept": True}
             else:
                 files = [str(self.scans / name), "--out", str(file)]
                 missing[name] = ["build", *files, *self._options(), "--json"]

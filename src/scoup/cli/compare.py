@@ -49,8 +49,12 @@ class CompareCaptures(NamingOptions):
         second = replace(self, field=self.new, gaussians=self.new_gaussians)
         out = second.output_folder(self.out, "changes")
         transform = None if self.transform is None else read_similarity(self.transform)
-        old, new = self.open_field(), second.open_field()
-        found = compare(old, new, self.naming_question(old), transform)
+        old, new = self.open_field(), second.open_field("--new-gaussians")
+        words = self.naming_words(old)
+        self.text_encoder(old)
+        new.keep_encoder_of(old)
+        found = compare(old, new, words, transform)
+        old.text_encoder().close()
         with staged(out, [RECORD, PAGE], self.overwrite) as hidden, console.progress() as progress:
             save_comparison(old, new, found, hidden, self.metres_per_unit, progress)
         for change in found.changes:

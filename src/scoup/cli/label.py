@@ -44,7 +44,7 @@ class Label(AnswerOptions, CameraOptions):
     ] = ()
     """Things, for example "kettle" "mug left of the laptop" (docs/things.md), numbered from 0 in this order."""
     words: OptionalPath = None
-    """File of further words, one per line."""
+    """File of further words, one per line, each taken as it is."""
     out: OptionalPath = None
     """Folder to write. Default: <name of FIELD>_labels here."""
     outputs: tuple[Output, ...] = USUAL
@@ -61,13 +61,15 @@ class Label(AnswerOptions, CameraOptions):
     def run(self, console: Console) -> None:
         """Label and write."""
         from scoup.query.label_files import label_files, save_label_views, save_labels
+        from scoup.query.question import literal
 
         words = self._words()
         out = self.output_folder(self.out, "labels")
         field = self.open_field()
         cameras = self._cameras(field)
         outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
-        question = self.question(field, words)
+        asked: list[Any] = [*dict.fromkeys(self.texts), *literal(words[len(set(self.texts)) :])]
+        question = self.question(field, asked)
         # Only the words decide the names of files, so that what cannot be written is known before the work.
         stems = unique_slugs(camera.stem for camera in cameras)
         files = label_files(words, outputs, stems)

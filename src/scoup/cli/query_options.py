@@ -46,7 +46,7 @@ class FieldOptions(WritesCommon):
     gaussians: OptionalPath = None
     """The splat the field was built on, if it has moved since. Default: the one the field names."""
 
-    def open_field(self) -> LanguageField:
+    def open_field(self, splat_option: str = "--gaussians") -> LanguageField:
         """The field with its geometry, on the device; a missing or wrong geometry is an error at once, not after
         other work.
 
@@ -64,13 +64,15 @@ class FieldOptions(WritesCommon):
         elif not field.has_geometry:
             if field.geometry_path is None:
                 raise InputError(
-                    f"{self.field}: does not say where its Gaussians are; name them with --gaussians"
+                    f"{self.field}: does not say where its Gaussians are; name them with {splat_option}"
                 )
             try:
                 field.attach(load_gaussians(field.geometry_path), str(field.geometry_path))
             except MissingFileError as error:
                 problem = f"is not there, and {self.field} was built on it"
-                raise MissingFileError(error.path, problem, "say where it is now with --gaussians") from error
+                raise MissingFileError(
+                    error.path, problem, f"say where it is now with {splat_option}"
+                ) from error
         return field.to(self.device)
 
     def output_folder(self, out: Path | None, ending: str) -> Path:
@@ -193,12 +195,16 @@ class NamingOptions(TextOptions):
 
     def naming_question(self, field: LanguageField) -> Question[Any]:
         """The question of these words."""
-        from scoup.models.text import everyday_vocabulary
         from scoup.query.question import literal
+
+        return self.question(field, literal(self.naming_words(field)))
+
+    def naming_words(self, field: LanguageField) -> tuple[str, ...]:
+        """The words of --words, or of the encoder."""
+        from scoup.models.text import everyday_vocabulary
         from scoup.view.vocabulary import read_words
 
-        words = read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
-        return self.question(field, literal(words))
+        return read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
 
 
 @dataclass(frozen=True, kw_only=True)

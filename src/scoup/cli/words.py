@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
-
-import tyro
+from typing import ClassVar
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
@@ -21,13 +19,13 @@ class MakeWords(WritesCommon):
     object, things, stuff, texture.
     """
 
-    option_groups: ClassVar[OptionGroups] = {"word": "model word_list", "output": "out"}
+    option_groups: ClassVar[OptionGroups] = {"word": "model words", "output": "out"}
 
     model: str = CLIP_MODEL
     """The model that embedded the regions: a folder or hub id of a CLIP, SigLIP or TIPSv2, or
     open_clip:ARCH/PRETRAINED."""
-    word_list: Annotated[OptionalPath, tyro.conf.arg(name="list")] = None
-    """Words to ask for, one per line. Default: everyday words alone."""
+    words: OptionalPath = None
+    """File of words to ask for, one per line. Default: everyday words alone."""
     out: Path = Path("words.npz")
     """The table to write, an .npz file."""
 
@@ -44,7 +42,7 @@ class MakeWords(WritesCommon):
         check_output(self.out, self.overwrite)
         if is_table(self.model):
             raise InputError(f"{self.model}: is a word table, not a model; pass the model that made it")
-        own = () if self.word_list is None else read_words(self.word_list)
+        own = () if self.words is None else read_words(self.words)
         words = list(dict.fromkeys((*CANONICAL_PHRASES, *own, *EVERYDAY_WORDS)))
         with TextEncoder.open(self.model, device=self.device) as encoder:
             save_table(self.out, words, encoder.encode(words), self.overwrite, encoder.name)
@@ -53,5 +51,5 @@ class MakeWords(WritesCommon):
             f"--model {self.out}, or scoup query FIELD WORD --text {self.out}"
         )
         console.result(
-            {"words": self.out, "names": len(words), "dim": encoder.dim, "embedding_model": encoder.name}
+            {"out": self.out, "names": len(words), "dim": encoder.dim, "embedding_model": encoder.name}
         )

@@ -23,8 +23,8 @@ from scoup.base.errors import InputError, ScoupWarning
 from scoup.field.language_field import LanguageField
 from scoup.field.renders import render_depth
 from scoup.query.boxes import PointSets
-from scoup.query.catalog import Catalog, make_catalog
-from scoup.query.question import Question, Several
+from scoup.query.question import Question, Several, as_question, literal
+from scoup.query.thing_names import find_objects, named_things, thing_names
 from scoup.query.things import Thing
 from scoup.scene.things import NO_THING
 
@@ -126,13 +126,13 @@ class _Capture:
     """A capture, whose things are looked for in the other one."""
 
     field: LanguageField
-    catalog: Catalog
+    things: list[Thing]  # with their names
     to_other: Array  # [4, 4]
 
     @cached_property
     def points(self) -> PointSets:
         """Some Gaussians of each thing, without strays."""
-        members = [thing.gaussians for thing in self.catalog.things]
+        members = [thing.gaussians for thing in self.things]
         return PointSets.of(self.field.gaussians, members).sample(SAMPLED)
 
     @cached_property
@@ -162,7 +162,7 @@ class _Capture:
     @property
     def reach(self) -> Array:
         """[M] up to which distance, in the other's units, each point lies on another."""
-        sizes = np.array([thing.size * max(REACH, thing.n_gaussians**-0.5) for thing in self.catalog.things])
+        sizes = np.array([thing.size * max(REACH, thing.n_gaussians**-0.5) for thing in self.things])
         return sizes[self.points.owners] * scale_of(self.to_other)
 
 
@@ -194,17 +194,17 @@ def compare(
     """
     _check(old, new)
     matrix = np.eye(4) if transform is None else transform
-    both = (
-        _Capture(old, make_catalog(old, words), np.linalg.inv(matrix)),
-        _Capture(new, make_catalog(new, words), matrix),
-    )
+    named = [
+        named_things(field, thing_names(field, as_question(field, literal(words)))) for field in (old, new)
+    ]
+    both = _Capture(old, named[0], np.linalg.inv(matrix)), _Capture(new, named[1], matrix)
     _check_frames(*both)
     centre = np.concatenate([each.embeddings for each in both]).mean(0)
     gone, come = (_missing(one, other, centre) for one, other in (both, both[::-1]))
     changes = sorted(
         _changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.confidence)
     )
-    counts = len(both[0].catalog.objects), len(both[1].catalog.objects)
+    counts = len(find_objects(both[0].things)), len(find_objects(both[1].things))
     if len(gone) + len(come) > MOST_CHANGES * sum(counts):
         warnings.warn(
             f"{_name(new)}: {len(gone) + len(come)} of {sum(counts)} objects are in one place here and in another, or "
@@ -221,10 +221,9 @@ def _name(field: LanguageField) -> str:
 
 def _check(old: LanguageField, new: LanguageField) -> None:
     for field in (old, new):
-        if not field.cameras:
-            raise InputError(
-                f"{_name(field)}: contains no cameras, which say what it saw; build it from photographs"
-            )
+        lacks = "things" if field.thing_table is None else "cameras, which say what it saw"
+        if field.thing_table is None or not field.cameras:
+            raise InputError(f"{_name(field)}: contains no {lacks}; build it from photographs")
     models = [
         f"{field.embedding_model or 'an unnamed model'} ({field.dim} dimensions)" for field in (old, new)
     ]
@@ -265,7 +264,7 @@ class _Missing:
 
 def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
     """Return what is not there in the other capture; things in the box of a larger one belong to it."""
-    absent, things = 1 - _present(one, other, centre), one.catalog.things
+    absent, things = 1 - _present(one, other, centre), one.things
     together: dict[int, list[int]] = {}
     gone = np.flatnonzero(absent >= GONE).tolist()
     for place in sorted(gone, key=lambda place: -things[place].n_gaussians):
@@ -297,7 +296,7 @@ def _looks(embeddings: Array, centre: Array) -> Array:
 
 def _present(one: _Capture, other: _Capture, centre: Array) -> Array:
     """Return the share of each thing [T] that lies on what looks like it in the other capture."""
-    numbers = np.array([thing.number for thing in one.catalog.things], np.int64)
+    numbers = np.array([thing.number for thing in one.things], np.int64)
     cosines = _looks(one.embeddings, centre)[numbers] @ _looks(other.embeddings, centre).T
     alike = ((cosines - LIKE[0]) / (LIKE[1] - LIKE[0])).clip(0, 1)
     points, table = one.points, other.field.thing_table

@@ -142,13 +142,14 @@ def save_label_views(
 
 
 def usd_things(field: LanguageField, labels: GaussianLabels) -> list[UsdThing]:
-    """Return the things of each word with their boxes; a word that the votes answer is one thing of its number."""
+    """Return the things of each word with their boxes; its Gaussians of none are one more, numbered beyond all."""
+    beyond = 0 if field.thing_table is None else len(field.thing_table)
     pairs = torch.stack([labels.ids, labels.instances], 1)
     groups = pairs[labels.ids != NONE].unique(dim=0)
     members = [(pairs == group).all(1) for group in groups]
     points = PointSets.of(field.gaussians, [true_rows(mask) for mask in members])
     return [
-        UsdThing(labels.names[word], word if thing < 0 else thing, mask, **vars(box))
+        UsdThing(labels.names[word], beyond + word if thing < 0 else thing, mask, **vars(box))
         for (word, thing), mask, box in zip(
             groups.tolist(), members, points.boxes(estimate_up(field.cameras or ())), strict=True
         )

@@ -40,7 +40,7 @@ def resolve(
     anchors = [resolve(field, anchor, of_texts, frame) for anchor in target.anchors]
     if not target.text:
         others = [anchor for each in anchors for anchor in each]
-        things = [thing for thing in things if not any(_overlaps(thing, other) for other in others)]
+        things = [thing for thing in things if not any(overlaps(thing, other) for other in others)]
     if target.relation:
         things = _related(field, target.relation, things, anchors, frame)
     return _ordered(field, target, things, frame)
@@ -78,7 +78,7 @@ def _related(
     ]
 
 
-def _overlaps(one: Thing, other: Thing) -> bool:
+def overlaps(one: Thing, other: Thing) -> bool:
     """Return whether one is most of the other, or a part of it."""
     shared = np.intersect1d(one.gaussians, other.gaussians, assume_unique=True)
     return len(shared) > 0.5 * min(one.n_gaussians, other.n_gaussians)

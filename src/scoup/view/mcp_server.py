@@ -44,7 +44,7 @@ def make_server(tools: SceneTools, more: Iterable[Callable[..., Any]] = ()) -> A
         from mcp.server.mcpserver.exceptions import ToolError
     except ImportError as error:
         raise ScoupError(
-            "serving agents needs the package mcp, 2 or newer: pip install 'scoup[mcp]'"
+            "serving agents needs the package mcp, 2.3 or newer: pip install 'scoup[mcp]'"
         ) from error
 
     parameters: dict[str, Mapping[str, inspect.Parameter]] = {}  # of each tool

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.errors import InputError, ScoupError, looked_up
+from scoup.base.errors import InputError, OutputExistsError, ScoupError, looked_up
 from scoup.field.language_field import LanguageField
 from scoup.io import save_gaussians
 from scoup.models.text import LONGEST, everyday_vocabulary
@@ -20,7 +20,7 @@ from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
 from scoup.query.presence import certainty
 from scoup.query.question import literal
-from scoup.query.relations import related_pairs
+from scoup.query.relations import overlaps, related_pairs
 from scoup.query.thing_names import ThingName, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
@@ -107,7 +107,8 @@ class SceneTools:
         objects = list(every.values())
         objects = [objects[place] for place in find_objects(objects)]
         if thing is not None:
-            objects = [_numbered_thing(every, thing), *(each for each in objects if each.number != thing)]
+            asked = _numbered_thing(every, thing)
+            objects = [asked, *(each for each in objects if not overlaps(each, asked))]
         related: dict[int, dict[str, list[int]]] = {}
         shown = {thing}
         for one, what, other in related_pairs(field, objects, field.frame()):
@@ -201,13 +202,14 @@ class SceneTools:
                 f"{file_name[:80]!r}: expected a plain name of lower-case letters, digits, - and _, such as mug.ply"
             )
         path = self.export_folder / f"{name}.ply"
-        if path.exists():
-            raise InputError(f"{path.name}: already exists; choose another name")
         answer = field.select(field.question(_bounded(text), frame=field.frame(seen_from)))
         count = int(answer.mask.sum())
         if not count:
             raise InputError(f"{text[:80]!r}: nothing answers in this scene, so nothing was written")
-        save_gaussians(field.gaussians.select(answer.mask.to(field.gaussians.device)).to("cpu"), path)
+        try:
+            save_gaussians(field.gaussians.select(answer.mask.to(field.gaussians.device)).to("cpu"), path)
+        except OutputExistsError:
+            raise InputError(f"{path.name}: already exists; choose another name") from None
         return {"file": path.name, "gaussians": count}
 
     def _field(self, scene: str) -> LanguageField:

@@ -134,7 +134,9 @@ def _stage(usd: Any, gaussians: Gaussians, kept: Tensor, things: Sequence[UsdThi
         mine = thing.members[kept]
         if not mine.any():
             continue
-        path = f"{SCENE}/{usd.Tf.MakeValidIdentifier(thing.label)}_{thing.number}"
+        name = usd.Tf.MakeValidIdentifier(thing.label)
+        while stage.GetPrimAtPath(path := f"{SCENE}/{name}_{thing.number}"):
+            name += "_"  # another label with the same identifier
         prim = usd.UsdGeom.Xform.Define(stage, path).GetPrim()
         usd.UsdSemantics.LabelsAPI.Apply(prim, TAXONOMY).CreateLabelsAttr([thing.label])
         _define_splat(usd, stage, path + SPLAT, gaussians.select(mine))
