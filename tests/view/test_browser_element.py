@@ -77,3 +77,16 @@ def test_it_hears_its_own_page_only(page: Page) -> None:
     )  # the frame has gone to another site
     page.wait_for_function("heard >= 3")
     assert page.locator("#asked").inner_text() == "Ask for something."
+    page.evaluate("document.querySelector('scoup-view').removeAttribute('src')")
+    assert page.locator("scoup-view iframe").get_attribute("src") == "about:blank"
+
+
+def test_an_exported_page_tells_other_sites_nothing(page: Page) -> None:
+    page.evaluate("heard = []; window.addEventListener('message', ({ data }) => heard.push(data))")
+    frame = page.frames[1]
+    frame.goto("http://elsewhere.test/scene.scoup.html")
+    frame.locator("#loading").wait_for(state="hidden")
+    frame.evaluate("window.scoupViewer.ask(['kettle'])")
+    frame.evaluate("parent.postMessage('last', '*')")
+    page.wait_for_function("heard.includes('last')")
+    assert page.evaluate("heard") == ["last"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -168,6 +170,27 @@ def test_phrases_light_up_things(browser: Browser) -> None:
         assert "none that is so, as seen from" in visit.row("kettle right of the mug").inner_text()
 
 
+@pytest.mark.parametrize(
+    ("visit", "text", "asked", "targets"),
+    [
+        ("live", "kettle and not book", "kettle and not book", []),
+        ("exported", FILLERS[1], f'"{FILLERS[1]}"', ["*"]),
+    ],
+    indirect=["visit"],
+)
+def test_commands_ask_what_was_asked_and_exported_pages_tell_it(
+    visit: Visit, text: str, asked: str, targets: list[str]
+) -> None:
+    visit.page.evaluate("targets = []; window.parent = { postMessage: (_, target) => targets.push(target) }")
+    visit.tab("View")
+    visit.page.get_by_label("show texts that are not in the scene, too").check()
+    visit.ask(text)
+    assert visit.page.evaluate("targets") == targets
+    select, query = map(shlex.split, visit.page.evaluate("window.scoupViewer.command()").splitlines())
+    assert (select[1], select[3], query[1], query[3]) == ("select", asked, "query", asked)
+    assert f"field.question({json.dumps(asked)}, " in visit.page.evaluate("window.scoupViewer.python()")
+
+
 @pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
 def test_certainty_and_the_next_best_thing_are_said(visit: Visit, viewed: ViewedField) -> None:
     visit.until("Boolean(window.scoupViewer.state().things)")
@@ -251,6 +274,8 @@ def test_a_link_opens_the_page_at_a_thing(browser: Browser, viewed: ViewedField,
         assert box is not None
         visit.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
         assert visit.state()["things"]["selected"] == [7], "its group, since it is in the middle"
+        visit.page.evaluate("location.hash = 'thing=3'")
+        visit.until("window.scoupViewer.state().things.selected.join() === '3'")
 
 
 def outline(

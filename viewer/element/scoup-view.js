@@ -36,7 +36,7 @@ class ScoupView extends HTMLElement {
 
   attributeChangedCallback() {
     this.#frame.title = this.title || "A scene in SCOUP";
-    this.#frame.src = this.getAttribute("src");
+    this.#frame.src = this.getAttribute("src") ?? "about:blank";
   }
 }
 

@@ -7,10 +7,9 @@ function quoted(text: string): string {
   return /^[\w./:=@%+-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
-/** As `scoup select` takes it: words such as "and" join texts there, unless they stand in double quotes. */
-function oneText(text: string): string {
-  const joins = /(^|\s)(and|or|not|\+|-)(?=\s|$)|[()"]/i.test(text);
-  return quoted(joins ? `"${text.replaceAll('"', "")}"` : text);
+/** As a field takes it: an exported page knows texts alone, which would be read as phrases outside double quotes. */
+function asked(text: string, settings: Settings): string {
+  return settings.mode === "exported" && /[\s()?]/.test(text) ? `"${text}"` : text;
 }
 
 function fileName(text: string): string {
@@ -39,14 +38,14 @@ export function commandLine(settings: Settings, state: State, levels: string[], 
   const always = isCertain(state);
   const lines: string[] = [];
   for (const [level, texts] of groups) {
-    const words = texts.map(quoted).join(" ");
+    const words = texts.map((text) => quoted(asked(text, settings))).join(" ");
     let options = table;
     if (state.threshold !== null) options += ` --threshold ${rounded(state.threshold)}`;
     if (level !== null) options += ` --level ${quoted(levels[level])}`;
     if (always) options += " --always";
     const out = `${rest ? "without_" : ""}${fileName(texts[0])}.ply`;
     const edit = rest ? " --edit remove" : "";
-    lines.push(`scoup select ${field} ${texts.map(oneText).join(" ")}${options}${edit} --out ${quoted(out)}`);
+    lines.push(`scoup select ${field} ${words}${options}${edit} --out ${quoted(out)}`);
     if (camera !== null) lines.push(`scoup query ${field} ${words}${options} --camera ${quoted(camera)}`);
   }
   return lines.join("\n");
@@ -73,7 +72,7 @@ export function python(settings: Settings, state: State, levels: string[], camer
     if (state.threshold !== null) options.push(`threshold=${rounded(state.threshold)}`);
     if (level !== null) options.push(`level=${JSON.stringify(levels[level])}`);
     if (isCertain(state)) options.push("always=True");
-    const text = JSON.stringify(query.answer.text);
+    const text = JSON.stringify(asked(query.answer.text, settings));
     lines.push("", `place = field.location(${question(text, options)})`);
     const name = JSON.stringify(`${fileName(query.answer.text)}.scoup`);
     lines.push(rest ? "found |= place.answer.mask" : `field[place.answer.mask].save(${name})`);

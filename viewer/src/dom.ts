@@ -42,9 +42,10 @@ export async function copy(text: string): Promise<void> {
   }
 }
 
-/** Tell the page around this one, which has its address and so its data (viewer/element). */
+/** Tell the page around an exported one if it is of the same site, or also a file (viewer/element). */
 export function announce(scoup: "asked" | "selected", detail: object): void {
-  if (window.parent !== window) window.parent.postMessage({ scoup, detail }, "*");
+  if (!window.scoupData || window.parent === window) return;
+  window.parent.postMessage({ scoup, detail }, location.protocol.startsWith("http") ? location.origin : "*");
 }
 
 export function counted(count: number, thing: string): string {

@@ -179,16 +179,21 @@ export class Viewer {
       const under = (x: number, y: number) => things.under(this.scene!, this.along(x, y), this.state.clickLevel);
       this.hovering = new Hovering(() => this.scene!, this.eye, things, under);
       things.onChange = () => this.changed();
-      // Of a link to a thing, such as scene.html#thing=12.
-      const linked = things.all.find(({ number }) => location.hash === `#thing=${number}`);
-      if (!linked) return;
-      showTab("things");
-      things.select([linked.number]);
-      const [x, y, z] = linked.position;
-      await this.eye.lookAt(new THREE.Vector3(x, y, z), Math.max(...linked.box.extent), this.metadata.cameras);
+      window.addEventListener("hashchange", () => void this.followLink(things));
+      await this.followLink(things);
     } catch (error) {
       this.say((error as Error).message);
     }
+  }
+
+  /** Show the thing of a link such as scene.html#thing=12. */
+  private async followLink(things: Things): Promise<void> {
+    const linked = things.all.find(({ number }) => location.hash === `#thing=${number}`);
+    if (!linked) return;
+    showTab("things");
+    things.select([linked.number]);
+    const [x, y, z] = linked.position;
+    await this.eye.lookAt(new THREE.Vector3(x, y, z), Math.max(...linked.box.extent), this.metadata.cameras);
   }
 
   /** Select the thing at a point of the picture; without things, say what is there. */

@@ -70,6 +70,8 @@ def scene_answers(field: LanguageField, question: Question) -> Iterator[PageAnsw
 def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
     coded, answers = field.coded_levels().cpu(), answers_of(field, question)
     by_things = answers[0].threshold is None
+    if by_things:  # the page draws things, so an expression is present where there are some
+        answers = [replace(each, presence=bool(each.things)) if each.parts else each for each in answers]
     if question.asked and not by_things:
         raise InputError(
             f"{question.asked[0][0]}: this field has no things, so pages answer single texts only"
