@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 from scoup.archive.archive import Archive
@@ -15,6 +16,8 @@ MOST_FOUND = 200
 
 def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
     """Return the tool over an archive, for ``scoup.view.mcp_server.make_server``."""
+
+    one_at_a_time = Lock()  # the server calls tools in several threads
 
     def find_in_archive(
         text: str, where: str | None = None, at_least: int | None = None, limit: int = 20
@@ -29,7 +32,8 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
             raise InputError(
                 f"expected a text of 1 to {LONGEST} characters, and a limit of 1 to {MOST_FOUND}"
             )
-        found = archive.find(text, where, limit, at_least)
+        with one_at_a_time:
+            found = archive.find(text, where, limit, at_least)
         records = [each.to_dict() for each in found]
         for record in records:
             del record["field"]  # a path of this machine

@@ -206,8 +206,8 @@ class Archive:
     ) -> list[FoundThing]:
         """Return the things of all scans that answer a text or phrase, best first.
 
-        In each scan, the things of ``field.things(question)`` answer. Fields are loaded for phrases only ("mug left of
-        the laptop"), and only where everything that the phrase names is present.
+        In each scan, the things of ``field.things(question)`` answer. Fields are loaded for phrases ("mug left of the
+        laptop") and for texts joined by `and` or `not`, and only where everything that they name is present.
 
         Args:
             question: as of ``LanguageField.things``.
