@@ -34,6 +34,7 @@ from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.query.presence import LIKELY
+from scoup.scene.names import NameTable
 from support import unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
@@ -151,7 +152,8 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     field.save(tmp_path / "named.scoup", overwrite=True)
     with pytest.warns(ScoupWarning, match="has changed since"):
         archive.find("mug left of the laptop")
-    field.thing_table = replace(things, names=names_of({"mug": {}}, {"mug": 0.1}))  # looked for in vain
+    in_vain = NameTable(("mug",), torch.tensor([0.1]), *torch.zeros(2, 0, dtype=torch.int32), torch.zeros(0))
+    field.thing_table = replace(things, names=in_vain)
     field.save(tmp_path / "named.scoup", overwrite=True)
     archive.add(field)
     assert_answers_are_those_of(archive.find("lamp"), {"named": field}, "lamp")

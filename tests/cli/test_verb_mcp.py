@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from children import child
-from cli_support import RUN, refused
+from cli_support import RUN, refused, run
 
 pytest.importorskip("mcp", reason="needs scoup[mcp]")
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
@@ -110,3 +110,9 @@ def test_ports_that_cannot_be_served_are_refused() -> None:
     assert "--http must be a port" in refused("mcp", "f.scoup", "--http", "70000")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         assert "in use" in refused("mcp", "f.scoup", "--http", taken.getsockname()[1])
+
+
+def test_a_token_that_nobody_sees_is_refused() -> None:
+    code, _, err = run("mcp", "f.scoup", "--http", "0", "--quiet")
+    assert code == 2
+    assert "--quiet hides the token" in err

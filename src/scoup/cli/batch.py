@@ -120,7 +120,7 @@ class Batch(BuildOptions):
     def _built(self, names: list[str]) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield name and record of each scan as it is done; of those that are there, what was recorded before."""
         report = self.out / REPORT
-        before = _parsed(report.read_text(encoding="utf-8")).get("scans", {}) if report.exists() else {}
+        before = _parsed(report.read_text("utf-8", "replace")).get("scans", {}) if report.exists() else {}
         missing: dict[str, list[str]] = {}
         for name in names:
             file = self.out / f"{name}.scoup"
@@ -245,6 +245,7 @@ def _is_older(file: Path, other: Path) -> bool:
 def _parsed(text: str) -> dict[str, Any]:
     """Return the result that a verb printed; nothing of one that was killed."""
     try:
-        return json.loads(text)
+        said = json.loads(text)
     except ValueError:
         return {}
+    return said if isinstance(said, dict) else {}
