@@ -152,7 +152,8 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     field.save(tmp_path / "named.scoup", overwrite=True)
     with pytest.warns(ScoupWarning, match="has changed since"):
         archive.find("mug left of the laptop")
-    in_vain = NameTable(("mug",), torch.tensor([0.1]), *torch.zeros(2, 0, dtype=torch.int32), torch.zeros(0))
+    none = torch.zeros(0, dtype=torch.int32)
+    in_vain = NameTable(("mug",), torch.tensor([0.1]), none, none, none.float())
     field.thing_table = replace(things, names=in_vain)
     field.save(tmp_path / "named.scoup", overwrite=True)
     archive.add(field)
