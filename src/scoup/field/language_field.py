@@ -478,8 +478,9 @@ class LanguageField:
         """
         from scoup.query.frame import Frame, scene_frame
 
-        key = (Frame, self.cameras, camera, None if up is None else tuple(up))
-        return self.kept(key, lambda: scene_frame(self, camera, up))
+        if camera is None and up is None:
+            return self.kept((Frame, self.cameras), lambda: scene_frame(self))
+        return scene_frame(self, camera, up)
 
     def select(self, question: Question | str | Several, reshaping: Reshaping | None = None) -> Answer:
         """Return one answer to an expression, such as "mug and not handle"; several are combined with `or`.

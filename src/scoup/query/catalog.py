@@ -11,7 +11,7 @@ import numpy as np
 from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.field.language_field import LanguageField
-from scoup.query.frame import Frame, scene_frame
+from scoup.query.frame import Frame
 from scoup.query.question import Question, Several, as_question, literal
 from scoup.query.relations import relations
 from scoup.query.thing_names import find_objects, named_things, thing_names
@@ -74,7 +74,7 @@ def make_catalog(
         raise InputError(
             f"{field.path or 'this field'}: contains no things; build it again with things, from its photographs"
         )
-    frame = scene_frame(field) if frame is None else frame
+    frame = field.frame() if frame is None else frame
     names = thing_names(field, question)
     named = named_things(field, names)
     texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)

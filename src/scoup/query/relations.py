@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from scoup.field.language_field import LanguageField
-from scoup.query.frame import Frame, scene_frame
+from scoup.query.frame import Frame
 from scoup.query.phrases import Phrase, Target, texts_of
 from scoup.query.relation_rules import AWAY, CONDITIONS, CONTACT, RIGHT, UP, Shapes
 from scoup.query.things import Thing, all_things
@@ -105,7 +105,7 @@ def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: F
 def relations(field: LanguageField, frame: Frame | None = None) -> list[tuple[int, str, int]]:
     """Return how the things of a field stand to each other; ``field.relations`` documents it."""
     frame, every = (
-        scene_frame(field) if frame is None else frame,
+        field.frame() if frame is None else frame,
         field.kept(Thing, lambda: all_things(field)),
     )
     levels = [[thing for thing in every if thing.level == level] for level in field.levels]
