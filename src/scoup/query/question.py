@@ -157,7 +157,7 @@ def make_question(
             ),
             is_single=isinstance(texts, (str, Expression)),
             asked=() if words is alone else asked,
-            everything=_named_words(field, source) if wants_everything else None,
+            everything=naming_question(field) if wants_everything else None,
             frame=frame,
             level=None if level is None else field.level_index(level),
             near=_near_names(field, vectors),
@@ -174,10 +174,15 @@ def make_question(
     return field.kept((Question, words, source, always, present_from, threshold, level, frame), made)
 
 
-def _named_words(field: LanguageField, encoder: TextEncoder) -> Question[Any]:
-    """Return the question of the words that name things by default."""
-    words = literal(everyday_vocabulary(encoder))
-    return field.kept((everyday_vocabulary, encoder), lambda: make_question(field, words))
+def naming_question(field: LanguageField, words: Sequence[str] = ()) -> Question[Any]:
+    """Return the question of the words that name things, each as it is; by default all names of the field's word table,
+    or everyday words."""
+    encoder = field.text_encoder()
+
+    def made() -> Question[Any]:
+        return make_question(field, literal(list(words) or everyday_vocabulary(encoder)))
+
+    return field.kept((naming_question, tuple(words), encoder), made)
 
 
 def _parsed(texts: Any, names: Collection[str] | None) -> tuple[tuple[str, Expression], ...]:

@@ -14,12 +14,12 @@ import numpy as np
 from scoup.base.errors import InputError, OutputExistsError, ScoupError, looked_up
 from scoup.field.language_field import LanguageField
 from scoup.io import save_gaussians
-from scoup.models.text import LONGEST, everyday_vocabulary
+from scoup.models.text import LONGEST
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
 from scoup.query.presence import certainty
-from scoup.query.question import literal
+from scoup.query.question import naming_question
 from scoup.query.relations import overlaps, related_pairs
 from scoup.query.thing_names import ThingName, find_objects, thing_names
 from scoup.query.things import Thing
@@ -222,8 +222,7 @@ class SceneTools:
 
         def made() -> dict[int, ThingName]:
             try:
-                words = self.words or everyday_vocabulary(field.text_encoder())
-                return thing_names(field, field.question(literal(words)))
+                return thing_names(field, naming_question(field, self.words or ()))
             except ScoupError:
                 return {}
 

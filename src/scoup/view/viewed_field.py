@@ -15,14 +15,13 @@ import torch
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.language_field import Encoder, LanguageField
 from scoup.io import PlyTable
-from scoup.models.text import everyday_vocabulary
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.query.answer import Answer
 from scoup.query.edits import SplatTable
 from scoup.query.field_view import FieldView
-from scoup.query.question import Question, literal
+from scoup.query.question import Question, naming_question
 from scoup.scene.cameras import Camera
 from scoup.view import parts
 from scoup.view.decimation import MOST_GAUSSIANS, decimate
@@ -107,8 +106,7 @@ class ViewedField:
     def vocabulary(self) -> Question | None:
         """Return the words that a click chooses from; None if the field has no text encoder."""
         if self._vocabulary is None and self.words_problem is None:
-            words = self._wanted_words or everyday_vocabulary(self.field.text_encoder())
-            self._vocabulary = self.question(literal(words))
+            self._vocabulary = naming_question(self.field, self._wanted_words or ())
         return self._vocabulary
 
     def is_closed(self) -> bool:
