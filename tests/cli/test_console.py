@@ -141,14 +141,6 @@ def test_texts_print_as_they_stand(capsys):
     assert capsys.readouterr().out == "a [red] :smile: [31, 9]\n"
 
 
-@pytest.mark.usefixtures("here")
-def test_a_device_that_is_not_there():
-    for device in ("cuda:99", "toaster", "meta"):
-        code, _, err = run("info", "f.scoup", "--device", device)
-        assert code == 2
-        assert f"--device {device}" in err
-
-
 def test_file_names_of_texts():
     assert slug("Wooden  table!") == "wooden-table"
     assert slug("???") == "text"

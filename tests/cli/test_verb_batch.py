@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import QUICK, refused, run, run_json, write_scene
+from cli_support import QUICK, run, run_json, write_scene
 from scoup.field.language_field import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
@@ -77,19 +77,3 @@ def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch:
     code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive", *QUICK)
     assert code == 2
     assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("nowhere", "--out", "f"), "nowhere"),
-        ((".", "--out", "f"), "no folders of scans"),
-        ((".", "--out", "f", "--jobs", "0"), "--jobs"),
-        ((".", "--out", "f", "--jobs", "2", "--ray", "auto"), "without --ray"),
-    ],
-)
-def test_what_cannot_be_run_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], named: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert named in refused("batch", *arguments)

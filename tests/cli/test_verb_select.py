@@ -27,10 +27,7 @@ def test_the_main_path_says_what_it_chose():
     count = len(read_ply_table("kettle.ply"))
     assert 0 < count < 150
     lines = out.splitlines()
-    assert [lines[0], lines[2]] == [
-        f"kettle: {count} of 150 Gaussians",
-        f"kettle.ply: {count} Gaussians written",
-    ]
+    assert lines[::2] == [f"kettle: {count} of 150 Gaussians", f"kettle.ply: {count} Gaussians written"]
     assert re.fullmatch(r"at \[.*\], extent .*, thing \d+, presence not judged", lines[1])
     assert len(load_gaussians("kettle.ply")) == count
 
@@ -74,8 +71,6 @@ def test_a_thing_is_removed_and_the_field_stays():
     assert again["gaussians"] == alone["written"]
     assert run_json("query", "without.scoup", "mug", "--out", "answers")["answers"]
     assert run_json("info", "without.scoup")["gaussians"] == kept["written"]
-    message = refused("select", "f.scoup", "kettle", "--out", "live.scoup", "--edit", "state")
-    assert "no column of states" in message
     message = refused("select", "kettle.scoup", "kettle", "--out", "kettle.scoup", "--overwrite")
     assert "is the field that is queried" in message
 
@@ -149,26 +144,10 @@ def test_a_field_without_things_answers_above_the_most_stable_threshold():
     assert record["place"]["things"] == []
 
 
-def test_nothing_to_write():
-    message = refused("select", "f.scoup", "kettle", "--out", "a.ply", "--threshold", "1")
-    assert "name at least one text" in refused("select", "f.scoup", "--out", "a.ply")
-    assert message == "a.ply: nothing to write, 0 of 150 Gaussians answer; try a lower --threshold"
-
-
 def test_a_relation_that_nothing_has_says_what_was_found():
-    message = refused(
-        "select", "f.scoup", "mug right of the mug", "--always", "--out", "n.ply", "--seen-from", "view_01"
-    )
+    select = ("select", "f.scoup", "mug right of the mug", "--always", "--seen-from", "view_01")
+    message = refused(*select, "--out", "n.ply")
     assert re.search(r"found mug: \d+, but none that is so, as seen from view_01", message)
-
-
-def test_the_splat_itself_is_never_replaced():
-    assert "use another name" in refused(
-        "select", "f.scoup", "kettle", "--out", "scene/point_cloud.ply", "--overwrite"
-    )
-    assert "already exists; pass --overwrite" in refused(
-        "select", "f.scoup", "kettle", "--out", "scene/point_cloud.ply"
-    )
 
 
 def test_expressions_join_texts():
@@ -184,8 +163,6 @@ def test_expressions_join_texts():
     assert set(rows("less.ply")) == set(rows("both.ply")) - set(rows_of("mug"))
     out = run("select", "f.scoup", "kettle and not mug", "--out", "third.ply")[1]
     assert f"kettle and not mug: {record['written']}" in out.splitlines()
-    for words in (["kettle and"], ["(kettle"], ["kettle", "not", "mug"]):
-        assert "for example" in refused("select", "f.scoup", *words, "--out", "none.ply")
 
 
 def rows_of(text: str) -> list[bytes]:
@@ -224,9 +201,8 @@ def test_recoloured_and_faded_scenes_differ_where_they_should():
     found = np.array([row.tobytes() in chosen for row in before])
     colours = [name for name in before.dtype.names or () if name.startswith("f_")]
     for edit, changed in (("recolor", colours), ("fade", ["opacity"])):
-        record = run_json(
-            "select", "f.scoup", "kettle", "--edit", edit, "--color", "#00ff00", "--out", f"{edit}.ply"
-        )
+        select = ("select", "f.scoup", "kettle", "--edit", edit, "--color", "#00ff00")
+        record = run_json(*select, "--out", f"{edit}.ply")
         assert record["written"] == 150
         after = read_ply_table(f"{edit}.ply").rows
         for name in before.dtype.names or ():
@@ -238,17 +214,14 @@ def test_recoloured_and_faded_scenes_differ_where_they_should():
     )
     assert (rgb[:, 1] > rgb[:, 0] + 0.2).all()
     assert (rgb[:, 1] > rgb[:, 2] + 0.2).all()
-    opacities = [
-        load_gaussians(path).opacities.numpy()[found] for path in ("scene/point_cloud.ply", "fade.ply")
-    ]
+    paths = ("scene/point_cloud.ply", "fade.ply")
+    opacities = [load_gaussians(path).opacities.numpy()[found] for path in paths]
     assert opacities[1] == pytest.approx(opacities[0] * 0.15, rel=1e-4)
 
 
 def test_a_picture_shows_before_and_after():
-    record = run_json(
-        "select", "f.scoup", "kettle", "--edit", "remove", "--out", "a.splat", "--picture", "a.png",
-        "--metres-per-unit", "2",
-    )  # fmt: skip
+    select = ("select", "f.scoup", "kettle", "--edit", "remove", "--out", "a.splat", "--picture", "a.png")
+    record = run_json(*select, "--metres-per-unit", "2")
     with Image.open("a.png") as picture:
         assert picture.width == 1500
         pixels = np.asarray(picture).astype(int)
@@ -258,25 +231,3 @@ def test_a_picture_shows_before_and_after():
     assert place["extent_metres"] == pytest.approx([2 * part for part in place["box"]["extent"]], rel=1e-4)
     third = pixels.shape[1] // 3
     assert np.abs(pixels[60:, 12 : third - 12] - pixels[60:, 2 * third + 12 : 3 * third - 12]).max() > 30
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--out", "a.obj"], "cannot write Gaussians as .obj"),
-        (["--out", "a.ply", "--color", "red"], "expected #rrggbb"),
-        (["--out", "a.ply", "--opacity", "2"], "--opacity must be 0 to 1"),
-        (["--out", "a.ply", "--picture", "a.jpg"], "ends in .png"),
-        (["--out", "a.ply", "--metres-per-unit", "0"], "--metres-per-unit must be above 0"),
-        (["--out", "a.splat", "--edit", "state"], "no column of states"),
-        (["--out", "a.ply", "--edit", "remove", "--within", "1000"], "try a higher --threshold"),
-        (["--out", "a.ply", "--threshold", "nan"], "threshold must be 0 to 1"),
-        (["--out", "a.ply", "--presence", "1.5"], "presence must be 0 to 1, got 1.5"),
-        (["--out", "a.ply", "--presence", "0.5"], "presence is judged against 16 or more"),
-        (["--out", "a.ply", "--level", "xl"], "'xl'"),
-        *((["--out", "a.ply", option, "-1"], option[2:]) for option in ("--grow", "--shrink", "--within")),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(options, said):
-    assert said in refused("select", "f.scoup", "kettle", *options)
-    assert not any(Path(name).exists() for name in ("a.ply", "a.png", "a.splat", "a.obj"))

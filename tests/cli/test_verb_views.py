@@ -176,20 +176,3 @@ def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None
 
 def interrupt(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (("views", "nothing.ply"), "nothing.ply: there is no such file"),
-        (("views", SPLAT, "--views", "0"), "--views must be 1 to 1000 views, got 0"),
-        (("views", SPLAT, "--width", "4"), "--width must be 16 to 8192 pixels, got 4"),
-        (("views", SPLAT, "--up", "0", "0", "0"), "up: expected three numbers that are not all 0"),
-        (("build", SPLAT, "--part", "1/2"), "make its scene first, with scoup views and scoup extract"),
-        (("build", "ckpt_9_rank0.pt", "--part", "1/2"), "make its scene first"),
-        (("build", SPLAT, "--gaussians", SPLAT), "is a splat; pass the scene"),
-        (("build", "scene", "--features", "r", "--embedder", "colors"), "--features names some; pass either"),
-    ],
-)
-def test_what_cannot_be_done_is_said(arguments: tuple[str, ...], expected: str) -> None:
-    assert expected in refused(*arguments)

@@ -15,7 +15,7 @@ from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
 
 @pytest.mark.parametrize("text", [False, True])
 def test_round_trip(tmp_path, text):
-    cameras = some_cameras(5)
+    cameras = some_cameras(60)
     points = np.random.default_rng(0).normal(size=(4, 3)), np.arange(12, dtype=np.uint8).reshape(4, 3)
     write_colmap(cameras, tmp_path / "sparse" / "0", points, text=text)
     assert camera_difference(cameras, read_colmap(tmp_path / "sparse" / "0")) < 1e-12
@@ -24,13 +24,6 @@ def test_round_trip(tmp_path, text):
     assert np.array_equal(colors, points[1])
     with pytest.raises(OutputExistsError):
         write_colmap(cameras, tmp_path / "sparse" / "0", text=text)
-
-
-def test_rotations_of_every_angle(tmp_path):
-    for seed in range(20):
-        cameras = some_cameras(3, seed=seed)
-        write_colmap(cameras, tmp_path, overwrite=True)
-        assert camera_difference(cameras, read_colmap(tmp_path)) < 1e-12
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -79,10 +72,8 @@ def test_distortion_is_refused_or_kept(tmp_path, line, expected):
     with pytest.raises(FileFormatError, match=r"has lens distortion.*image_undistorter.*undistort"):
         read_colmap(folder)
     assert read_colmap(folder, distorted="undistort")[0].distortion == expected
-    zeros = line.split()
-    zeros = zeros[: 4 + (4 if "OPENCV" in line else 3)] + ["0"] * len(
-        [value for value in zeros if "0." in value]
-    )
+    parameters = line.split()
+    zeros = ["0" if "0." in value else value for value in parameters]
     camera = read_colmap(text_model(tmp_path, " ".join(zeros)))[0]
     assert camera.distortion == ()
 
@@ -118,9 +109,7 @@ def test_missing_and_damaged_models(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 0))
     with pytest.raises(FileFormatError, match=r"refers to camera 1, which cameras.bin does not have"):
         read_colmap(tmp_path)
-    write_colmap(
-        some_cameras(2), tmp_path, points=(np.ones((2, 3)), np.ones((2, 3), np.uint8)), overwrite=True
-    )
+    write_colmap(some_cameras(2), tmp_path, (np.ones((2, 3)), np.ones((2, 3), np.uint8)), overwrite=True)
     points = (tmp_path / "points3D.bin").read_bytes()
     (tmp_path / "points3D.bin").write_bytes(points[:-8] + struct.pack("<Q", 2**61))
     with pytest.raises(FileFormatError, match=r"points3D.bin"):

@@ -10,21 +10,20 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from cli_support import snapshot
-from io_samples import some_cameras, some_regions
+from io_samples import some_cameras, some_regions, stored_view
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import convert_regions, load_regions, save_regions
 from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.views import ViewRegions
 from scoup.scene.cameras import Cameras
-from scoup.scene.regions import LEVELS, resize_labels
+from scoup.scene.regions import LEVELS
 
 MANIFEST_OF_TESTS = RegionManifest("compact", "some/model", {"segmenter": "random"})
 
@@ -35,36 +34,9 @@ def write(folder: Path, cameras: Cameras, bits: int = 32):
     folder.mkdir(exist_ok=True, parents=True)
     write_manifest(folder, MANIFEST_OF_TESTS)
     for camera in cameras:
-        maps = {level: regions.load(camera.name, level) for level in LEVELS}
-        view = ViewRegions(
-            camera.name,
-            {level: item.labels.numpy() for level, item in maps.items()},
-            {level: item.embeddings.numpy().astype(f"f{bits // 8}") for level, item in maps.items()},
-            "photo",
-        )
+        view = stored_view(regions, camera.name, f"f{bits // 8}", "photo")
         write_view(folder, camera.stem, view, MANIFEST_OF_TESTS.fingerprint)
     return regions
-
-
-@pytest.mark.parametrize("bits", [16, 32])
-def test_round_trip(tmp_path: Path, bits: int) -> None:
-    cameras = some_cameras(3)
-    regions = write(tmp_path / "language_features", cameras, bits)
-    for place in (tmp_path, tmp_path / "language_features"):
-        again = load_regions(place, cameras)
-        assert again.view_names == cameras.names
-        for name in cameras.names:
-            for level in LEVELS:
-                one, other = regions.load(name, level), again.load(name, level)
-                assert torch.equal(one.labels, other.labels)
-                tolerance = 1e-7 if bits == 32 else 1e-3
-                torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=tolerance)
-                assert torch.equal(again.load_embeddings(name, level), other.embeddings)
-                torch.testing.assert_close(other.embeddings.norm(dim=1), torch.ones(len(other.embeddings)))
-            each = torch.stack([regions.load(name, level).labels for level in LEVELS])
-            labels, embeddings = again.load_view(name, 9, 5)
-            assert torch.equal(labels, resize_labels(each, 9, 5))
-            assert torch.equal(embeddings[1], again.load_embeddings(name, "m"))
 
 
 @given(
@@ -124,9 +96,8 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
     save_file(fewer, path, {"scoup": json.dumps(header)})
     with pytest.raises(FileFormatError, match="labels up to 5 for 2 embeddings"):
         load_regions(tmp_path, cameras).load("view_00.png", "s")
-    save_file(
-        {**tensors, "embeddings.s": tensors["embeddings.s"] * np.nan}, path, {"scoup": json.dumps(header)}
-    )
+    endless = {**tensors, "embeddings.s": tensors["embeddings.s"] * np.nan}
+    save_file(endless, path, {"scoup": json.dumps(header)})
     with pytest.raises(FileFormatError, match="not finite"):
         load_regions(tmp_path, cameras).load("view_00.png", "s")
 
@@ -204,9 +175,8 @@ def test_langsplat_to_compact_and_back_is_lossless(tmp_path: Path) -> None:
         start = 0
         for plane, count in zip(planes, counts, strict=True):
             if count:
-                plane[:] = np.where(
-                    rng.random(plane.shape) < 0.2, -1, start + rng.integers(0, count, plane.shape)
-                )
+                numbers = start + rng.integers(0, count, plane.shape)
+                plane[:] = np.where(rng.random(plane.shape) < 0.2, -1, numbers)
                 plane.flat[:count] = start + np.arange(count)
             start += count
         np.save(source / f"{stem}_s.npy", planes)
@@ -246,9 +216,7 @@ def test_conversions_that_are_refused(tmp_path: Path) -> None:
     before = snapshot(tmp_path / "b")
     with pytest.raises(OutputExistsError):
         convert_regions(tmp_path / "a", tmp_path / "b")
-    with pytest.raises(
-        InputError, match=r"contains region features made with other settings \(bits: 32, not 16\)"
-    ):
+    with pytest.raises(InputError, match=r"region features made with other settings \(bits: 32, not 16\)"):
         convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
     with pytest.raises(InputError, match="features of the layout compact"):
         convert_regions(tmp_path / "a", tmp_path / "b", layout="langsplat", overwrite=True)
@@ -271,14 +239,13 @@ def test_rows_of_nothing_are_refused(tmp_path: Path) -> None:
     cameras = some_cameras(1)
     write(tmp_path, cameras)
     path = tmp_path / "view_00.regions"
-    raw = path.read_bytes()
-    size = int.from_bytes(raw[:8], "little")
-    header = json.loads(raw[8 : 8 + size])
+    with safe_open(path, framework="numpy") as stream:
+        header = stream.metadata()
     tensors = load_file(path)
     for level in LEVELS:
         tensors[f"embeddings.{level}"] = np.zeros((0, 0), np.float32)
-    save_file(tensors, path, header["__metadata__"])
+    save_file(tensors, path, header)
     raw = path.read_bytes()
-    path.write_bytes(raw.replace(b'"shape":[0,0]', b'"shape":[0,9]'.replace(b"0,9", b"9,0")))
+    path.write_bytes(raw.replace(b'"shape":[0,0]', b'"shape":[9,0]'))
     with pytest.raises(FileFormatError, match="embeddings of no dimension"):
         load_regions(tmp_path, cameras)

@@ -23,9 +23,8 @@ def test_checkpoints_are_read(tmp_path: Path, degree: int) -> None:
     given = some_gaussians(7, degree)
     logits, codebooks = save_langsplatv2(given, tmp_path / "chkpnt10000.pth")
     found = read_langsplat(tmp_path / "chkpnt10000.pth")
-    assert torch.allclose(found.gaussians.scales, given.scales, rtol=1e-5)
-    assert torch.allclose(found.gaussians.opacities, given.opacities, atol=1e-5)
-    assert torch.allclose(found.gaussians.quats, given.quats, atol=1e-6)
+    for name in ("scales", "opacities", "quats"):
+        torch.testing.assert_close(getattr(found.gaussians, name), getattr(given, name), rtol=1e-5, atol=1e-6)
     assert found.gaussians.sh.equal(given.sh)
     assert np.array_equal(found.values[:, 0], logits.numpy())
     assert found.codebooks is not None
