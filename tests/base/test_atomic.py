@@ -23,17 +23,16 @@ def test_refuses_to_replace_by_default(tmp_path):
     assert target.read_text() == "new"
 
 
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_error_leaves_the_old_file_and_no_rubbish(tmp_path, error):
+def test_an_error_leaves_the_old_file_and_no_rubbish(tmp_path):
     target = tmp_path / "file.bin"
     target.write_bytes(b"old")
 
     def write_half():
         with atomic_file(target, overwrite=True) as stream:
             stream.write(b"half")
-            raise error
+            raise ValueError
 
-    with pytest.raises(error):
+    with pytest.raises(ValueError):
         write_half()
     assert target.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [target]
@@ -95,7 +94,9 @@ def test_names_as_long_as_a_file_system_allows(tmp_path):
     for length in (246, 255):
         with atomic_file(tmp_path / ("a" * length)) as stream:
             stream.write(b"whole")
+    with atomic_path(tmp_path / ("b" * 255)) as path:
+        path.write_text("whole")
     said = r"/a{256}: cannot be written \(File name too long\); choose a shorter name$"
     with pytest.raises(WriteError, match=said), atomic_file(tmp_path / ("a" * 256)):
         pass
-    assert sorted(len(path.name) for path in tmp_path.iterdir()) == [246, 255]
+    assert sorted(len(path.name) for path in tmp_path.iterdir()) == [246, 255, 255]

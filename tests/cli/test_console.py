@@ -13,7 +13,7 @@ import pytest
 
 import scoup
 from children import finished
-from cli_support import RUN, run, run_json
+from cli_support import run, run_json
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.file_names import slug, unique_slugs
 from scoup.cli.build import Build
@@ -56,7 +56,7 @@ def test_what_cannot_be_parsed_is_bad_input(arguments):
 
 
 def test_frames_of_the_parser_stay_out_of_json():
-    command = [sys.executable, "-c", RUN, "info", "x", "--odd", "--json"]
+    command = [sys.executable, "-m", "scoup", "info", "x", "--odd", "--json"]
     said = set()
     for encoding in ("utf-8", "ascii"):
         environment = {**os.environ, "PYTHONIOENCODING": encoding}
@@ -94,17 +94,14 @@ def test_a_warning_is_told_once(capsys):
     assert err == "warning: twice is too often\n"
 
 
-@pytest.mark.parametrize(
-    ("message", "said"),
-    [
-        ("a: exists; pass `overwrite=True`", "a: exists; pass --overwrite"),
-        ("to continue anyway, pass `check_fit=False`", "to continue anyway, pass --no-check-fit"),
-        ("learn more (`n_atoms=8`)", "learn more (--n-atoms 8)"),
-        ("name it with `gaussians`; or `distorted='undistort'`", "name it with --gaussians; or --undistort"),
-        ("pass `segmenter='felzenszwalb'`", "pass --segmenter felzenszwalb"),
-        ("run `scoup view`; a`b.ply", "run `scoup view`; a`b.ply"),
-    ],
-)
+@pytest.mark.parametrize(("message", "said"), [
+    ("a: exists; pass `overwrite=True`", "a: exists; pass --overwrite"),
+    ("to continue anyway, pass `check_fit=False`", "to continue anyway, pass --no-check-fit"),
+    ("learn more (`n_atoms=8`)", "learn more (--n-atoms 8)"),
+    ("name it with `gaussians`; or `distorted='undistort'`", "name it with --gaussians; or --undistort"),
+    ("pass `segmenter='felzenszwalb'`", "pass --segmenter felzenszwalb"),
+    ("run `scoup view`; a`b.ply", "run `scoup view`; a`b.ply"),
+])  # fmt: skip
 def test_messages_name_options_in_place_of_arguments(capsys, message: str, said: str):
     Console(Common()).warn(message)
     Console(Common()).fail(message, 2)

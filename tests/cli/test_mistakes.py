@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import shutil
 from dataclasses import replace
@@ -268,12 +269,22 @@ UNREAD = {
     "other.json": ('{"frames": [{}]}', "frames[0].file_path is missing, expected a text; a JSON object is read as"),
 }  # fmt: skip
 """Files of other kinds: what is in them, and what is said of them."""
+PIPES = {
+    "pipe.ply": ("convert pipe.ply b.spz", f"{BUILT} --gaussians pipe.ply"),
+    "pipe.scoup": ("query pipe.scoup kettle --out o",),
+    "pipe.npz": ("query f.scoup kettle --text pipe.npz --out o",),
+    "pipe.txt": ("view f.scoup --words pipe.txt --export a.html",),
+    "pipe.npy": (f"convert pipe.npy b.scoup --gaussians {PLY}",),
+    "pipe.json": ("info pipe.json",),
+}
 CASES = [(f"{start} {more}", said) for start, rows in MISTAKES.items() for more, said in rows]
 for name, (_, said) in UNREAD.items():
     CASES += [(f"info {name}", f"{name}: {said}"), (f"{BUILT} --gaussians {name}", f"{name}: {said}")]
     if name.endswith(".json"):
         CASES[-1] = (f"build {name} --gaussians {PLY} --out a.scoup", f"{name}: {said}")
         CASES.append((f"extract {name}", f"{name}: {said}"))
+if hasattr(os, "mkfifo"):
+    CASES += [(one, f"{name}: is a named pipe (FIFO), not ") for name, all_ in PIPES.items() for one in all_]
 
 
 @pytest.fixture(scope="module")
@@ -296,10 +307,11 @@ def mistaken(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             Path(name).mkdir()
         for name, content in contents.items():
             Path(name).write_text(content)
+        for name in PIPES if hasattr(os, "mkfifo") else ():
+            os.mkfifo(name)
         Path("there").mkdir()
-        for (
-            name
-        ) in "sheet.png view_01.png a.gif labels.json catalog.json compare.json transforms.json".split():
+        records = ("labels.json", "catalog.json", "compare.json", "transforms.json")
+        for name in ("sheet.png", "view_01.png", "a.gif", *records):
             Path("there", name).touch()
         Path("drawn/view_00").mkdir(parents=True)
         Path("drawn/view_00/kettle_heat.png").touch()
@@ -330,13 +342,10 @@ def test_a_mistake_is_one_sentence(
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ((), "bare: has cameras, but none of their photographs was found"),
-        (("--sums", "s"), "make them with scoup extract bare, or name their folder with --features"),
-    ],
-)
+@pytest.mark.parametrize(("options", "said"), [
+    ((), "bare: has cameras, but none of their photographs was found"),
+    (("--sums", "s"), "make them with scoup extract bare, or name their folder with --features"),
+])  # fmt: skip
 def test_a_scene_without_regions_and_photographs(options, said):
     shutil.copytree("scene", "bare", ignore=shutil.ignore_patterns("language_features", "images"))
     code, _, err = run("build", "bare", "--out", "a.scoup", *options)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from cli_support import refused, run, run_json
+from cli_support import printed, refused, run, run_json
 from scoup import raster
 from scoup_lab.bench import STAGES
 
@@ -21,8 +21,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_table():
-    code, out, err = run(*TINY, "--backends", "reference")
-    assert (code, err) == (0, "")
+    out = printed(*TINY, "--backends", "reference")
     table = [line for line in out.splitlines() if line.startswith("|")]
     assert [line.split("|")[3].strip() for line in table[2:]] == list(STAGES)
     assert "24 x 16" in out

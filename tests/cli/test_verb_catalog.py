@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import WORDS, refused, run, run_json
+from cli_support import WORDS, printed, refused, run, run_json
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import load_table, save_table
 
@@ -16,8 +16,7 @@ pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_the_main_path():
-    code, out, err = run("catalog", "f.scoup")
-    assert (code, err) == (0, "")
+    out = printed("catalog", "f.scoup")
     field = LanguageField.load("f.scoup")
     things = field.things()
     folder = Path("f_catalog")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import BUILD, QUICK, refused, run, run_json
+from cli_support import BUILD, QUICK, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
@@ -21,8 +21,7 @@ def test_features_become_a_field_that_can_be_queried():
     field = LanguageField.load("f.scoup")
     np.save("features.npy", field.gaussian_features("m").numpy())
     command = shlex.split("convert features.npy new.scoup --gaussians scene/point_cloud.ply --n-atoms 8")
-    code, out, err = run(*command, "--model", "scene/words.npz")
-    assert (code, err) == (0, "")
+    out = printed(*command, "--model", "scene/words.npz")
     assert "new.scoup: 150 Gaussians, 8 atoms, levels m, m: mean cosine" in out
     assert run_json("info", "new.scoup")["geometry"].endswith("point_cloud.ply")
     texts = field.question("kettle", encoder="scene/words.npz")

@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import QUICK, refused, run, run_json, snapshot
+from cli_support import QUICK, plain_photographs, refused, run, run_json, snapshot
 from scoup.cli.options import CLIP_MODEL
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions, write_colmap
@@ -27,18 +27,10 @@ FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 ROOT = Path(__file__).parents[2]
 
 
-def photographs(count: int = 4) -> None:
-    """A scene whose photographs show something."""
-    for path in Path("scene/language_features").iterdir():
-        path.unlink()
-    Path("scene/language_features").rmdir()
-    for number, path in enumerate(sorted(Path("scene/images").iterdir())):
-        if number >= count:
-            path.unlink()
-            continue
-        pixels = np.zeros((30, 40, 3), np.uint8)
-        pixels[:15, : 10 + 5 * number], pixels[15:, 20:] = (200, 30, 30), (30, 200, 60)
-        Image.fromarray(pixels).save(path)
+def photographs() -> None:
+    """A scene without regions, whose photographs show something."""
+    shutil.rmtree("scene/language_features")
+    plain_photographs()
 
 
 def test_extract_then_build(here) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import add_words, run, run_json
+from cli_support import add_words, printed, run_json
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, read_ply_table
 
@@ -17,8 +17,7 @@ pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_the_main_path():
-    code, out, err = run("label", "f.scoup", "kettle", "mug")
-    assert (code, err) == (0, "")
+    out = printed("label", "f.scoup", "kettle", "mug")
     labels = LanguageField.load("f.scoup").label(["kettle", "mug"])
     counts = labels.counts()
     assert f"kettle: {counts['kettle']} Gaussians" in out
@@ -47,8 +46,7 @@ def test_an_absent_word_labels_nothing():
     ask = ("label", "f.scoup", "kettle", "mug", *texts, "--outputs", "sidecar")
     classes = run_json(*ask, "--out", "a", "--always")["classes"]
     low, high = sorted(classes, key=lambda one: one["score"])
-    code, out, err = run(*ask, "--out", "b", "--presence", (low["score"] + high["score"]) / 2)
-    assert (code, err) == (0, "")
+    out = printed(*ask, "--out", "b", "--presence", (low["score"] + high["score"]) / 2)
     assert f"{low['name']}: not in this scene (score {low['score']:.2f})" in out.splitlines()
     assert f"{high['name']}: {high['gaussians']} Gaussians" in out
     classes = json.loads(Path("b/labels.json").read_text())["classes"]

@@ -12,8 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import add_words, refused, run, run_json, snapshot
-from scoup.base.errors import InputError
+from cli_support import add_words, printed, refused, run, run_json, snapshot
 from scoup.io import write_colmap
 from scoup.models.word_table import load_table, save_table
 from scoup.pictures import mask_overlay
@@ -25,8 +24,7 @@ NO_PICTURES = ("--pictures", "none", "--overwrite")
 
 
 def test_the_main_path_says_what_it_found():
-    code, out, err = run("query", "f.scoup", "kettle", "wooden table")
-    assert (code, err) == (0, "")
+    out = printed("query", "f.scoup", "kettle", "wooden table")
     lines = out.splitlines()
     seen = r"pixel \[\d+, \d+\], box \[\d+, \d+, \d+, \d+\], \d+\.\d% of the view"
     place = r"at \[.*\], extent \S+ x \S+ x \S+, thing \d+, presence not judged"
@@ -60,20 +58,6 @@ def test_an_absent_text_is_said_once_and_has_no_place():
     always = run_json(*ask, "--always")
     assert all(one["present"] and one["gaussians"] for one in always["places"])
     assert [one["score"] for one in always["places"]] == [one["score"] for one in record["places"]]
-
-
-def test_certainty_is_the_score_in_words():
-    names = ["kettle", "mug", "wooden table", *(f"word {number}" for number in range(30))]
-    ask = ("query", "f.scoup", *names, "--text", add_words(), "--pictures", "none")
-    places = run_json(*ask, "--presence", "0.3")["places"]
-    words = {
-        "sure" if one["score"] >= 0.9 else "likely" if one["score"] >= 0.6 else "doubtful": one["certainty"]
-        for one in places
-        if one["present"]
-    }
-    assert words == {word: word for word in ("sure", "likely", "doubtful")}
-    assert all(one["present"] == (one["score"] >= 0.3) for one in places if one["gaussians"] >= 10)
-    assert {one["certainty"] for one in places if not one["present"]} == {"not here"}
 
 
 def files(folder: str) -> list[str]:
@@ -135,18 +119,12 @@ def test_the_record_of_an_answer():
     assert len(place["things"]) == 1
     assert place["gaussians"] > 0
     assert place["runner_up"]["thing"] not in place["things"]
-    x, y = answer["pixel"]
-    assert 0 <= x < 40
-    assert 0 <= y < 30
     mask = np.asarray(Image.open(answer["files"]["mask"]))
     assert mask.shape == (30, 40)
     assert set(np.unique(mask)) <= {0, 255}
     assert answer["coverage"] == pytest.approx((mask > 0).mean(), abs=1e-6)
-    # Around the main parts of the mask, whose pixels touch every side of it.
     x0, y0, x1, y1 = answer["box"]
-    inside = mask[y0:y1, x0:x1] > 0
-    assert all(side.any() for side in (inside[0], inside[-1], inside[:, 0], inside[:, -1]))
-    assert 2 * inside.sum() > (mask > 0).sum()
+    assert 2 * (mask[y0:y1, x0:x1] > 0).sum() > (mask > 0).sum()
     for kind in ("heat", "overlay"):
         with Image.open(answer["files"][kind]) as picture:
             assert picture.mode == "RGB"
@@ -174,29 +152,6 @@ def test_cameras_by_name_several_and_all():
         assert [answer["camera"] for answer in answers] == [f"view_0{number}.png" for number in views]
 
 
-def test_thresholds_and_levels_change_the_answer():
-    ask = ("query", "f.scoup", "kettle", *NO_PICTURES)
-    place = lambda *options: run_json(*ask, *options)["places"][0]  # noqa: E731
-    low, high = place("--threshold", "0.1"), place("--threshold", "0.9")
-    assert low["gaussians"] > high["gaussians"] > 0
-    assert (low["threshold"], high["threshold"], low["things"]) == (0.1, 0.9, [])
-    levels = {level: place("--level", level) for level in "sml"}
-    assert {level: one["level"] for level, one in levels.items()} == {level: level for level in "sml"}
-    assert len({tuple(one["things"]) for one in levels.values()}) == 3
-    assert place() in levels.values()
-
-
-def test_every_view_shows_the_answer_of_the_scene():
-    ask = ("query", "f.scoup", "kettle", "mug", "--camera", "all", "--text", add_words(), "--always")
-    record = run_json(*ask, *NO_PICTURES)
-    shared = ("level", "score", "certainty", "present")
-    for place in record["places"]:
-        answers = [one for one in record["answers"] if one["text"] == place["text"]]
-        assert len(answers) == 4
-        assert all(one[key] == place[key] for one in answers for key in shared)
-        assert any(one["visible"] for one in answers)
-
-
 def test_cameras_of_another_scene():
     away = make_camera(name="away.png")
     away.viewmat[2, 3] = -1000
@@ -218,10 +173,7 @@ def test_geometry_that_moved_is_named():
     assert run_json("query", "f.scoup", "kettle", "--gaussians", "elsewhere.ply")["answers"]
 
 
-@pytest.mark.parametrize(
-    "error", [KeyboardInterrupt(), InputError("no"), OSError(28, "No space left on device")]
-)
-def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
+def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch):
     ask = ("query", "f.scoup", "--camera", "view_00", "--camera", "view_01", "--pictures", "all")
     run_json(*ask, "kettle")
     before = snapshot(Path())
@@ -230,14 +182,12 @@ def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch, error):
     def failing(*arguments):
         drawn.append(arguments)
         if len(drawn) == 3:
-            raise error
+            raise OSError(28, "No space left on device")
         return overlay(*arguments)
 
     monkeypatch.setattr("scoup.query.view_answer.mask_overlay", failing)
     code, out, err = run(*ask, "mug", "kettle", "--overwrite")
-    assert code == (130 if isinstance(error, KeyboardInterrupt) else 2)
-    assert out == ""
-    assert len(err.splitlines()) == 1
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert snapshot(Path()) == before
 
 

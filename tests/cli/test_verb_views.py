@@ -57,17 +57,6 @@ def test_photographs_whose_cameras_are_replaced_stay() -> None:
     assert set(before) < set(Path("scene/images").iterdir())
 
 
-def test_interrupted_views_leave_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = snapshot(Path())
-    with monkeypatch.context() as patch:
-        patch.setattr("scoup.extract.own_views.render_colors", interrupt)
-        code, _, said = run("views", SPLAT, *SMALL, "--views", 3, "--out", "own")
-    assert code == 130
-    assert "nothing was written" in said
-    assert snapshot(Path()) == before
-    assert not Path("own").exists()
-
-
 def test_views_beside_photographs_keep_them() -> None:
     given = load_cameras("scene")
     record = run_json("views", SPLAT, *SMALL, "--views", 2, "--beside", "scene", "--out", "more")
@@ -103,12 +92,6 @@ def test_cameras_without_photographs_have_nothing_to_be_beside() -> None:
     assert code == 2
     assert "error: scene: has no photographs, only cameras" in said
     assert not Path("more").exists()
-
-
-def test_views_beside_views_have_other_names() -> None:
-    run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "first")
-    run_json("views", SPLAT, *SMALL, "--views", 1, "--beside", "first", "--out", "second")
-    assert load_cameras("second").names == ("own_000.png", "own_001.png", "own_002.png")
 
 
 @pytest.mark.slow  # views of the usual size

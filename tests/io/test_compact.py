@@ -39,12 +39,10 @@ def write(folder: Path, cameras: Cameras, bits: int = 32):
     return regions
 
 
-@given(
-    st.integers(1, 50),
-    st.integers(1, 50),
-    st.sampled_from([0, 1, 3, 65_535, 65_536, 70_000]),
-    st.integers(0, 99),
-)
+ROWS = st.sampled_from([0, 1, 3, 65_535, 65_536, 70_000])
+
+
+@given(st.integers(1, 50), st.integers(1, 50), ROWS, st.integers(0, 99))
 def test_labels_of_every_size(height: int, width: int, rows: int, seed: int) -> None:
     labels = np.random.default_rng(seed).integers(-1, rows, (height, width)).astype(np.int32)
     with TemporaryDirectory() as folder:
@@ -92,14 +90,11 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
         save_file(tensors, path, {"scoup": json.dumps({**header, **change})})
         with pytest.raises(FileFormatError, match=message):
             load_regions(tmp_path, cameras).load("view_00.png", "s")
-    fewer = {**tensors, "embeddings.s": tensors["embeddings.s"][:2]}
-    save_file(fewer, path, {"scoup": json.dumps(header)})
-    with pytest.raises(FileFormatError, match="labels up to 5 for 2 embeddings"):
-        load_regions(tmp_path, cameras).load("view_00.png", "s")
-    endless = {**tensors, "embeddings.s": tensors["embeddings.s"] * np.nan}
-    save_file(endless, path, {"scoup": json.dumps(header)})
-    with pytest.raises(FileFormatError, match="not finite"):
-        load_regions(tmp_path, cameras).load("view_00.png", "s")
+    rows = tensors["embeddings.s"]
+    for wrong, message in ((rows[:2], "labels up to 5 for 2 embeddings"), (rows * np.nan, "not finite")):
+        save_file({**tensors, "embeddings.s": wrong}, path, {"scoup": json.dumps(header)})
+        with pytest.raises(FileFormatError, match=message):
+            load_regions(tmp_path, cameras).load("view_00.png", "s")
 
 
 def test_every_flipped_bit_and_every_cut_is_noticed(tmp_path: Path) -> None:
@@ -135,18 +130,15 @@ def test_files_without_checksums_are_read(tmp_path: Path) -> None:
     assert all((again.embeddings[level] == view.embeddings[level]).all() for level in LEVELS)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "not valid JSON"),
-        ("[]", "its content is a list of 0, expected an object"),
-        ('{"schema": "scoup.regions", "version": 9}', "newer SCOUP"),
-        (
-            '{"schema": "scoup.regions", "version": 1, "layout": "other", "settings": {}, "embedding_model": "a"}',
-            "layout is 'other', expected compact or langsplat",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("{", "not valid JSON"),
+    ("[]", "its content is a list of 0, expected an object"),
+    ('{"schema": "scoup.regions", "version": 9}', "newer SCOUP"),
+    (
+        '{"schema": "scoup.regions", "version": 1, "layout": "other", "settings": {}, "embedding_model": "a"}',
+        "layout is 'other', expected compact or langsplat",
+    ),
+])  # fmt: skip
 def test_damaged_manifests(tmp_path: Path, text: str, message: str) -> None:
     write(tmp_path, some_cameras(1))
     (tmp_path / MANIFEST).write_text(text)

@@ -49,20 +49,17 @@ def changed(place: int, value: Any) -> Callable[[list[Any]], list[Any]]:
     return lambda entries: [*entries[:place], value, *entries[place + 1 :]]
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda entries: entries[:7] + entries[9:], "without language features"),
-        (lambda entries: entries[:5], "no captured Gaussians"),
-        (changed(1, torch.zeros(6, 3)), "features_rest is"),
-        (changed(7, torch.zeros(7, 9)), "9 logits a Gaussian for 1 codebooks of 8"),
-        (changed(8, torch.zeros(8, 16)), "codebooks is"),
-        (changed(8, torch.full((1, 8, 16), torch.nan)), "not finite"),
-        (changed(1, torch.zeros(1, 1).expand(10**9, 3)), "xyz is"),
-        (changed(4, "scales"), "scaling is str"),
-        (changed(13, Runs()), "objects other than tensors"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda entries: entries[:7] + entries[9:], "without language features"),
+    (lambda entries: entries[:5], "no captured Gaussians"),
+    (changed(1, torch.zeros(6, 3)), "features_rest is"),
+    (changed(7, torch.zeros(7, 9)), "9 logits a Gaussian for 1 codebooks of 8"),
+    (changed(8, torch.zeros(8, 16)), "codebooks is"),
+    (changed(8, torch.full((1, 8, 16), torch.nan)), "not finite"),
+    (changed(1, torch.zeros(1, 1).expand(10**9, 3)), "xyz is"),
+    (changed(4, "scales"), "scaling is str"),
+    (changed(13, Runs()), "objects other than tensors"),
+])  # fmt: skip
 def test_other_checkpoints_are_refused(
     tmp_path: Path, change: Any, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

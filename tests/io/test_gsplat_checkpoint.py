@@ -63,17 +63,13 @@ def test_foreign_contents(tmp_path, capsys):
         read_gsplat_checkpoint(path)
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"quats": torch.zeros(4, 3)}, r"quats is torch.float32 \[4, 3\], expected floats \[4, 4\]"),
-        ({"scales": torch.zeros(3, 3)}, "scales"),
-        ({"means": torch.zeros(4, 3, dtype=torch.int64)}, "means"),
-        ({"means": torch.zeros(1).expand(10**9, 3), "quats": torch.zeros(1).expand(10**9, 4)}, "means"),
-        ({"shN": torch.zeros(4, 4, 3)}, "no whole SH degree"),
-    ],
-    ids=["columns", "rows", "integers", "claimed", "degree"],
-)
+@pytest.mark.parametrize(("changes", "said"), [
+    ({"quats": torch.zeros(4, 3)}, r"quats is torch.float32 \[4, 3\], expected floats \[4, 4\]"),
+    ({"scales": torch.zeros(3, 3)}, "scales"),
+    ({"means": torch.zeros(4, 3, dtype=torch.int64)}, "means"),
+    ({"means": torch.zeros(1).expand(10**9, 3), "quats": torch.zeros(1).expand(10**9, 4)}, "means"),
+    ({"shN": torch.zeros(4, 4, 3)}, "no whole SH degree"),
+], ids=["columns", "rows", "integers", "claimed", "degree"])  # fmt: skip
 def test_wrong_shapes_and_claimed_sizes(tmp_path, changes, said):
     path = tmp_path / "a.pt"
     save_checkpoint(some_gaussians(4), path)

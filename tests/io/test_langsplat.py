@@ -75,22 +75,19 @@ def test_rows_without_pixels_belong_to_the_level_before():
     assert [(b.start, b.stop) for b in blocks.values()] == [(0, 2), (2, 3), (3, 6), (6, 6)]
 
 
-@pytest.mark.parametrize(
-    ("planes", "rows", "message"),
-    [
-        (planes_of([0], [1], [2], [4]), 4, "labels from 4 to 4, but view_00_f.npy has 4 embeddings"),
-        (planes_of([0], [1], [2], [-2]), 4, "labels from -2"),
-        (planes_of([0], [1, 2], [2], [3]), 4, "'m' starts at row 2, inside the level before"),
-        (planes_of([0], [3], [2], [1]), 4, "starts at row 2"),
-        (planes_of([0], [1], [2], [3]) + 0.25, 4, "not whole numbers"),
-        (planes_of([0], [1], [2], [3]) * np.float32("nan"), 4, "not whole numbers"),
-        (planes_of([0], [1], [2], [3]) + np.float32("inf"), 4, "not whole numbers"),
-        (planes_of([0], [1], [2], [3])[:3], 4, r"shape \[3, 24, 32\], expected \[4, height, width\]"),
-        (planes_of([0], [1], [2], [3], width=30), 4, "of another shape than its image"),
-        (planes_of([0], [1], [2], [3])[:, :0], 4, "expected"),
-        (planes_of([0], [1], [2], [3])[0], 4, "expected"),
-    ],
-)
+@pytest.mark.parametrize(("planes", "rows", "message"), [
+    (planes_of([0], [1], [2], [4]), 4, "labels from 4 to 4, but view_00_f.npy has 4 embeddings"),
+    (planes_of([0], [1], [2], [-2]), 4, "labels from -2"),
+    (planes_of([0], [1, 2], [2], [3]), 4, "'m' starts at row 2, inside the level before"),
+    (planes_of([0], [3], [2], [1]), 4, "starts at row 2"),
+    (planes_of([0], [1], [2], [3]) + 0.25, 4, "not whole numbers"),
+    (planes_of([0], [1], [2], [3]) * np.float32("nan"), 4, "not whole numbers"),
+    (planes_of([0], [1], [2], [3]) + np.float32("inf"), 4, "not whole numbers"),
+    (planes_of([0], [1], [2], [3])[:3], 4, r"shape \[3, 24, 32\], expected \[4, height, width\]"),
+    (planes_of([0], [1], [2], [3], width=30), 4, "of another shape than its image"),
+    (planes_of([0], [1], [2], [3])[:, :0], 4, "expected"),
+    (planes_of([0], [1], [2], [3])[0], 4, "expected"),
+])  # fmt: skip
 def test_labels_that_make_no_sense(tmp_path, planes, rows, message):
     write(tmp_path, "view_00", planes, unit_rows(rows))
     with pytest.raises(FileFormatError, match=message):

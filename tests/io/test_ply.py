@@ -56,15 +56,8 @@ def file_of(path: Path, columns: dict[str, np.ndarray], encoding: str = "binary_
 
 def raw_columns(count: int = 5, rest: int = 0, seed: int = 0) -> dict[str, np.ndarray]:
     generator = np.random.default_rng(seed)
-    names = [
-        "x",
-        "y",
-        "z",
-        *(f"f_dc_{c}" for c in range(3)),
-        *(f"f_rest_{number}" for number in range(rest)),
-        "opacity",
-    ]
-    names += [*(f"scale_{axis}" for axis in range(3)), *(f"rot_{part}" for part in range(4))]
+    names = ["x", "y", "z", *(f"f_dc_{c}" for c in range(3)), *(f"f_rest_{number}" for number in range(rest))]
+    names += ["opacity", *(f"scale_{axis}" for axis in range(3)), *(f"rot_{part}" for part in range(4))]
     return {name: generator.normal(size=count).astype(np.float32) for name in names}
 
 
@@ -274,11 +267,8 @@ def test_files_without_a_splat_are_named(tmp_path):
     columns = raw_columns()
     cloud = {name: columns[name] for name in ("x", "y", "z")}
     del columns["opacity"]
-    for wrong, said in (
-        (columns, "lacks opacity"),
-        (raw_columns(rest=5), "has 5 f_rest"),
-        (cloud, "not a point cloud"),
-    ):
+    files = ((columns, "lacks opacity"), (raw_columns(rest=5), "has 5 f_rest"), (cloud, "not a point cloud"))
+    for wrong, said in files:
         with pytest.raises(FileFormatError, match=said):
             read_ply(file_of(tmp_path / "a.ply", wrong))
 

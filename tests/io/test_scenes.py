@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-import scoup.io
 from io_samples import (
     camera_difference,
     same_gaussians,
@@ -114,13 +113,8 @@ def test_only_scaled_images(tmp_path):
 def test_downscale(tmp_path):
     scene = colmap_scene(tmp_path)
     save_images(some_cameras(3), scene / "images_2", 2)
-    folders: tuple[tuple[Literal[1, 2, 4, 8], str], ...] = (
-        (1, "images"),
-        (2, "images_2"),
-        (4, "images"),
-        (8, "images"),
-    )
-    for factor, folder in folders:
+    folders: dict[Literal[1, 2, 4, 8], str] = {1: "images", 2: "images_2", 4: "images", 8: "images"}
+    for factor, folder in folders.items():
         camera = load_cameras(scene, downscale=factor)[0]
         assert (camera.width, camera.height) == (32 // factor, 24 // factor)
         assert camera.image_path == scene / folder / "view_00.png"
@@ -173,14 +167,11 @@ def test_images_elsewhere(tmp_path):
 
 def test_images_of_another_shape_or_damaged(tmp_path):
     scene = colmap_scene(tmp_path)
-    for width, height, said in (
-        (24, 32, r"is 24 x 32 pixels, another shape than its camera \(32 x 24\)"),
-        (
-            1,
-            1,
-            "is a single pixel, but its camera has 32 x 24: a placeholder.*remove the folder to use the cameras",
-        ),
-    ):
+    of_pixel = (
+        "is a single pixel, but its camera has 32 x 24: a placeholder.*remove the folder to use the cameras"
+    )
+    of_shape = r"is 24 x 32 pixels, another shape than its camera \(32 x 24\)"
+    for width, height, said in ((24, 32, of_shape), (1, 1, of_pixel)):
         save_images(some_cameras(1, width, height), scene / "images")
         with pytest.raises(FileFormatError, match=said):
             load_cameras(scene)
@@ -242,14 +233,11 @@ def test_far_from_the_origin_is_refused_and_5_km_are_not(tmp_path):
         load_gaussians(tmp_path / "utm.ply")
 
 
-@pytest.mark.parametrize(
-    ("config", "said"),
-    [
-        ("cfg.yml", "antialiased: true\n"),
-        ("config.yml", "  model:\n    rasterize_mode: antialiased\n"),
-        ("cfg.yml", "antialiased: false\n"),
-    ],
-)
+@pytest.mark.parametrize(("config", "said"), [
+    ("cfg.yml", "antialiased: true\n"),
+    ("config.yml", "  model:\n    rasterize_mode: antialiased\n"),
+    ("cfg.yml", "antialiased: false\n"),
+])  # fmt: skip
 def test_configurations_say_antialiased(tmp_path, config, said):
     save_gaussians(some_gaussians(5), tmp_path / "a.ply")
     (tmp_path / config).write_text(said)
@@ -270,8 +258,3 @@ def test_no_gaussians(tmp_path):
     save_gaussians(some_gaussians(0), tmp_path / "empty.ply")
     with pytest.raises(FileFormatError, match="contains no Gaussians"):
         load_gaussians(tmp_path / "empty.ply")
-
-
-def test_public_names():
-    assert all(hasattr(scoup.io, name) for name in scoup.io.__all__)
-    assert np.all(sorted(scoup.io.__all__) == scoup.io.__all__)
