@@ -30,6 +30,8 @@ from support import small_scene, unit
 WORDS = ("kettle", "mug", "wooden table")
 QUICK = ("--n-atoms", "8", "--effort", "fast")
 """Options that make a build quick."""
+FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+"""Options of an extraction without models."""
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 ASK = {
     "query": ("query", "f.scoup", "kettle", "--out", "answers"),

@@ -23,16 +23,17 @@ def test_refuses_to_replace_by_default(tmp_path):
     assert target.read_text() == "new"
 
 
-def test_an_error_leaves_the_old_file_and_no_rubbish(tmp_path):
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_an_error_leaves_the_old_file_and_no_rubbish(tmp_path, error):
     target = tmp_path / "file.bin"
     target.write_bytes(b"old")
 
     def write_half():
         with atomic_file(target, overwrite=True) as stream:
             stream.write(b"half")
-            raise ValueError
+            raise error
 
-    with pytest.raises(ValueError):
+    with pytest.raises(error):
         write_half()
     assert target.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [target]

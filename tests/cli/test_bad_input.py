@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import ASK, BUILD, QUICK, refused, run, run_json, write_scene
+from cli_support import ASK, BUILD, FREE, QUICK, refused, run, run_json, write_scene
 from scoup.io import load_cameras, save_gaussians, write_colmap, write_inria_cameras, write_transforms
 from scoup.scene.cameras import Cameras
 from support import make_camera, random_gaussians
@@ -186,7 +186,7 @@ def test_an_extraction_that_fails_at_once_leaves_nothing():
     pytest.importorskip("skimage")
     for number in range(4):
         text(f"scene/images/view_0{number}.png")
-    free = ("--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "regions/of/it")
+    free = (*FREE, "--out", "regions/of/it")
     assert "none of the 4 photographs could be read" in refused("extract", "scene", *free)
     assert not Path("regions").exists()
 

@@ -13,7 +13,7 @@ from subprocess import PIPE, Popen
 import pytest
 
 from children import child, finished
-from cli_support import BUILD, RUN, plain_photographs, printed, refused, run, run_json
+from cli_support import BUILD, FREE, RUN, plain_photographs, printed, refused, run, run_json
 from scoup.base.atomic import reserved_output
 from scoup.base.locks import locked
 from scoup.io import load_gaussians, save_gaussians
@@ -22,7 +22,6 @@ from scoup.io.regions.store import RegionStore
 pytestmark = pytest.mark.usefixtures("quick_python", "here")
 
 PYTHON = sys.executable  # that of most tests here has imported everything already
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 EXTRACT = ("extract", "scene", *FREE, "--out", "regions")
 # A build in a process of its own that rasterises no third view: it waits, once two are in their files.
 STUCK = """
@@ -149,7 +148,8 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
         (("query", "f.scoup", "kettle", "--out", "new/answers"), "scoup.query.field_view.FieldView.show"),
         (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.ask.answer_scene"),
         (("render", "f.scoup", "--out", "new/a.gif"), "scoup.pictures.animation.save_animation"),
-        (("views", "scene/point_cloud.ply", "--width", "24", "--height", "18", "--views", "3", "--out", "new/own"),
+        (("views", "scene/point_cloud.ply", "--width", "24", "--height", "18", "--up", "0", "-1", "0",
+          "--out", "new/own"),
          "scoup.extract.own_views.render_colors"),
         (("convert", "scene", "new/compact"), "scoup.io.regions.compact.write_view"),
         (("demo", "--out", "new/demo"), "scoup_lab.evaluate.demonstration.make_demo_scene"),

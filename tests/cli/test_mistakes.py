@@ -284,7 +284,9 @@ for name, (_, said) in UNREAD.items():
         CASES[-1] = (f"build {name} --gaussians {PLY} --out a.scoup", f"{name}: {said}")
         CASES.append((f"extract {name}", f"{name}: {said}"))
 if hasattr(os, "mkfifo"):
-    CASES += [(one, f"{name}: is a named pipe (FIFO), not ") for name, all_ in PIPES.items() for one in all_]
+    CASES += [
+        (one, f"{name}: is a named pipe (FIFO), not ") for name, commands in PIPES.items() for one in commands
+    ]
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ import torch
 
 import scoup.io as scoup_io
 from children import finished
-from cli_support import QUICK, plain_photographs, run, snapshot
+from cli_support import FREE, QUICK, plain_photographs, run, snapshot
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import WriteError
 from scoup.base.staging import staged
@@ -37,7 +37,6 @@ from support import small_scene
 
 resource = pytest.importorskip("resource")
 
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 SMALL = ("--n-gaussians", "2000", "--width", "48", "--height", "36", "--views", "2")
 VERBS = {
     "build": ("build", "scene", *QUICK, "--out", "new/a.scoup"),
@@ -223,18 +222,19 @@ def test_standard_output_that_is_full() -> None:
 
 NONE = torch.zeros(0, dtype=torch.int32)
 EMPTY = ViewSums(NONE, NONE, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32))
-WRITERS: dict[str, Callable[[Gaussians, Cameras, Regions], object]] = {
-    "a.ply": lambda gaussians, *_: save_gaussians(gaussians, "a.ply"),
-    "a.splat": lambda gaussians, *_: save_gaussians(gaussians, "a.splat"),
-    "colmap/cameras.bin": lambda _, cameras, __: scoup_io.write_colmap(cameras, "colmap"),
-    "text/cameras.txt": lambda _, cameras, __: scoup_io.write_colmap(cameras, "text", text=True),
-    "transforms.json": lambda _, cameras, __: scoup_io.write_transforms(cameras, "transforms.json"),
-    "cameras.json": lambda _, cameras, __: scoup_io.write_inria_cameras(cameras, "cameras.json"),
-    "features/view_00_f.npy": lambda *scene: scoup_io.save_regions(scene[2], "features"),
+Scene = tuple[Gaussians, Cameras, Regions]
+WRITERS: dict[str, Callable[[Scene, RegionSums], object]] = {
+    "a.ply": lambda scene, _: save_gaussians(scene[0], "a.ply"),
+    "a.splat": lambda scene, _: save_gaussians(scene[0], "a.splat"),
+    "colmap/cameras.bin": lambda scene, _: scoup_io.write_colmap(scene[1], "colmap"),
+    "text/cameras.txt": lambda scene, _: scoup_io.write_colmap(scene[1], "text", text=True),
+    "transforms.json": lambda scene, _: scoup_io.write_transforms(scene[1], "transforms.json"),
+    "cameras.json": lambda scene, _: scoup_io.write_inria_cameras(scene[1], "cameras.json"),
+    "features/view_00_f.npy": lambda scene, _: scoup_io.save_regions(scene[2], "features"),
     "words.npz": lambda *_: save_table("words.npz", ["a", "b"], torch.eye(2)),
-    "new.sums": lambda *scene: region_sums(*scene, path="new.sums"),
-    "kept.sums": lambda *_: RegionSums.open("kept.sums").append("another", EMPTY),
-    f"temporary file in {tempfile.gettempdir()}": lambda *scene: build(*scene, check_fit=False),
+    "new.sums": lambda scene, _: region_sums(*scene, path="new.sums"),
+    "kept.sums": lambda _, kept: kept.append("another", EMPTY),
+    f"temporary file in {tempfile.gettempdir()}": lambda scene, _: build(*scene, check_fit=False),
 }
 """What writes files without a verb, by the first file it writes."""
 
@@ -243,10 +243,10 @@ WRITERS: dict[str, Callable[[Gaussians, Cameras, Regions], object]] = {
 def test_every_writer_of_the_library(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     scene = small_scene(count=40, views=2)
-    region_sums(*scene, path="kept.sums")
+    kept = region_sums(*scene, path="kept.sums")
     before = snapshot(tmp_path)
     with largest_file(100), pytest.raises(WriteError, match="File too large") as caught:
-        WRITERS[path](*scene)
+        WRITERS[path](scene, kept)
     named = re.escape(path) + (r"/\S+\.safetensors" if path.endswith(".sums") else "")
     assert re.match(rf"{named}: cannot be written \(File too large\); ", str(caught.value))
     assert snapshot(tmp_path) == before

@@ -10,9 +10,8 @@ from subprocess import CompletedProcess
 import pytest
 
 from children import finished
-from cli_support import BUILD, QUICK, RUN, run, write_scene
+from cli_support import BUILD, FREE, QUICK, RUN, run, write_scene
 
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 MARK = "a\x1b[2J\x07\u202eb "
 WORD = f"{MARK}kettle"
 SCENE = f"{MARK}scene"

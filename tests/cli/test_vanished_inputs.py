@@ -18,7 +18,7 @@ import pytest
 import safetensors
 import torch
 
-from cli_support import QUICK, plain_photographs, run, snapshot
+from cli_support import FREE, QUICK, plain_photographs, run, snapshot
 from scoup.io import load_gaussians, save_gaussians
 from scoup.uplift.storage.paths import view_file
 
@@ -29,7 +29,6 @@ PHOTO = "scene/images/view_02.png"
 SUMS = view_file("view_01.png")
 GONE = "disappeared while being read; restore it and retry"
 OUT = ("--out", "a.scoup", "--overwrite")
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from cli_support import QUICK, run, run_json, write_scene
+from cli_support import FREE, QUICK, run, run_json, write_scene
 from scoup.field.language_field import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
@@ -62,8 +62,7 @@ def test_regions_are_extracted_first(tmp_path: Path, monkeypatch: pytest.MonkeyP
     shutil.rmtree("scans/a/language_features")
     for path in Path("scans/a/images").iterdir():  # noise of fewer pixels has fewer regions
         Image.open(path).resize((20, 15)).save(path)
-    models = ("--segmenter", "felzenszwalb", "--embedder", "colors")
-    said = run_json("batch", "scans", "--out", "fields", *models, *QUICK)
+    said = run_json("batch", "scans", "--out", "fields", *FREE, *QUICK)
     assert said["failed"] == []
     assert Path("scans/a/language_features").is_dir()
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import BUILD, QUICK, printed, refused, run, run_json, snapshot, together
+from cli_support import BUILD, FREE, QUICK, printed, refused, run, run_json, snapshot, together
 from scoup.extract.pipeline import lacks_views
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, save_gaussians, save_png, write_colmap
@@ -180,7 +180,7 @@ def test_cameras_of_one_pixel():
     assert run(*BUILD, "--model", "scene/words.npz")[0] == 0
     answers = run_json("query", "a.scoup", "kettle", "--camera", "all", "--out", "q")["answers"]
     assert [answer["pixel"] for answer in answers] == [[0, 0]] * 4
-    extract = ("extract", "scene", "--segmenter", "felzenszwalb", "--embedder", "colors", "--out", "r")
+    extract = ("extract", "scene", *FREE, "--out", "r")
     assert run_json(*extract)["regions"] == 12
     assert run("build", "scene", *QUICK, "--features", "r", "--out", "b.scoup")[0] == 0
 
@@ -190,9 +190,9 @@ def test_cameras_of_one_pixel():
 
 def test_regions_are_made_and_resumed():
     pytest.importorskip("skimage")
-    made, models = Path("scene/language_features"), ("--segmenter", "felzenszwalb", "--embedder", "colors")
+    made = Path("scene/language_features")
     shutil.rmtree(made)
-    code, out, err = run("build", "scene", *models, *QUICK, "--out", "a.scoup")
+    code, out, err = run("build", "scene", *FREE, *QUICK, "--out", "a.scoup")
     assert code == 0, err
     assert re.search(r"s in all; ask it: scoup query a\.scoup", out)
     assert not lacks_views(made, Path("scene"), None, "colors")
@@ -201,7 +201,7 @@ def test_regions_are_made_and_resumed():
     assert not lacks_views(made, Path("scene"), None, "a model of their own")
     said = run_json("build", "scene", *QUICK, "--out", "b.scoup")
     assert ("extraction" in said, said["views"]) == (False, 3)
-    said = run_json("build", "scene", *models, *QUICK, "--out", "c.scoup")
+    said = run_json("build", "scene", *FREE, *QUICK, "--out", "c.scoup")
     assert (said["extraction"]["made"], said["extraction"]["kept"], said["views"]) == (1, 3, 4)
 
 

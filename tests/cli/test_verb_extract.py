@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import QUICK, plain_photographs, refused, run, run_json, snapshot
+from cli_support import FREE, QUICK, plain_photographs, refused, run, run_json, snapshot
 from scoup.cli.options import CLIP_MODEL
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_regions, write_colmap
@@ -23,7 +23,6 @@ from scoup.uplift.naming import things_in_view
 
 pytestmark = pytest.mark.usefixtures("here")
 
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 ROOT = Path(__file__).parents[2]
 
 

@@ -31,10 +31,7 @@ def test_the_main_path_says_what_it_found():
     for number, text in enumerate(("kettle", "wooden table")):
         assert re.fullmatch(rf"view_00\.png  {text}: {seen}", lines[number])
         assert re.fullmatch(rf"in the scene  {text}: {place}", lines[2 + number])
-    assert lines[4:] == [
-        "f_queries/sheet.png: the answers as pictures",
-        "f_queries/query.json: 2 answers",
-    ]
+    assert lines[4:] == ["f_queries/sheet.png: the answers as pictures", "f_queries/query.json: 2 answers"]
     assert files("f_queries") == ["query.json", "sheet.png"]
 
 

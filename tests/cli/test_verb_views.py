@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import QUICK, refused, run, run_json, snapshot
+from cli_support import FREE, QUICK, refused, run, run_json, snapshot
 from scoup.cli.views import MakeViews
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, save_gaussians, write_transforms
@@ -21,7 +21,6 @@ pytestmark = pytest.mark.usefixtures("here")
 
 SPLAT = Path("scene/point_cloud.ply")
 SMALL = ("--width", "24", "--height", "18", "--up", "0", "-1", "0")
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 
 
 def test_a_splat_becomes_a_scene_that_is_extracted_and_built() -> None:

@@ -28,6 +28,16 @@ from scoup.scene.regions import LEVELS
 MANIFEST_OF_TESTS = RegionManifest("compact", "some/model", {"segmenter": "random"})
 
 
+CAMERA = some_cameras(1)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """The file of the only view of a folder, in 16 bits."""
+    write(tmp_path, CAMERA, bits=16)
+    return tmp_path / "view_00.regions"
+
+
 def write(folder: Path, cameras: Cameras, bits: int = 32):
     """The regions of ``some_regions`` in the compact layout."""
     regions = some_regions(cameras)
@@ -65,11 +75,8 @@ def test_views_that_are_missing_or_given_up(tmp_path: Path) -> None:
         load_regions(tmp_path, cameras)
 
 
-def test_headers_are_not_trusted(tmp_path: Path) -> None:
+def test_headers_are_not_trusted(path: Path) -> None:
     """Sizes that the data cannot have are refused before memory is taken."""
-    cameras = some_cameras(1)
-    write(tmp_path, cameras)
-    path = tmp_path / "view_00.regions"
     tensors = load_file(path)
     header = {
         "schema": "scoup.regions", "version": 1, "view": "view_00.png", "width": 32, "height": 24,
@@ -89,18 +96,15 @@ def test_headers_are_not_trusted(tmp_path: Path) -> None:
     ):
         save_file(tensors, path, {"scoup": json.dumps({**header, **change})})
         with pytest.raises(FileFormatError, match=message):
-            load_regions(tmp_path, cameras).load("view_00.png", "s")
+            load_regions(path.parent, CAMERA).load("view_00.png", "s")
     rows = tensors["embeddings.s"]
     for wrong, message in ((rows[:2], "labels up to 5 for 2 embeddings"), (rows * np.nan, "not finite")):
         save_file({**tensors, "embeddings.s": wrong}, path, {"scoup": json.dumps(header)})
         with pytest.raises(FileFormatError, match=message):
-            load_regions(tmp_path, cameras).load("view_00.png", "s")
+            load_regions(path.parent, CAMERA).load("view_00.png", "s")
 
 
-def test_every_flipped_bit_and_every_cut_is_noticed(tmp_path: Path) -> None:
-    cameras = some_cameras(1)
-    write(tmp_path, cameras, bits=16)
-    path = tmp_path / "view_00.regions"
+def test_every_flipped_bit_and_every_cut_is_noticed(path: Path) -> None:
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     for place in {*range(64), *rng.integers(0, len(whole), 400).tolist()}:
@@ -109,14 +113,11 @@ def test_every_flipped_bit_and_every_cut_is_noticed(tmp_path: Path) -> None:
         for content in (bytes(damaged), whole[:place]):
             path.write_bytes(content)
             with pytest.raises(FileFormatError):
-                open_view(tmp_path, "view_00").read()
+                open_view(path.parent, "view_00").read()
 
 
-def test_files_without_checksums_are_read(tmp_path: Path) -> None:
+def test_files_without_checksums_are_read(path: Path, tmp_path: Path) -> None:
     """Those of before the first release."""
-    cameras = some_cameras(1)
-    write(tmp_path, cameras)
-    path = tmp_path / "view_00.regions"
     view, tensors = open_view(tmp_path, "view_00").read(), load_file(path)
     with safe_open(path, framework="numpy") as stream:
         header = json.loads(stream.metadata()["scoup"])
@@ -226,11 +227,8 @@ def test_a_damaged_source_leaves_nothing(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"a"}
 
 
-def test_rows_of_nothing_are_refused(tmp_path: Path) -> None:
+def test_rows_of_nothing_are_refused(path: Path) -> None:
     """Any number of embeddings without a dimension fits into a file."""
-    cameras = some_cameras(1)
-    write(tmp_path, cameras)
-    path = tmp_path / "view_00.regions"
     with safe_open(path, framework="numpy") as stream:
         header = stream.metadata()
     tensors = load_file(path)
@@ -240,4 +238,4 @@ def test_rows_of_nothing_are_refused(tmp_path: Path) -> None:
     raw = path.read_bytes()
     path.write_bytes(raw.replace(b'"shape":[0,0]', b'"shape":[9,0]'))
     with pytest.raises(FileFormatError, match="embeddings of no dimension"):
-        load_regions(tmp_path, cameras)
+        load_regions(path.parent, CAMERA)
