@@ -42,6 +42,7 @@ def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("_on_a_cpu", "quick_python")
 def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("benchmarks.gpu_rows.TESTS", TESTS[:1])
+    monkeypatch.setenv("PYTEST_XDIST_AUTO_NUM_WORKERS", "0")  # they run in one process, which starts at once
     monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
     rows = run(TINY, "gpu")["rows"]
     assert rows.pop(gpu.DIFFERENCE)["value"] < 1e-6

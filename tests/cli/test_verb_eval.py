@@ -32,7 +32,8 @@ def original(synthetic_data_sets: Path) -> Path:
     return synthetic_data_sets
 
 
-def test_a_protocol_of_a_package_is_a_verb(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_protocol_of_a_package_is_a_verb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     own = replace(PROTOCOL, name="own", help="Score scenes of our own.")
     monkeypatch.setattr(protocols, "PIXELS", Registry("protocol", "none", PixelProtocol, [own]))
     assert "Score scenes of our own." in run("eval", "own", "--help")[1]
