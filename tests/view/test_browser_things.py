@@ -264,6 +264,38 @@ def test_clicks_select_things_their_groups_and_parts(visit: Visit, viewed: Viewe
     assert visit.state()["things"]["selected"] == []
 
 
+@pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
+def test_a_known_length_says_how_many_metres_a_unit_has(visit: Visit, viewed: ViewedField) -> None:
+    visit.until("Boolean(window.scoupViewer.state().things)")
+    plain, said = visit.picture(), visit.page.locator("#measured")
+    visit.page.keyboard.press("m")
+    for name, wanted in (("kettle", "Click the second point."), ("book", "Length ")):
+        pick(visit, viewed, name)
+        said.filter(has_text=wanted).wait_for()
+    length, unit = said.inner_text().split()[1:]
+    assert float(length) == pytest.approx(1.2, abs=0.1)  # of the surfaces before the centres
+    assert unit == "units"
+    visit.settle()
+    changed = np.abs(visit.picture().astype(int) - plain).max(2) > 30
+    assert 40 < changed.sum() < 400  # a line
+    visit.page.get_by_label("True length in metres").press_sequentially("0,6")
+    option = visit.page.locator("#metres-per-unit").inner_text().removeprefix("Copy ")
+    assert float(option.removeprefix("--metres-per-unit ")) == pytest.approx(0.6 / float(length), rel=0.01)
+    assert said.inner_text() == "Length 0.600 m"
+    visit.ask("kettle")
+    assert option in visit.page.evaluate("window.scoupViewer.command()")
+    visit.page.get_by_role("button", name="Remove kettle").click()
+    pick(visit, viewed, "kettle")
+    said.filter(has_text="Click the second point.").wait_for()  # of another length
+    assert visit.state()["things"]["selected"] == []
+    visit.page.mouse.move(0, 0)
+    visit.page.keyboard.press("Escape")
+    visit.settle()
+    assert difference(visit.picture(), plain) < ALIKE
+    pick(visit, viewed, "kettle")
+    assert " m" in visit.page.locator("#selection .facts").inner_text()
+
+
 def test_a_link_opens_the_page_at_a_thing(browser: Browser, viewed: ViewedField, tmp_path: Path) -> None:
     export_page(viewed, tmp_path / "scene.html")
     address = (tmp_path / "scene.html").as_uri()

@@ -2,8 +2,9 @@
 import type { Place } from "./answers";
 import { byId, copy, element } from "./dom";
 import { levelFact, showFacts } from "./panel";
+import type { State } from "./state";
 
-export function showPlace(place: Place): void {
+export function showPlace(place: Place, state: State): void {
   const panel = byId("place");
   panel.hidden = false;
   const close = element("button", { type: "button", "aria-label": "Close" }, "✕");
@@ -27,8 +28,7 @@ export function showPlace(place: Place): void {
   const position = place.position.map((part) => part.toPrecision(5)).join(", ");
   const button = element("button", { type: "button" }, "Copy position");
   button.addEventListener("click", () => void copy(`[${position}]`));
-  const distance = place.distance?.toPrecision(4) ?? "?";
-  list.append(element("dt", {}, "position, distance"), element("dd", {}, `(${position}), ${distance} away`));
+  list.append(element("dt", {}, "position, distance"), element("dd", {}, `(${position}), ${state.lengths(place.distance!)} away`));
   panel.replaceChildren(heading, list, button);
   panel.scrollIntoView({ block: "nearest" });
 }

@@ -2,6 +2,7 @@
 import { byId, counted, element } from "./dom";
 import { levelFact, showFacts } from "./panel";
 import type { Thing } from "./scene_data";
+import type { State } from "./state";
 import type { Things } from "./things";
 
 /** Rows of the list at most; typing finds the others. */
@@ -20,6 +21,7 @@ export class ThingPanel {
 
   constructor(
     private readonly things: Things,
+    private readonly state: State,
     private readonly levels: string[],
     private readonly actions: ThingActions,
   ) {
@@ -32,7 +34,7 @@ export class ThingPanel {
   update(): void {
     const { things } = this;
     // A card that is as it was keeps its elements, so that its name can be typed.
-    const card = things.selected.join();
+    const card = JSON.stringify([things.selected, this.state.metresPerUnit]);
     if (card !== this.carded) this.showCard();
     this.carded = card;
     const list = JSON.stringify([this.filter.value, things.selected, [...things.hidden], things.revision]);
@@ -52,7 +54,7 @@ export class ThingPanel {
       button("Clear", () => things.select([])),
     ];
     const distance = things.distance();
-    const measured = distance === null ? [] : [element("p", { class: "measure" }, `Distance ${length(distance)} between their centres`)];
+    const measured = distance === null ? [] : [element("p", { class: "measure" }, `Distance ${this.state.lengths(distance)} between their centres`)];
     card.replaceChildren(...rows, ...measured, element("div", { class: "row wrap" }, ...buttons));
   }
 
@@ -67,7 +69,7 @@ export class ThingPanel {
     name.addEventListener("keydown", (event) => {
       if (event.key === "Enter") name.blur();
     });
-    const size = thing.box.extent.map(length).join(" × ");
+    const size = this.state.lengths(...thing.box.extent);
     const facts = element("span", { class: "facts" });
     const regions = `Merged from ${counted(thing.views, "region")}`;
     showFacts(facts, [levelFact(this.levels[thing.level]), [counted(thing.gaussians, "Gaussian"), regions], [`size ${size}`, ""]]);
@@ -106,8 +108,4 @@ function button(text: string, onClick: () => void): HTMLButtonElement {
   const made = element("button", { type: "button" }, text);
   made.addEventListener("click", onClick);
   return made;
-}
-
-function length(value: number): string {
-  return value.toPrecision(3);
 }

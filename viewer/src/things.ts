@@ -2,6 +2,7 @@
 import { announce } from "./dom";
 import type { Painted } from "./picking";
 import { NO_OWNER, type Scene, type Thing } from "./scene_data";
+import { lengthOf } from "./state";
 
 /** What a click does beside selecting what is under the pointer. */
 export interface Click {
@@ -129,8 +130,7 @@ export class Things {
   /** Distance of the centres of the two things that are selected. */
   distance(): number | null {
     if (this.selected.length !== 2) return null;
-    const [a, b] = this.selected.map((number) => this.of(number).position);
-    return Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+    return lengthOf(this.selected.map((number) => this.of(number).position));
   }
 
   /** A thing, its group, the group of that. */

@@ -18,6 +18,7 @@ import { hidePlace, showPlace } from "./place_panel";
 import { owned, plyOf, selected } from "./ply";
 import { Scene, type CameraRecord, type Metadata } from "./scene_data";
 import { SelectionOutline } from "./selection_outline";
+import { Ruler } from "./ruler";
 import type { LiveServer } from "./server";
 import { RemoteStage, SplatStage, type Stage } from "./stage";
 import { State } from "./state";
@@ -36,6 +37,7 @@ export class Viewer {
   readonly eye: Eye;
   readonly stage: Stage;
   private readonly panel: Panel;
+  private readonly ruler: Ruler;
   private readonly cameras: CameraList;
   private readonly exact: ExactPicture | null;
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
@@ -68,6 +70,7 @@ export class Viewer {
       : null;
     this.outlines = scene ? new SelectionOutline(() => this.scene!, () => this.stage.drawn(), this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
+    this.ruler = new Ruler(this.state);
     this.cameras = new CameraList(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
     this.eye.onMove = () => this.moved();
@@ -175,7 +178,7 @@ export class Viewer {
         place: () => void (this.clicked && this.point(...this.clicked)),
       };
       this.state.things = things;
-      this.thingPanel = new ThingPanel(things, this.metadata.levels, actions);
+      this.thingPanel = new ThingPanel(things, this.state, this.metadata.levels, actions);
       const under = (x: number, y: number) => things.under(this.scene!, this.along(x, y), this.state.clickLevel);
       this.hovering = new Hovering(() => this.scene!, this.eye, things, under);
       things.onChange = () => this.changed();
@@ -196,9 +199,10 @@ export class Viewer {
     await this.eye.lookAt(new THREE.Vector3(x, y, z), Math.max(...linked.box.extent), this.metadata.cameras);
   }
 
-  /** Select the thing at a point of the picture; without things, say what is there. */
+  /** Select the thing at a point of the picture; without things, say what is there. Or measure. */
   click(x: number, y: number, event: { shiftKey: boolean; altKey: boolean }): void {
-    const { things } = this.state;
+    const { things, measured } = this.state;
+    if (measured) return void this.measure(x, y);
     if (!things) return void this.point(x, y);
     this.clicked = [x, y];
     hidePlace();
@@ -215,8 +219,24 @@ export class Viewer {
     return hits(this.scene!, ray, pixel, (gaussian) => this.state.things!.hides(this.scene!, gaussian));
   }
 
-  /** What is at a point of the picture, in its own pixels. */
+  /** Say what is at a point of the picture, in its own pixels. */
   async point(x: number, y: number): Promise<void> {
+    const place = await this.marked(x, y);
+    if (!place) return;
+    showTab("answers");
+    showPlace(place, this.state);
+    if (place.position) this.eye.lookAround(new THREE.Vector3(...(place.position as [number, number, number])));
+  }
+
+  private async measure(x: number, y: number): Promise<void> {
+    const place = await this.marked(x, y);
+    if (place?.position) this.ruler.add(place.position);
+    else if (place) this.say("Nothing is at this point: click on something.");
+  }
+
+  /** Mark a point and find what is there; null if that fails, or if another point is clicked meanwhile. */
+  private async marked(x: number, y: number): Promise<Place | null> {
+    this.say("");
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const marker = byId("marker");
     // In units of the height, with which the picture grows and shrinks: what is said of the place may take room from it.
@@ -226,12 +246,10 @@ export class Viewer {
     const number = ++this.clicks;
     try {
       const place = await this.placeAt(x, y, width, height);
-      if (number !== this.clicks) return; // another point was clicked meanwhile
-      showTab("answers");
-      showPlace(place);
-      if (place.position) this.eye.lookAround(new THREE.Vector3(...(place.position as [number, number, number])));
+      return number === this.clicks ? place : null;
     } catch (error) {
       this.say((error as Error).message);
+      return null;
     }
   }
 
@@ -254,6 +272,7 @@ export class Viewer {
 
   private changed(): void {
     this.panel.update();
+    this.ruler.update();
     this.thingPanel?.update();
     this.stage.update();
     this.outlines?.changed();
@@ -309,9 +328,11 @@ export class Viewer {
     });
     listenToKeys(this.state, this.eye, {
       toggleExact: () => this.toggleExact(),
+      measure: () => this.ruler.toggle(),
       escape: () => {
         hidePlace();
-        this.state.things?.select([]);
+        if (this.state.measured) this.ruler.toggle();
+        else this.state.things?.select([]);
       },
     });
     this.server?.watch((state) => {
