@@ -89,7 +89,7 @@ export class ThingPanel {
 
   private row(thing: Thing): HTMLElement {
     const { things } = this;
-    const facts = `${levelFact(this.levels[thing.level])[0]}, ${thing.gaussians.toLocaleString("en")}`;
+    const facts = `${levelFact(this.levels[thing.level])[0]}, ${counted(thing.gaussians, "Gaussian")}`;
     const row = element("button", { type: "button", "data-thing": String(thing.number) },
       element("span", { class: "text" }, things.nameOf(thing.number)), element("span", { class: "facts" }, facts));
     row.setAttribute("aria-pressed", String(things.selected.includes(thing.number)));

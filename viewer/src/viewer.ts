@@ -435,7 +435,8 @@ export class Viewer {
     completeFrom(names);
     if (closed) box.title = `one of ${names.length.toLocaleString("en")} words`;
     await listing;
-    const seen = [...(this.state.things?.all ?? [])].sort((a, b) => b.gaussians - a.gaussians).map(({ name }) => name);
+    const objects = (this.state.things?.all ?? []).filter(({ level }) => level === this.state.clickLevel);
+    const seen = objects.sort((a, b) => b.gaussians - a.gaussians).map(({ name }) => name);
     box.placeholder = [...new Set([...seen.filter((name) => name && names.includes(name)), ...names])].slice(0, 2).join(", ");
   }
 }
