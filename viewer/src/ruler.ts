@@ -1,6 +1,7 @@
 // A length between two points that are clicked; a known one says how many metres a unit of the scene has.
 import { byId, copy } from "./dom";
-import { lengthOf, type State } from "./state";
+import type { State } from "./state";
+import { lengthOf } from "./things";
 
 export class Ruler {
   private readonly button = byId("measure");

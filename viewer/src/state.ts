@@ -141,8 +141,3 @@ export class State {
     return { camera, mode, texts, colors, opacity: this.opacity, level, threshold: this.threshold, always: this.absent, quality };
   }
 }
-
-/** The distance of two points. */
-export function lengthOf([from, to]: number[][]): number {
-  return Math.hypot(...from.map((part, axis) => part - to[axis]));
-}

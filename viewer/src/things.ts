@@ -2,7 +2,6 @@
 import { announce } from "./dom";
 import type { Painted } from "./picking";
 import { NO_OWNER, type Scene, type Thing } from "./scene_data";
-import { lengthOf } from "./state";
 
 /** What a click does beside selecting what is under the pointer. */
 export interface Click {
@@ -168,4 +167,9 @@ function storedNames(session: string): [number, string][] {
   } catch {
     return [];
   }
+}
+
+/** The distance of two points. */
+export function lengthOf([from, to]: number[][]): number {
+  return Math.hypot(...from.map((part, axis) => part - to[axis]));
 }
