@@ -42,6 +42,6 @@ export class Boxes {
   }
 
   private place(point: number[]): THREE.Vector3 {
-    return this.world.toPage(new THREE.Vector3(...(point as [number, number, number])));
+    return this.world.toPage(new THREE.Vector3().fromArray(point));
   }
 }

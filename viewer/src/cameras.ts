@@ -1,6 +1,6 @@
 // The list of cameras that the field was built from.
 import type { Source } from "./answers";
-import { byId, element } from "./dom";
+import { button, byId, element } from "./dom";
 import type { CameraRecord } from "./scene_data";
 
 export class CameraList {
@@ -8,13 +8,10 @@ export class CameraList {
 
   constructor(cameras: CameraRecord[], source: Source, onPick: (camera: CameraRecord) => void) {
     this.buttons = cameras.map((camera, number) => {
-      const button = element("button", { type: "button" });
+      const made = button(camera.name, () => onPick(camera), { "data-name": camera.name });
       const picture = source.thumbnail(number);
-      if (picture) button.append(element("img", { alt: "", loading: "lazy", src: picture }));
-      button.append(camera.name);
-      button.addEventListener("click", () => onPick(camera));
-      button.dataset.name = camera.name;
-      return button;
+      if (picture) made.prepend(element("img", { alt: "", loading: "lazy", src: picture }));
+      return made;
     });
     byId("camera-list").replaceChildren(...this.buttons.map((button) => element("li", {}, button)));
     byId("cameras").hidden = !cameras.length;
@@ -23,8 +20,7 @@ export class CameraList {
   /** Mark the camera that is looked through. */
   mark(name: string | null): void {
     for (const button of this.buttons) {
-      if (button.dataset.name === name) button.setAttribute("aria-current", "true");
-      else button.removeAttribute("aria-current");
+      button.ariaCurrent = button.dataset.name === name ? "true" : null;
     }
   }
 }

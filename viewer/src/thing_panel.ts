@@ -1,5 +1,5 @@
 // The things in the panel: a card of what is selected, and the list that typing filters.
-import { byId, counted, element } from "./dom";
+import { button, byId, counted, element } from "./dom";
 import { levelFact, showFacts } from "./panel";
 import type { Thing } from "./scene_data";
 import type { State } from "./state";
@@ -102,10 +102,4 @@ export class ThingPanel {
     row.addEventListener("pointerleave", () => things.hover(null));
     return row;
   }
-}
-
-function button(text: string, onClick: () => void): HTMLButtonElement {
-  const made = element("button", { type: "button" }, text);
-  made.addEventListener("click", onClick);
-  return made;
 }

@@ -1,5 +1,4 @@
 // The page as a whole: joins picture, panel and answers.
-import * as THREE from "three";
 import type { Place, Settings, Source } from "./answers";
 import { mayAnimate } from "./appearance";
 import { Eye } from "./camera";
@@ -195,8 +194,7 @@ export class Viewer {
     if (!linked) return;
     showTab("things");
     things.select([linked.number]);
-    const [x, y, z] = linked.position;
-    await this.eye.lookAt(new THREE.Vector3(x, y, z), Math.max(...linked.box.extent), this.metadata.cameras);
+    await this.eye.lookAt(linked.position, Math.max(...linked.box.extent), this.metadata.cameras);
   }
 
   /** Select the thing at a point of the picture; without things, say what is there. Or measure. */
@@ -208,7 +206,7 @@ export class Viewer {
     hidePlace();
     things.click(this.scene!, this.along(x, y), this.state.clickLevel, { adds: event.shiftKey, part: event.altKey });
     const last = things.selected.at(-1);
-    if (last !== undefined) this.eye.lookAround(new THREE.Vector3(...(things.of(last).position as [number, number, number])));
+    if (last !== undefined) this.eye.lookAround(things.of(last).position);
   }
 
   /** The Gaussians that are seen at a point, without those that are hidden. */
@@ -225,7 +223,7 @@ export class Viewer {
     if (!place) return;
     showTab("answers");
     showPlace(place, this.state);
-    if (place.position) this.eye.lookAround(new THREE.Vector3(...(place.position as [number, number, number])));
+    if (place.position) this.eye.lookAround(place.position);
   }
 
   private async measure(x: number, y: number): Promise<void> {
