@@ -20,13 +20,7 @@ const HELP: [string, string][] = [
   ["Esc", "close what is open"],
 ];
 
-export interface KeyActions {
-  toggleExact: () => void;
-  measure: () => void;
-  escape: () => void;
-}
-
-export function listenToKeys(state: State, eye: Eye, actions: KeyActions): void {
+export function listenToKeys(state: State, eye: Eye, actions: Record<"toggleExact" | "measure" | "escape", () => void>): void {
   byId("help-keys").replaceChildren(
     ...HELP.flatMap(([key, meaning]) => [element("dt", {}, key), element("dd", {}, meaning)]),
   );

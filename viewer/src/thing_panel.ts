@@ -8,12 +8,7 @@ import type { Things } from "./things";
 /** Rows of the list at most; typing finds the others. */
 const MOST_ROWS = 200;
 
-export interface ThingActions {
-  save: () => void;
-  /** Say what is at the point that was clicked. */
-  place: () => void;
-}
-
+/** `place` says what is at the point that was clicked. */
 export class ThingPanel {
   private readonly filter = byId<HTMLInputElement>("thing-filter");
   private carded = "";
@@ -23,7 +18,7 @@ export class ThingPanel {
     private readonly things: Things,
     private readonly state: State,
     private readonly levels: string[],
-    private readonly actions: ThingActions,
+    private readonly actions: Record<"save" | "place", () => void>,
   ) {
     byId("tab-things").hidden = false;
     this.filter.addEventListener("input", () => this.update());

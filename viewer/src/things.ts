@@ -3,12 +3,6 @@ import { announce } from "./dom";
 import type { Painted } from "./picking";
 import { NO_OWNER, type Scene, type Thing } from "./scene_data";
 
-/** What a click does beside selecting what is under the pointer. */
-export interface Click {
-  adds: boolean;
-  part: boolean;
-}
-
 /** A thing counts as under the pointer if it contributes this share of the ray. */
 const LEAST_SHARE = 0.2;
 
@@ -90,7 +84,7 @@ export class Things {
   }
 
   /** Select what a click on a thing means: the thing; its group where it is selected already; its part under the pointer. */
-  click(scene: Scene, painted: Painted[], level: number, { adds, part }: Click): void {
+  click(scene: Scene, painted: Painted[], level: number, { adds, part }: { adds: boolean; part: boolean }): void {
     const under = this.under(scene, painted, level);
     if (under === null) {
       if (!adds) this.select([]);

@@ -2,7 +2,7 @@
 import type { Place, Settings, Source } from "./answers";
 import { mayAnimate } from "./appearance";
 import { Eye } from "./camera";
-import { CameraList } from "./cameras";
+import { listCameras, markCamera } from "./cameras";
 import { commandLine, python } from "./commands";
 import { completeFrom } from "./completion";
 import { announce, byId, copy, counted, save } from "./dom";
@@ -37,7 +37,6 @@ export class Viewer {
   readonly stage: Stage;
   private readonly panel: Panel;
   private readonly ruler: Ruler;
-  private readonly cameras: CameraList;
   private readonly exact: ExactPicture | null;
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
   private clicks = 0;
@@ -70,7 +69,7 @@ export class Viewer {
     this.outlines = scene ? new SelectionOutline(() => this.scene!, () => this.stage.drawn(), this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
     this.ruler = new Ruler(this.state);
-    this.cameras = new CameraList(metadata.cameras, source, (camera) => void this.flyTo(camera));
+    listCameras(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
     this.eye.onMove = () => this.moved();
     this.panel.update();
@@ -280,7 +279,7 @@ export class Viewer {
   private moved(): void {
     byId("marker").hidden = true;
     this.clicked = null;
-    this.cameras.mark(this.eye.at?.name ?? null);
+    markCamera(this.eye.at?.name ?? null);
     this.reframed();
   }
 
