@@ -11,8 +11,8 @@ export class Ruler {
   constructor(private readonly state: State) {
     this.button.addEventListener("click", () => this.toggle());
     this.known.addEventListener("input", () => {
-      const metres = Number(this.known.value.replace(",", "."));
-      state.set({ metresPerUnit: metres > 0 ? Number((metres / lengthOf(state.measured!)).toPrecision(4)) : null });
+      const unit = Number(this.known.value.replace(",", ".")) / lengthOf(state.measured!);
+      state.set({ metresPerUnit: unit > 0 && unit < Infinity ? Number(unit.toPrecision(4)) : null });
     });
     this.option.addEventListener("click", () => void copy(this.option.textContent!.replace("Copy ", "")));
   }

@@ -75,7 +75,7 @@ export class State {
 
   /** Lengths of the scene in words. */
   lengths(...values: number[]): string {
-    const text = values.map((value) => (value * (this.metresPerUnit ?? 1)).toPrecision(3)).join(" × ");
+    const text = values.map((value) => (value * (this.metresPerUnit ?? 1)).toLocaleString("en", { maximumSignificantDigits: 3 })).join(" × ");
     return `${text} ${this.metresPerUnit === null ? "units" : "m"}`;
   }
 
