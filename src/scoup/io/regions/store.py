@@ -14,17 +14,13 @@ from scoup.base.atomic import check_output
 from scoup.base.errors import InputError, ScoupError
 from scoup.io.reading import existing_folder
 from scoup.io.regions import compact, langsplat
+from scoup.io.regions.compact import CompactView
+from scoup.io.regions.langsplat import LangSplatView
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
-from scoup.io.regions.views import (
-    RegionLayout,
-    StoredView,
-    ViewRegions,
-    match_stems,
-    region_folder,
-    view_stems,
-)
+from scoup.io.regions.views import ViewRegions, match_stems, region_folder, view_stems
 
-_LAYOUTS: dict[Layout, RegionLayout] = {"compact": compact, "langsplat": langsplat}
+StoredView = CompactView | LangSplatView
+_LAYOUTS = {"compact": compact, "langsplat": langsplat}  # modules with the same names for the same things
 
 
 @dataclass(frozen=True)
