@@ -112,12 +112,9 @@ def candidate_cameras(matter: Matter, width: int, height: int) -> list[Camera]:
 
 
 def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> list[Camera]:
-    """Return cameras that stand a little beside each of some, and look a little beside what these look at.
-
-    Args:
-        draws: [D, 5] in -1..1: shares of the furthest move along each of the three axes of the matter, and of the
-            furthest turns aside and up.
-    """
+    """Return cameras that stand a little beside each of some, and look a little beside what these look at: ``draws``
+    [D, 5] in -1..1 are shares of the furthest move along each axis of the matter, and of the furthest turns aside and
+    up."""
     found = []
     for camera in cameras:
         eye, forward = matter.axes @ camera.position, matter.axes @ camera.viewmat[2, :3]
