@@ -17,7 +17,7 @@ from scoup.base.progress import Progress, no_progress
 from scoup.base.scratch import scratch_array
 from scoup.base.version import VERSION
 from scoup.coding import fit_codes
-from scoup.coding.encode import encode
+from scoup.coding.codebook import encode
 from scoup.field.language_field import LanguageField
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.npy import open_npy
