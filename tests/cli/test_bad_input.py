@@ -23,7 +23,7 @@ from scoup.io import (
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Cameras
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import view_file
 from support import make_camera, random_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")

@@ -41,7 +41,7 @@ def _folder(path: Path) -> dict[str, Any]:
     from scoup.base.errors import ScoupWarning
     from scoup.io.describe import describe_folder
     from scoup.uplift.fit import fit_problem, measure_fit
-    from scoup.uplift.storage.paths import ENDING, SCENE
+    from scoup.uplift.storage.array_file import ENDING, SCENE
 
     if (path / f"{SCENE}{ENDING}").exists():
         return _region_sums(path)
