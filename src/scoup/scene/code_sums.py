@@ -42,12 +42,8 @@ def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tenso
 
 
 def inverse_code_norms(indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
-    """Return 1 / sqrt(W G W^T), the inverse norms of decoded codes, [N, S] float32; 0 without a code.
-
-    Args:
-        indices, weights: as above.
-        codebook: [S, L, D].
-    """
+    """Return 1 / sqrt(W G W^T), the inverse norms of decoded codes over a codebook [S, L, D], [N, S] float32; 0 without
+    a code."""
     grams = torch.stack([atom_products(atoms, atoms) for atoms in codebook.float()])
     found = _native("inverse_code_norms", indices, weights, grams)
     return plain_inverse_code_norms(indices, weights, grams) if found is None else found
@@ -84,13 +80,8 @@ def plain_best_code_cosines(
 def code_relevancy(
     indices: Tensor, weights: Tensor, inverse_norms: Tensor, best: Tensor, scores: Tensor, temperature: float
 ) -> Tensor:
-    """Return sigmoid(temperature * (cosine - best)) of each code and column of scores, [S, Q, N] float32.
-
-    Args:
-        indices, weights, inverse_norms, scores: as above.
-        best: [N, S] float32, cosines of the phrases that queries are compared with, from ``best_code_cosines``.
-        temperature: of the logistic function.
-    """
+    """Return sigmoid(temperature * (cosine - best)) of each code and column of scores, [S, Q, N] float32; ``best`` [N,
+    S] are cosines of the phrases that queries are compared with, from ``best_code_cosines``."""
     found = _native("code_relevancy", indices, weights, scores, inverse_norms, best, temperature)
     if found is not None:
         return found.transpose(0, 1)  # what belongs to one column is contiguous
