@@ -136,13 +136,10 @@ def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = Fal
 def save_label_png(
     numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path, overwrite: bool = False
 ) -> None:
-    """Write a map of numbers as a PNG whose pixel values are the numbers plus one; 0 is none.
+    """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
 
-    Up to 255 numbers it has a palette, so that it shows in colours; more make a grey picture of 16 bits.
-
-    Args:
-        numbers: [H, W] integers from -1 (none).
-        colors: [C, 3] uint8 of the numbers.
+    Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
+    picture of 16 bits.
     """
     from PIL import Image
 

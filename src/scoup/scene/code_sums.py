@@ -20,8 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base.native import native_core, refusals
 from scoup.scene.codes import check_atoms, code_arrays, float32_products, stable_products
 
 
@@ -113,8 +112,6 @@ def _native(name: str, indices: Tensor, weights: Tensor, *others: Any) -> Tensor
     arrays = [
         each.detach().float().contiguous().numpy() if isinstance(each, Tensor) else each for each in others
     ]
-    try:
+    with refusals():
         found = getattr(core, name)(*code_arrays(indices, weights), *arrays, torch.get_num_threads())
-    except ValueError as error:
-        raise InputError(str(error)) from None
     return torch.from_numpy(found)

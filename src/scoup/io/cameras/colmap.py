@@ -60,11 +60,7 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
 
 
 def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sparse points of a COLMAP model.
-
-    Returns:
-        [P, 3] float64 positions and [P, 3] uint8 colours.
-    """
+    """Return the sparse points of a COLMAP model: [P, 3] float64 positions and [P, 3] uint8 colours."""
     folder = existing_folder(folder, "a COLMAP model folder")
     if (folder / "points3D.bin").is_file():
         return colmap_binary.read_points(folder / "points3D.bin")
@@ -74,12 +70,8 @@ def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
-    """Return the sparse points of a COLMAP model and where they were seen.
-
-    Returns:
-        [P, 3] float64 positions, and for each point the names of the images in its track (none in models that keep no
-        tracks).
-    """
+    """Return the sparse points [P, 3] float64 of a COLMAP model, and for each the names of the images in its track
+    (none in models that keep no tracks)."""
     folder = existing_folder(folder, "a COLMAP model folder")
     for end, parser in ((".bin", colmap_binary), (".txt", colmap_text)):
         points, images = folder / f"points3D{end}", folder / f"images{end}"

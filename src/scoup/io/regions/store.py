@@ -46,12 +46,8 @@ class RegionStore:
 
     @classmethod
     def create(cls, folder: Path, manifest: RegionManifest, overwrite: bool = False) -> RegionStore:
-        """Return the store of a manifest, to ``begin`` and write to; a folder with the same manifest is continued.
-
-        Args:
-            folder: made by ``begin`` if it is missing.
-            overwrite: allow another manifest to be there, which ``begin`` replaces.
-        """
+        """Return the store of a manifest, to ``begin``, which makes the folder, and write to; a folder with the same
+        manifest is continued. With ``overwrite`` another manifest may be there, which ``begin`` replaces."""
         cls.check_new(folder, manifest, overwrite)
         return cls(folder, manifest, manifest.layout)
 

@@ -35,11 +35,8 @@ def region_folder(path: Path) -> Path:
 
 
 def view_stems(folder: Path, ending: str, below: bool = False) -> list[str]:
-    """Return the stems of the files with that ending, in order, without the hidden ones that a killed process leaves.
-
-    Args:
-        below: also those in sub-folders, with their paths.
-    """
+    """Return the stems of the files with that ending, in order, without the hidden ones that a killed process leaves;
+    with ``below`` also those in sub-folders, with their paths."""
     paths = (path.relative_to(folder) for path in folder.glob(f"{'**/' * below}*{ending}"))
     return sorted(
         path.as_posix().removesuffix(ending)

@@ -97,15 +97,8 @@ def is_splat_name(path: str | Path) -> bool:
 
 
 def written_format(path: str | Path, also: str = "") -> SplatFormat:
-    """Return the format in which a splat of this name is written.
-
-    Args:
-        path: the output.
-        also: what else the caller writes, for the message.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the format in which a splat of this name is written; an InputError if there is none, which names what
+    ``also`` can be written."""
     kind = format_of(path)
     if kind is None or kind.write is None:
         written = [ending for each in FORMATS.values() if each.write is not None for ending in each.endings]
