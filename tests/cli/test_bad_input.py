@@ -13,11 +13,11 @@ import pytest
 import torch
 
 from cli_support import ASK, BUILD, QUICK, WORDS, refused, run, run_json, write_scene
+from io_samples import write_inria_cameras
 from scoup.io import (
     load_cameras,
     save_gaussians,
     write_colmap,
-    write_inria_cameras,
     write_transforms,
 )
 from scoup.models.word_table import save_table

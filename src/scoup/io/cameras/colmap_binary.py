@@ -89,7 +89,8 @@ def read_shots(path: Path) -> list[Shot]:
         values = cursor.take(_SHOT)
         name = cursor.name()
         cursor.skip(_SEEN_BYTES * cursor.count(_SEEN_BYTES, "keypoints"))
-        shots.append(Shot(name, int(np.int32(np.uint32(values[8]))), values[1:5], values[5:8]))
+        lens = int(np.int32(np.uint32(values[8])))
+        shots.append(Shot(values[0], name, lens, values[1:5], values[5:8]))
     return shots
 
 
@@ -105,14 +106,8 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return positions, colors
 
 
-def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
-    """Read points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
-    cursor = _Cursor(images)
-    names: dict[int, str] = {}
-    for _ in range(cursor.count(_SHOT.size + 9, "images")):
-        identifier = cursor.take(_SHOT)[0]
-        names[identifier] = cursor.name()
-        cursor.skip(_SEEN_BYTES * cursor.count(_SEEN_BYTES, "keypoints"))
+def read_tracks(points: Path, names: dict[int, str]) -> tuple[np.ndarray, list[list[str]]]:
+    """Read points3D.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
     cursor = _Cursor(points)
     count = cursor.count(_POINT.size, "points")
     positions, tracks = np.empty((count, 3)), []
@@ -139,8 +134,8 @@ def model_files(
         cameras.append(_LENS.pack(identifier, numbers[lens.model], lens.width, lens.height))
         cameras.append(struct.pack(f"<{len(lens.parameters)}d", *lens.parameters))
     images = [struct.pack("<Q", len(shots))]
-    for identifier, shot in enumerate(shots, start=1):
-        images.append(_SHOT.pack(identifier, *shot.quaternion, *shot.translation, shot.lens))
+    for shot in shots:
+        images.append(_SHOT.pack(shot.number, *shot.quaternion, *shot.translation, shot.lens))
         images.append(shot.name.encode("utf-8") + b"\0" + struct.pack("<Q", 0))
     points = [struct.pack("<Q", len(positions))]
     numbered = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)

@@ -43,6 +43,7 @@ class Lens:
 class Shot:
     """One entry of COLMAP's images file: world-to-camera quaternion (w, x, y, z) and translation."""
 
+    number: int
     name: str
     lens: int
     quaternion: tuple[float, ...]
