@@ -238,14 +238,14 @@ def quoted(text: str) -> str:
     return f"{text[:QUOTED]!r}... ({len(text):,} characters)"
 
 
-def nearest_names(name: str, known: Iterable[str], count: int = 5) -> list[str]:
-    """Return the names of ``known`` most similar to ``name``, best first, ignoring case; never more than ``count``."""
+def nearest_names(name: str, known: Iterable[str]) -> list[str]:
+    """Return the names of ``known`` most similar to ``name``, best first, ignoring case; at most five."""
     names = list(dict.fromkeys(known))
     if not names:
         return []
     wanted = name.lower()
     ranked = sorted(names, key=lambda item: -_similarity(wanted, item.lower()))
-    return ranked[:count]
+    return ranked[:5]
 
 
 def _similarity(wanted: str, candidate: str) -> float:

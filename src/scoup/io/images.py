@@ -133,9 +133,7 @@ def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = Fal
         Image.fromarray(np.ascontiguousarray(array)).save(stream, format="PNG")
 
 
-def save_label_png(
-    numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path, overwrite: bool = False
-) -> None:
+def save_label_png(numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path) -> None:
     """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
 
     Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
@@ -152,7 +150,7 @@ def save_label_png(
     else:
         picture = Image.fromarray((array + 1).astype(np.uint8))
         picture.putpalette(np.concatenate([np.zeros((1, 3), np.uint8), colors]).tobytes())
-    with atomic_file(path, overwrite) as stream:
+    with atomic_file(path) as stream:
         picture.save(stream, format="PNG")
 
 

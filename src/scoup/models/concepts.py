@@ -261,7 +261,7 @@ CONCEPTS = Registry("model with words", "scoup.concepts", ModelEntry, (
 """Models that find texts in photographs, by name."""
 
 
-def open_concepts(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> ConceptModel:
+def open_concepts(name: str, device: torch.device | str = "cpu") -> ConceptModel:
     """Open a model with words, by a name of ``CONCEPTS``.
 
     Raises:
@@ -272,4 +272,4 @@ def open_concepts(name: str, revision: str | None = None, device: torch.device |
         >>> CONCEPTS["owlv2"].licence
         'Apache-2.0'
     """
-    return CONCEPTS.find(name).open(name, revision, device)
+    return CONCEPTS.find(name).open(name, None, device)

@@ -103,18 +103,12 @@ def time_tasks(
     progress: Progress = no_progress,
     least_seconds: float = 0.0,
 ) -> dict[Key, Timing]:
-    """Time tasks interleaved: every round runs each task once, so that a change of the machine meets all of them.
+    """Time tasks by any key, interleaved: every round runs each once, so that a change of the machine meets all of
+    them.
 
-    Rounds go through the tasks forwards and backwards in turn. Each task runs once before, untimed.
-
-    Args:
-        tasks: by any key; neighbours are timed one right after the other.
-        device: whose clock is read.
-        progress: called after each run.
-        least_seconds: a repetition that would be shorter is several runs in a row, at most 50.
-
-    Returns:
-        Timings under the same keys.
+    Rounds go through the tasks forwards and backwards in turn, so that neighbours are timed one right after the other.
+    Each task runs once before, untimed. A repetition that would be shorter than ``least_seconds`` is several runs in a
+    row, at most 50.
     """
     clock, seconds = DeviceClock(device), {key: list[float]() for key in tasks}
     in_a_row = dict.fromkeys(tasks, 1)
