@@ -37,16 +37,11 @@ CELLS = 48  # along the longest side of the grid of free space
 class Matter:
     """The Gaussians that views are to show, and the frame in which they are looked at."""
 
-    rows: Tensor
-    """[M] int64, the Gaussians that count: opaque, of sensible size and with neighbours."""
-    means: Tensor
-    """[M, 3] float64, their centres."""
-    axes: Tensor
-    """[3, 3] float64, rows: two horizontal directions and up."""
-    low: Tensor
-    """[3] float64, the lower corner of the box of nearly all of them, along ``axes``."""
-    high: Tensor
-    """[3] float64, its upper corner."""
+    rows: Tensor  # [M] int64, the Gaussians that count: opaque, of sensible size and with neighbours
+    means: Tensor  # [M, 3] float64, their centres
+    axes: Tensor  # [3, 3] float64, rows: two horizontal directions and up
+    low: Tensor  # [3] float64, the lower corner of the box of nearly all of them, along ``axes``
+    high: Tensor  # [3] float64, its upper corner
 
     @property
     def radius(self) -> float:

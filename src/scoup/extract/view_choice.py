@@ -53,12 +53,9 @@ class Scores:
     """The Gaussians, of M counted ones, that candidate cameras show."""
 
     cameras: list[Camera]
-    shown: Tensor
-    """[V, M] float16, as ``Score.shown``."""
-    direction: Tensor
-    """[V, M] uint8."""
-    pictures: Tensor
-    """[V, 3] float32: opaque, filled, elongation."""
+    shown: Tensor  # [V, M] float16, as ``Score.shown``
+    direction: Tensor  # [V, M] uint8
+    pictures: Tensor  # [V, 3] float32: opaque, filled, elongation
 
     @classmethod
     def of(cls, cameras: list[Camera], found: Sequence[Score]) -> Scores:
@@ -119,18 +116,12 @@ class ViewScorer:
     """Scores cameras by cheap renders."""
 
     prepared: PreparedGaussians
-    counted: Tensor
-    """[M] int64, rows of the prepared Gaussians that count."""
-    sizes: Tensor
-    """[N] float32, standard deviation of each along its middle axis."""
-    full_size: float
-    """Standard deviation at which all matter side by side would fill an image, as a share of its width."""
-    sectors: Tensor
-    """[B, 3] float32 unit vectors, middles of the sectors of directions."""
-    covariances: Tensor
-    """[6, N] float32: xx, yy, zz, xy, xz, yz."""
-    radius: float
-    """Of the scene."""
+    counted: Tensor  # [M] int64, rows of the prepared Gaussians that count
+    sizes: Tensor  # [N] float32, standard deviation of each along its middle axis
+    full_size: float  # standard deviation at which all matter side by side would fill an image, as a share of its width
+    sectors: Tensor  # [B, 3] float32 unit vectors, middles of the sectors of directions
+    covariances: Tensor  # [6, N] float32: xx, yy, zz, xy, xz, yz
+    radius: float  # of the scene
 
     @classmethod
     def of(cls, prepared: PreparedGaussians, matter: Matter, sectors: Tensor | None = None) -> ViewScorer:

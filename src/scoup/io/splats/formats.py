@@ -46,11 +46,9 @@ _ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2"
 class SplatSource:
     """A trained splat on disk."""
 
-    path: Path
-    """The file; or a folder, if several files are one splat."""
+    path: Path  # the file; or a folder, if several files are one splat
     kind: SplatFormat
-    preset: Preset
-    """Constants of the rasteriser that it was trained with."""
+    preset: Preset  # constants of the rasteriser that it was trained with
 
 
 def splat_source(path: str | Path) -> SplatSource:
