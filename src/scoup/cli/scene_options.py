@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-import tyro
-
-from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon
+from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon, arg
 
 if TYPE_CHECKING:
     from scoup.scene.cameras import Cameras
@@ -27,7 +25,7 @@ class ViewOptions(WritesCommon):
     """Folder of region features. Default: SCENE/language_features."""
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    downscale: Annotated[Literal[1, 2, 4, 8] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    downscale: Annotated[Literal[1, 2, 4, 8] | None, arg()] = None
     """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
