@@ -99,12 +99,8 @@ def is_splat(path: Path) -> bool:
 
 
 def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
-    """Make views of a splat alone, unless they are there already.
-
-    Args:
-        folder: the scene to write.
-        overwrite: replace views that are not whole.
-    """
+    """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` those that are not
+    whole are replaced."""
     from scoup.extract.own_views import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():

@@ -36,13 +36,8 @@ def everyday_vectors(
     """Return unit vectors of words [B, D] float32: those in the cache, else encoded and written there.
 
     Both are rounded to 16 bits, so they are the same. A file that is damaged or of another model is replaced, and a
-    cache that cannot be written is not used.
-
-    Args:
-        model: that encodes.
-        probe: [1, D] its vector of ``PROBE``.
-        words: to encode.
-        encode: returns vectors of unit norm.
+    cache that cannot be written is not used. ``probe`` [1, D] is the model's vector of ``PROBE``; ``encode`` returns
+    vectors of unit norm.
     """
     path, names = _file(model, words), (PROBE, *words)
     if path is not None and (known := _read(path, names, probe)) is not None:

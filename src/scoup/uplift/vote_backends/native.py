@@ -16,7 +16,7 @@ from scoup.uplift.vote import BATCHES, CodedEntries
 
 
 class Vote:
-    """See ``scoup.uplift.vote.VoteBackend``."""
+    """See ``reference.Vote``."""
 
     batches = BATCHES
 
