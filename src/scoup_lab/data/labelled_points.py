@@ -16,6 +16,16 @@ from scoup.io.splats.ply import PlyTable, read_ply_table, write_ply_table
 
 _MAX_LABEL = 1 << 31
 
+_NAMES = """
+    unlabeled, wall, floor, cabinet, bed, chair, sofa, table, door, window, bookshelf, picture, counter, blinds,
+    desk, shelves, curtain, dresser, pillow, mirror, floormat, clothes, ceiling, books, refrigerator,
+    television, paper, towel, showercurtain, box, whiteboard, person, nightstand, toilet, sink, lamp, bathtub,
+    bag, otherstructure, otherfurniture, otherprop
+"""
+NYU40 = tuple(" ".join(name.split()) for name in _NAMES.split(","))
+"""Names of the 40 classes of NYU and of what has none, in the order of ScanNet's labels, as OpenGaussian's
+``scripts/eval_scannet.py`` spells them."""
+
 
 @dataclass(frozen=True, eq=False)
 class LabelledPoints:
