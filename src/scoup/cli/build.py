@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.build_options import BuildOptions, check_field_name, report_field
+from scoup.cli.build_options import BuildOptions, ViewOptions, check_field_name, report_field
 from scoup.cli.console import Console, kept
 from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups, arg
-from scoup.cli.scene_options import ViewOptions
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
