@@ -62,10 +62,6 @@ class PreparedGaussians:
     backend: str  # its name
     handle: Any = None  # data of the backend for all projections, 48 bytes per Gaussian with "native"
 
-    def restored(self, rows: Tensor) -> Tensor:
-        """Return ``rows`` [N, ...], one per Gaussian of this scene, in the order of the original scene."""
-        return rows if self.order is None else restored(rows, self.order)
-
 
 def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> PreparedGaussians:
     """Order the Gaussians as suits a backend (see ``project``), and compute what many projections share.
