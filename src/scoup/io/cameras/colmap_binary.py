@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.errors import FileFormatError
-from scoup.io.cameras.colmap_model import MODEL_NAMES, MODELS, PARAMETER_COUNTS, Lens, Shot
+from scoup.io.cameras.colmap_model import MODEL_NAMES, PARAMETER_COUNTS, Lens, Shot
 from scoup.io.reading import decoded, existing_file, read_bytes
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
@@ -69,7 +69,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
     lenses = {}
     for _ in range(cursor.count(_LENS.size, "cameras")):
         identifier, model, width, height = cursor.take(_LENS)
-        if model not in MODEL_NAMES:
+        if not 0 <= model < len(MODEL_NAMES):
             problem = f"has a camera of model {model}, which is not known"
             remedy = (
                 "make pinhole images with colmap image_undistorter, or copy the file again if it is damaged"
@@ -128,10 +128,9 @@ def model_files(
     lenses: dict[int, Lens], shots: Sequence[Shot], positions: np.ndarray, colors: np.ndarray
 ) -> dict[str, bytes]:
     """Return the contents of cameras.bin, images.bin and points3D.bin."""
-    numbers = {name: number for number, name, _ in MODELS}
     cameras = [struct.pack("<Q", len(lenses))]
     for identifier, lens in lenses.items():
-        cameras.append(_LENS.pack(identifier, numbers[lens.model], lens.width, lens.height))
+        cameras.append(_LENS.pack(identifier, MODEL_NAMES.index(lens.model), lens.width, lens.height))
         cameras.append(struct.pack(f"<{len(lens.parameters)}d", *lens.parameters))
     images = [struct.pack("<Q", len(shots))]
     for shot in shots:
