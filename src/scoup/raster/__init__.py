@@ -55,9 +55,7 @@ BACKENDS = {
 class PreparedGaussians:
     """Gaussians made ready for many projections by ``prepare_gaussians``."""
 
-    gaussians: (
-        Gaussians  # the rows in the order that suits the backend; of their colours only the constant part
-    )
+    gaussians: Gaussians  # in the order that suits the backend; of their colours only the constant part
     order: Tensor | None  # [N] int64, the row of each in the original scene; None where nothing was moved
     backend: str  # its name
     handle: Any = None  # data of the backend for all projections, 48 bytes per Gaussian with "native"
