@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from cli_support import ASK, BUILD, FREE, QUICK, refused, run, run_json, write_scene
-from scoup.io import load_cameras, save_gaussians, write_colmap, write_inria_cameras, write_transforms
+from io_samples import write_inria_cameras
+from scoup.io import load_cameras, save_gaussians, write_colmap, write_transforms
 from scoup.scene.cameras import Cameras
 from support import make_camera, random_gaussians
 
