@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -24,6 +25,7 @@ from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
+ANSWERS_WITHIN = 5.0  # seconds, or a cluster is not there
 Commands: TypeAlias = "Mapping[str, Sequence[str]]"
 """Name of a scan -> arguments of scoup."""
 Ended: TypeAlias = "tuple[int, str, float]"
@@ -190,6 +192,15 @@ def _on_cluster(commands: Commands, address: str, device: str) -> Iterator[tuple
     """Run commands as tasks of Ray; those of killed workers run again, an interruption ends all."""
     from scoup.base.errors import ScoupError
 
+    host, _, port = address.rpartition("/")[2].rpartition(":")
+    try:
+        if port.isdigit():  # others, as auto, are no addresses; Ray itself tries for minutes
+            socket.create_connection((host.strip("[]"), int(port)), ANSWERS_WITHIN).close()
+    except (OSError, OverflowError) as error:
+        problem = (
+            f"nothing answers there ({error}); check the address, or start a cluster by ray start --head"
+        )
+        raise ScoupError(f"--ray {address}: {problem}") from error
     try:
         import ray  # pyright: ignore[reportMissingImports]
         from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
