@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import re
@@ -23,6 +24,7 @@ from query import planted_room as planted
 from query.planted_room import ABSENT, ROOM, Box, planted_room
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive import kept_scans
+from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
 from scoup.archive.read_scans import ScanBlock, read_block
 from scoup.archive.results_page import results_page
@@ -381,6 +383,17 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
     printed = run_json("archive", "a", "--image", f"{MUG}.png", "--top", "2", "--text", "words.npz")
     wanted = [each.to_dict() for each in archive.find_image(f"{MUG}.png", top=2)]
     assert printed["things"] == wanted
+    tool, image = archive_tool(archive), base64.b64encode(Path(f"{MUG}.png").read_bytes()).decode()
+    told = tool(image=image, limit=2)["things"]
+    assert [each["thing"] for each in told] == [each["thing"] for each in wanted]
+    for arguments, said in (
+        ({"image": "?"}, "not base64"),
+        ({"image": "aaaa"}, "image: "),
+        ({"image": image, "text": "mug"}, "without `image`"),
+        ({}, "expected an image or a text"),
+    ):
+        with pytest.raises((InputError, FileFormatError), match=said):
+            tool(**arguments)
     # What a lamp is a part of, and its parts, are left out.
     ((block, number),) = archive._kept.places().values()
     scan = archive._kept.scan(block, number)
