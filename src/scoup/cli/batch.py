@@ -85,7 +85,8 @@ class Batch(BuildOptions):
                 file = self.out / f"{name}.scoup"
                 if archive is not None and "error" not in record:
                     try:
-                        if self.overwrite or _is_older(archive.folder / f"{name}.parquet", file):
+                        added = archive.folder / f"{name}.parquet"
+                        if self.overwrite or not added.exists() or _time(added) < _time(file):
                             archive.add(file)
                     except ScoupError as error:
                         record["error"] = with_options(str(error))
@@ -146,9 +147,8 @@ class Batch(BuildOptions):
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
         passed = ["--device", self.device, "--overwrite"]
-        named = {f"--{name}": getattr(self, name) for name in ("model", "segmenter", "embedder")}
-        values = {option: getattr(self, option[2:].replace("-", "_")) for option in self.given()}
-        for option, value in {**values, **named}.items():
+        for option in dict.fromkeys((*self.given(), "--model", "--segmenter", "--embedder")):
+            value = getattr(self, option[2:].replace("-", "_"))
             if value is not None:
                 passed += [option] if value is True else [option, str(value)]
         return passed
@@ -248,9 +248,8 @@ def _page(records: Mapping[str, Mapping[str, Any]]) -> str:
     return page("Scans", f"<table><tr><th>scan<th>field<th>seconds<th>{''.join(rows)}</table>")
 
 
-def _is_older(file: Path, other: Path) -> bool:
-    """Tell whether a file is missing or older than another."""
-    return not file.exists() or file.stat().st_mtime_ns < other.stat().st_mtime_ns
+def _time(file: Path) -> int:
+    return file.stat().st_mtime_ns
 
 
 def _parsed(text: str) -> dict[str, Any]:
