@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
-from cli_support import FREE, QUICK, run, run_json, write_scene
+from cli_support import FREE, QUICK, refused, run, run_json, write_scene
 from scoup.field.language_field import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
@@ -73,3 +74,16 @@ def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch:
     code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive", *QUICK)
     assert code == 2
     assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
+
+
+@pytest.mark.parametrize("kind", ["127.0.0.1:{}", "ray://localhost:{}", "localhost:9{}"])
+def test_a_cluster_that_is_not_there_is_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scans/a").mkdir(parents=True)
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        address = kind.format(closed.getsockname()[1])
+        said = refused("batch", "scans", "--out", "f", "--ray", address)
+    assert f"--ray {address}: nothing answers there (" in said

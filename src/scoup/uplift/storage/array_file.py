@@ -26,7 +26,8 @@ ENDING = ".safetensors"
 SCENE = "scene"  # stem of the file that is not a view
 
 _TYPES = {
-    "U8": "uint8", "U16": "uint16", "U32": "uint32", "I32": "int32", "I64": "int64", "F16": "float16", "F32": "float32"
+    "U8": "uint8", "U16": "uint16", "U32": "uint32", "I32": "int32", "I64": "int64", "F16": "float16", "F32": "float32",
+    "F64": "float64",
 }  # fmt: skip
 _NAMES = {np.dtype(kind): name for name, kind in _TYPES.items()}
 _KEY = "scoup"  # of the header in the metadata
