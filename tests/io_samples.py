@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from scoup.io.regions.views import ViewRegions
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
-from scoup.scene.rotations import quats_of_rotations
+from scoup.scene.rotations import quats_of_rotations, rotation_matrices
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
@@ -31,6 +32,17 @@ def same_gaussians(one: Gaussians, other: Gaussians) -> bool:
     """Equal bit by bit (a negative zero counts as zero)."""
     pairs = zip(one.tensors().values(), other.tensors().values(), strict=True)
     return one.antialiased == other.antialiased and all(torch.equal(*pair) for pair in pairs)
+
+
+def angles(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    """Degrees between rotations."""
+    return torch.rad2deg(2 * torch.acos((one.double() * other.double()).sum(1).abs().clamp(max=1)))
+
+
+def covariances(gaussians: Gaussians) -> torch.Tensor:
+    """[N, 3, 3] float64."""
+    axes = rotation_matrices(gaussians.quats.double()) * gaussians.scales.double()[:, None]
+    return axes @ axes.transpose(1, 2)
 
 
 def some_cameras(
@@ -70,6 +82,14 @@ def some_regions(cameras: Cameras, dimensions: int = 8, seed: int = 0) -> Region
             rows = torch.nn.functional.normalize(torch.randn(count, dimensions, generator=generator), dim=1)
             maps[camera.name][level] = RegionMap(labels, rows)
     return Regions.from_maps(maps)
+
+
+def stored_view(regions: Regions, name: str, dtype: str = "<f4", photograph: str = "") -> ViewRegions:
+    """The regions of one view as they are stored."""
+    maps = {level: regions.load(name, level) for level in LEVELS}
+    labels = {level: item.labels.numpy() for level, item in maps.items()}
+    rows = {level: item.embeddings.numpy().astype(dtype) for level, item in maps.items()}
+    return ViewRegions(name, labels, rows, photograph)
 
 
 def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:

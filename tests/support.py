@@ -30,8 +30,6 @@ KINDS = (
     "tiny",
     "zero quat",
 )
-
-
 SCALES = {"huge": [50.0, 80.0, 20.0], "needle": [2.0, 1e-5, 1e-5], "tiny": [1e-9] * 3}
 
 

@@ -167,20 +167,14 @@ def test_names_that_inrias_code_has_cut(tmp_path: Path) -> None:
     write_inria_cameras(some_cameras(2), tmp_path / "cameras.json")
     path = tmp_path / "cameras.json"
     path.write_text(path.read_text().replace("view_01.png", "0000").replace("view_00.png", "0000"))
-    with pytest.raises(
-        FileFormatError, match=r"two cameras are named '0000'.*use the scene that the splat was trained on"
-    ):
+    said = r"two cameras are named '0000'.*use the scene that the splat was trained on"
+    with pytest.raises(FileFormatError, match=said):
         load_cameras(path)
 
 
 def test_cameras_are_found_by_names_of_any_form() -> None:
-    one, two, three = some_cameras(3)
-    cameras = Cameras(
-        replace(camera, name=name)
-        for camera, name in zip(
-            (one, two, three), ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png"), strict=True
-        )
-    )
+    names = ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png")
+    cameras = Cameras(replace(each, name=name) for each, name in zip(some_cameras(3), names, strict=True))
     assert cameras["cam1/0"] is cameras["cam1/0.png"] is cameras[0]
     for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
         assert cameras[name] is cameras[2]
@@ -220,16 +214,13 @@ def test_splats_with_other_properties(tmp_path: Path, gone: str, added: Any, cha
         torch.testing.assert_close(tensor, expected[name], rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("gone", "added", "said"),
-    [
-        ("rot_.", (), "lacks rot_0, .*; export the trained splat again"),
-        ("f_dc_.", ("red",), "lacks f_dc_0"),
-        ("scale_0", (), "lacks scale_0"),
-        ("f_dc_.", ("f_anchor_feat_0", "scale_3"), "anchors of Scaffold-GS"),
-        ("(scale|rot|f_dc)_.|opacity", ("red", "green", "blue"), "not a point cloud or mesh"),
-    ],
-)
+@pytest.mark.parametrize(("gone", "added", "said"), [
+    ("rot_.", (), "lacks rot_0, .*; export the trained splat again"),
+    ("f_dc_.", ("red",), "lacks f_dc_0"),
+    ("scale_0", (), "lacks scale_0"),
+    ("f_dc_.", ("f_anchor_feat_0", "scale_3"), "anchors of Scaffold-GS"),
+    ("(scale|rot|f_dc)_.|opacity", ("red", "green", "blue"), "not a point cloud or mesh"),
+])  # fmt: skip
 def test_what_no_splat_lacks(tmp_path: Path, gone: str, added: tuple[str, ...], said: str) -> None:
     save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
     changed_columns(tmp_path / "a.ply", gone, **dict.fromkeys(added, np.zeros(5, np.uint8)))

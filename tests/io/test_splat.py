@@ -81,9 +81,7 @@ def test_values_beyond_any_scene_are_refused(tmp_path):
 
 
 def test_wrong_sizes(tmp_path):
-    (tmp_path / "a.splat").write_bytes(record()[:-1])
-    with pytest.raises(FileFormatError, match="31 bytes, which is not a multiple of 32"):
-        read_splat(tmp_path / "a.splat")
-    (tmp_path / "a.splat").write_bytes(b"")
-    with pytest.raises(FileFormatError, match="is empty"):
-        read_splat(tmp_path / "a.splat")
+    for content, said in ((record()[:-1], "31 bytes, which is not a multiple of 32"), (b"", "is empty")):
+        (tmp_path / "a.splat").write_bytes(content)
+        with pytest.raises(FileFormatError, match=said):
+            read_splat(tmp_path / "a.splat")
