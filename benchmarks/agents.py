@@ -39,9 +39,37 @@ QUESTIONS: dict[str, list[tuple[str, str, Any]]] = {
         ("which is on the other", "mouse or mousepad", None),
         ("is there", "elephant", None),
     ],
+    "shelves-real": [
+        ("what is on", "bookcase", "bookcase"),
+        ("where is", "kettle", None),
+        ("how many", "bottle", 3),
+        ("which is right of the radio receiver", "hourglass or globe", "view_11.png"),
+        ("is there", "elephant", None),
+    ],
+    "hall-real": [
+        (
+            "what is on",
+            "dining table",
+            "fireplace,alarm clock,candle,vase,picture frame,armchair,teddy bear,table lamp,wardrobe,dining table,chair,"
+            "window,curtain,sofa,cushion,globe,book,camera,ball,television,bookcase,duck,potted plant,car",
+        ),
+        ("where is", "television", None),
+        ("how many", "chair", 4),
+        ("which is on the other", "cushion or sofa", None),
+        ("is there", "elephant", None),
+    ],
+    "yard-real": [
+        ("where is", "fountain", None),
+        ("how many", "watering can", 1),
+        ("which is left of the bench", "vase or birdhouse", "view_18.png"),
+        ("which is on the other", "teddy bear or bench", None),
+        ("is there", "elephant", None),
+    ],
 }
 """By scene: the kind, what is asked, and names of the scene that are not on it, how many there are, or the camera that
 is meant. Of "which", the first is right. They were written before any answer was seen."""
+TUNED_ON = ("table-real", "desk")
+"""Scenes whose answers led to changes of rules. The others were asked only afterwards."""
 
 
 @dataclass(frozen=True, kw_only=True)
