@@ -41,7 +41,7 @@ def test_an_object_that_is_gone() -> None:
     pictures = sorted(path.name for path in Path("new_changes/pictures").iterdir())
     assert pictures == ["0000_new.jpg", "0000_old.jpg"]
     assert all(f'src="pictures/{name}"' in page for name in pictures)
-    assert f"removed, confidence {change['confidence']:.2f}: lamp" in out
+    assert f"removed, strength {change['strength']:.2f}: lamp" in out
     assert "already exists" in refused("compare", "old.scoup", "new.scoup", *words)
     other = run_json("compare", "new.scoup", "old.scoup", *words, "--out", "back")
     assert [one["kind"] for one in other["changes"]] == ["added"]
@@ -58,7 +58,7 @@ def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) 
     save_table(Path("lantern.npz"), [*names, "lantern"], vectors)
     Path("lamp.txt").write_text("lamp\n")
     monkeypatch.setattr(
-        "scoup.query.compare.thing_names", lambda _, question: seen.append(question.near) or {}
+        "scoup.query.thing_names.thing_names", lambda _, question: seen.append(question.near) or {}
     )
     run("compare", "old.scoup", "named.scoup", "--text", "lantern.npz", "--words", "lamp.txt")
     assert seen == [(), ("lantern",)]

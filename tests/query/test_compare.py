@@ -29,7 +29,7 @@ def without(field: LanguageField, *things: int) -> LanguageField:
 def changes(old: LanguageField, new: LanguageField, transform: np.ndarray | None = None) -> set[tuple]:
     """Kind and numbers of each change; those that are sure."""
     found = compare(old, new, WORDS, transform)
-    assert all(change.confidence > 0.5 for change in found.changes)
+    assert all(change.strength > 0.5 for change in found.changes)
     return {
         (change.kind, change.old and change.old.number, change.new and change.new.number)
         for change in found.changes

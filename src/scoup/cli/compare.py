@@ -50,7 +50,7 @@ class CompareCaptures(NamingOptions):
         out = second.output_folder(self.out, "changes")
         transform = None if self.transform is None else read_similarity(self.transform)
         old, new = self.open_field(), second.open_field("--new-gaussians")
-        words = self.naming_words(old)
+        words = self.naming_words()
         self.text_encoder(old)
         new.keep_encoder_of(old)
         found = compare(old, new, words, transform)
@@ -62,7 +62,7 @@ class CompareCaptures(NamingOptions):
             assert thing is not None
             far = "" if change.distance is None else f" by {change.distance:.3g}"
             text = f"{thing.text or 'unnamed'}: thing {thing.number}, {thing.describe()}"
-            console.say(f"{change.kind}{far}, confidence {change.confidence:.2f}: {text}")
+            console.say(f"{change.kind}{far}, strength {change.strength:.2f}: {text}")
         changed = sum(change.kind != "unseen" for change in found.changes)
         console.say(
             f"{out}: {counted(changed, 'change')} among {found.counts[0]} and {found.counts[1]} objects"

@@ -19,7 +19,7 @@ from scoup.query.answer_scene import answer_scene
 from scoup.query.expression import Expression
 from scoup.query.question import Question, Several, as_question
 from scoup.query.relations import resolve
-from scoup.query.thing_names import scene_objects
+from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing, all_things, things_of_answer
 
 
@@ -87,7 +87,7 @@ def _joined(
     of_texts: dict[str, list[Thing]] = {}
     if by_things or expression.counted or frame is not None:
         of_texts = {part.text: things_of_answer(field, part, expression.counted) for part in parts}
-        of_texts[""] = scene_objects(field, question.everything) if question.everything else []
+        of_texts[""] = find_objects(named_things(field, question.everything)) if question.everything else []
         of_leaf = {leaf: resolve(field, leaf, of_texts, frame) for leaf in of_leaf}
     masks = {text: part.mask for text, part in of_text.items()}
     for leaf, mine in of_leaf.items():

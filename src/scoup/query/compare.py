@@ -23,8 +23,8 @@ from scoup.base.errors import InputError, ScoupWarning
 from scoup.field.language_field import LanguageField
 from scoup.field.renders import render_depth
 from scoup.query.boxes import PointSets
-from scoup.query.question import Question, Several, as_question, literal
-from scoup.query.thing_names import find_objects, named_things, thing_names
+from scoup.query.question import naming_question
+from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.scene.things import NO_THING
 
@@ -70,7 +70,7 @@ class Change:
     """In the frame of the new capture."""
     distance: float | None
     """How far it moved, in units of the old capture."""
-    confidence: float
+    strength: float
     """0 to 1: the share of it that is not there, times the share of its place that was seen (for unseen, was not); if
     it moved, of the surer side, times its cosine with what it was."""
 
@@ -102,7 +102,7 @@ class Comparison:
         """
         changes = []
         for change in self.changes:
-            found: dict[str, Any] = {"kind": change.kind, "confidence": round(change.confidence, 4)}
+            found: dict[str, Any] = {"kind": change.kind, "strength": round(change.strength, 4)}
             if change.distance is not None:
                 found["distance"] = round(change.distance, 6)
                 if metres_per_unit is not None:
@@ -179,14 +179,14 @@ def moved_points(points: Array, transform: Array) -> Array:
 def compare(
     old: LanguageField,
     new: LanguageField,
-    words: Question[Any] | Several,
+    words: Sequence[str],
     transform: Array | None = None,
 ) -> Comparison:
     """Return the objects that were added, removed or moved between two captures of one place.
 
     Args:
         old, new: with things and cameras, and embeddings of one model.
-        words: that name the things.
+        words: that name the things (``naming_question``).
         transform: [4, 4] similarity from the frame of ``new`` to that of ``old``; None: they are the same.
 
     Raises:
@@ -194,16 +194,12 @@ def compare(
     """
     _check(old, new)
     matrix = np.eye(4) if transform is None else transform
-    named = [
-        named_things(field, thing_names(field, as_question(field, literal(words)))) for field in (old, new)
-    ]
+    named = [named_things(field, naming_question(field, words)) for field in (old, new)]
     both = _Capture(old, named[0], np.linalg.inv(matrix)), _Capture(new, named[1], matrix)
     _check_frames(*both)
     centre = np.concatenate([each.embeddings for each in both]).mean(0)
     gone, come = (_missing(one, other, centre) for one, other in (both, both[::-1]))
-    changes = sorted(
-        _changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.confidence)
-    )
+    changes = sorted(_changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.strength))
     counts = len(find_objects(both[0].things)), len(find_objects(both[1].things))
     if len(gone) + len(come) > MOST_CHANGES * sum(counts):
         warnings.warn(

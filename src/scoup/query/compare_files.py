@@ -89,13 +89,11 @@ def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float |
         for side in SIDES
         if side in pictures
     )
-    data = (
-        f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{change.confidence:.4f}"'
-    )
+    data = f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{change.strength:.4f}"'
     numbers = ", ".join(f"thing {each.number} of the {side} capture" for side, each, _ in there)
     return (
-        f"<li {data}><div>{images}</div><b>{shown(thing.text) or 'unnamed'}</b> <small>{change.kind}{far}, confidence "
-        f"{change.confidence:.2f}<br>{in_words(thing.box.extent.tolist(), unit)}<br>{numbers}</small></li>"
+        f"<li {data}><div>{images}</div><b>{shown(thing.text) or 'unnamed'}</b> <small>{change.kind}{far}, strength "
+        f"{change.strength:.2f}<br>{in_words(thing.box.extent.tolist(), unit)}<br>{numbers}</small></li>"
     )
 
 

@@ -11,7 +11,7 @@ names fit best, each weighed by its share of what it is a part of. Ours; measure
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -40,12 +40,16 @@ class ThingName(NamedTuple):
 
 
 def thing_names(field: LanguageField, question: Question[Any]) -> dict[int, ThingName]:
-    """Return the names of the things that have one, by their numbers.
+    """Return the names of the things that have one, by their numbers; those that a model gave come first.
 
     Args:
         field: with or without things.
         question: of the words that may be names; a word counts as a name only where it is present.
     """
+    return field.kept((thing_names, question), lambda: _made_names(field, question))
+
+
+def _made_names(field: LanguageField, question: Question[Any]) -> dict[int, ThingName]:
     known = compare_things(field, question)
     if known is None:
         return {}
@@ -81,28 +85,25 @@ def _alike(known: ComparedTable, named: Collection[int]) -> dict[int, int]:
     return {thing: one for thing, (_, one) in best.items()}
 
 
-def named_things(field: LanguageField, names: Mapping[int, ThingName]) -> list[Thing]:
-    """Return all things with their best names as ``text`` and the scores of these, or "" and None."""
-    unnamed = ThingName(("",), None)
-    best = [
-        (thing, names.get(thing.number or 0, unnamed))
-        for thing in field.kept(Thing, lambda: all_things(field))
-    ]
+def named_things(field: LanguageField, words: Question[Any] | None) -> list[Thing]:
+    """Return all things with their best names as ``text`` and the scores of these, or "" and None.
+
+    Catalogue, page, agents and comparisons name things by this.
+
+    Args:
+        field: with or without things.
+        words: that may be names (``naming_question``); None: there is no encoder, and only a model's names are known.
+    """
+    things = field.kept(Thing, lambda: all_things(field))
+    if words is None:
+        return list(things)
+    names, unnamed = thing_names(field, words), ThingName(("",), None)
+    best = [(thing, names.get(thing.number or 0, unnamed)) for thing in things]
     return [replace(thing, text=name.texts[0], score=name.score) for thing, name in best]
 
 
-def scene_objects(field: LanguageField, words: Question[Any]) -> list[Thing]:
-    """Return the things that are one object each, named by words."""
-
-    def made() -> list[Thing]:
-        things = named_things(field, thing_names(field, words))
-        return [things[place] for place in find_objects(things)]
-
-    return field.kept((scene_objects, words), made)
-
-
-def find_objects(things: Sequence[Thing]) -> list[int]:
-    """Return the places of the named things that are one object each.
+def find_objects(things: Sequence[Thing]) -> list[Thing]:
+    """Return the named things that are one object each.
 
     Args:
         things: with their names as ``text`` and the scores of these.
@@ -125,6 +126,5 @@ def find_objects(things: Sequence[Thing]) -> list[int]:
         return own, [number]
 
     objects = [each for root in roots for each in best(root)[1]]
-    return sorted(
-        each for each in objects if things[each].text or (things[each].n_regions or 0) >= LEAST_REGIONS
-    )
+    kept = (things[each] for each in sorted(objects))
+    return [thing for thing in kept if thing.text or (thing.n_regions or 0) >= LEAST_REGIONS]

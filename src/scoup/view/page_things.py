@@ -6,7 +6,7 @@ from typing import Any
 
 from scoup.field.language_field import LanguageField
 from scoup.query.question import Question
-from scoup.query.thing_names import thing_names
+from scoup.query.thing_names import named_things
 
 
 def page_things(field: LanguageField, vocabulary: Question | None) -> list[dict[str, Any]]:
@@ -16,16 +16,15 @@ def page_things(field: LanguageField, vocabulary: Question | None) -> list[dict[
         field: to be shown.
         vocabulary: the words that things are named by; None: things have numbers only.
     """
-    names = {} if vocabulary is None else thing_names(field, vocabulary)
     rows = []
-    for thing in field.things():
-        record, number = thing.to_dict(), thing.number or 0
+    for thing in named_things(field, vocabulary):
+        record = thing.to_dict()
         rows.append(
             {
-                "number": number,
+                "number": thing.number,
                 "level": field.level_index(thing.level),
                 "parent": thing.parent,
-                "name": names[number].texts[0] if number in names else thing.text or None,
+                "name": thing.text or None,
                 **{name: record[name] for name in ("position", "box", "gaussians")},
                 "views": thing.n_regions,
             }
