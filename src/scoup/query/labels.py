@@ -89,8 +89,11 @@ def label(field: LanguageField, question: Question[Any] | str | Several) -> Gaus
     answered by the finest level counts, for the name of a part says more than that of its whole; of words of one level
     the one with the largest score.
     """
-    asked = as_question(field, question)
-    answers = answers_of(field, asked)
+    return labels_of(field, answers_of(field, as_question(field, question)))
+
+
+def labels_of(field: LanguageField, answers: Sequence[Answer]) -> GaussianLabels:
+    """Return ``label`` from the answers to the words."""
     names = tuple(answer.text for answer in answers)
     if len(set(names)) < len(names) or NONE_NAME in names:
         raise InputError(
