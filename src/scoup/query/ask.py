@@ -17,6 +17,7 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.expression import Expression
+from scoup.query.phrases import texts_of
 from scoup.query.question import Question, Several, as_question
 from scoup.query.relations import resolve
 from scoup.query.thing_names import find_objects, named_things
@@ -117,6 +118,7 @@ def _joined(
         presence=present,
         things=numbers,
         instances=numbers,
+        excluded=tuple({*expression.texts}.difference(text for leaf in wanted for text in texts_of(leaf))),
         without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
         parts=parts,
         asked=tuple(one for each in ranked for one in each.asked),
