@@ -18,7 +18,7 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import null_scores
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.matching import compare_things
+from scoup.query.matching import ComparedTable, compare_things
 from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.votes import true_rows
@@ -143,16 +143,24 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
         return list(answer.found)
     if not answer.things or len(answer.asked) != 1:
         return _connected_things(field, answer)
-    asked = answer.asked[0]
-    known = compare_things(field, asked.question)
+    return scored_things(field, answer, answer.instances if counted else answer.things)
+
+
+def text_fits(field: LanguageField, answer: Answer) -> tuple[ComparedTable, list[float]]:
+    """Return the things of a field, and how well each fits the text of an answer."""
+    known = compare_things(field, answer.asked[0].question)
     assert known is not None
-    numbers = list(answer.instances if counted else answer.things)
-    fits = known.fits(asked.question.queries.float().cpu())[numbers, 0].tolist()
-    (score,) = null_scores(asked.question, known.best_fits)
-    (named,) = named_texts(field.thing_table, asked.question)
+    return known, known.fits(answer.asked[0].question.queries.float().cpu())[:, 0].tolist()
+
+
+def scored_things(field: LanguageField, answer: Answer, numbers: Sequence[int]) -> list[Thing]:
+    """Return things by their numbers, with the text of an answer and their scores for it."""
+    known, fits = text_fits(field, answer)
+    (score,) = null_scores(answer.asked[0].question, known.best_fits)
+    (named,) = named_texts(field.thing_table, answer.asked[0].question)
     scores = {
-        number: score(fit) if named is None else named.score(score(fit), number)
-        for number, fit in zip(numbers, fits, strict=True)
+        number: score(fits[number]) if named is None else named.score(score(fits[number]), number)
+        for number in numbers
     }
     return [
         replace(thing, text=answer.text, score=scores[thing.number or 0])
