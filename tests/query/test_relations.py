@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +10,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
+from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room, with_whole
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.field.language_field import LanguageField
-from support import examples, unit
+from support import examples
 
 TABLE, LEFT, RIGHT, LAPTOP, LAMP, BALL, BOWL, APPLE, PEN = range(9)
 TRUTH: dict[str, set[int]] = {
@@ -190,34 +189,8 @@ def test_directions_are_found_once() -> None:
 @pytest.mark.parametrize(("phrase", "found"), [("ball on the bowl", {1}), ("bowl on the ball", set())])
 def test_what_a_level_takes_for_one_thing_is_told_apart(phrase: str, found: set[int]) -> None:
     """At level m a ball and its bowl are one thing, which answers both words; so their parts do."""
-    parts = planted_room(
-        [Box("bowl", (0, 0, 0.02), (0.4, 0.4, 0.04)), Box("ball", (0, 0, 0.14), (0.2, 0.2, 0.2))]
-    )
-    fine = parts.thing_table
-    assert fine is not None
-    both, columns = len(fine), {}
-    for name in ("agreement", "n_regions", "mass", "stability"):
-        columns[name] = torch.cat([getattr(fine, name), getattr(fine, name)[:1]])
-    table = replace(
-        fine,
-        owners=torch.cat(
-            [fine.owners, torch.where((fine.owners >= 0) & (fine.owners < 2), both, -1).int()], 1
-        ),
-        levels=torch.cat([fine.levels, torch.ones(1, dtype=torch.uint8)]),
-        parents=torch.tensor([both, both, *[-1] * (both - 1)], dtype=torch.int32),
-        embeddings=torch.cat([fine.embeddings, unit(fine.embeddings[:2].float().sum(0)).half()[None]]),
-        **columns,
-    )
-    field = LanguageField(
-        parts.code_indices.expand(-1, 2, -1).contiguous(),
-        parts.code_weights.expand(-1, 2, -1).contiguous(),
-        parts.codebook.expand(2, -1, -1).contiguous(),
-        replace(parts.info, levels=("s", "m")),
-        parts.gaussians,
-        cameras=parts.cameras,
-        thing_table=table,
-    )
-    field.keep_encoder_of(parts)
+    boxes = [Box("bowl", (0, 0, 0.02), (0.4, 0.4, 0.04)), Box("ball", (0, 0, 0.14), (0.2, 0.2, 0.2))]
+    field, both = with_whole(planted_room(boxes), [0, 1])
     for word in ("ball", "bowl"):
         assert [thing.number for thing in field.things(field.question(word, level="m"))] == [both]
     assert {thing.number for thing in field.things(field.question(phrase, level="m"))} == found

@@ -90,7 +90,9 @@ def _joined(
     of_texts: dict[str, list[Thing]] = {}
     if by_things or expression.counted or frame is not None:
         of_texts = {part.text: things_of_answer(field, part, expression.counted) for part in parts}
-        of_texts[""] = find_objects(named_things(field, question.everything)) if question.everything else []
+        of_texts[""] = (
+            find_objects(field, named_things(field, question.everything)) if question.everything else []
+        )
         of_leaf = {
             leaf: resolve(field, leaf, _apart(field, leaf, of_texts, of_text), frame) for leaf in of_leaf
         }

@@ -77,7 +77,7 @@ def make_catalog(
     frame = field.frame() if frame is None else frame
     names, named = thing_names(field, question), named_things(field, question)
     texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)
-    objects = tuple(thing.number or 0 for thing in find_objects(named))
+    objects = tuple(thing.number or 0 for thing in find_objects(field, named))
     return Catalog(tuple(named), texts, objects, tuple(relations(field, frame)), frame)
 
 

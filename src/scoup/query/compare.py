@@ -200,7 +200,7 @@ def compare(
     centre = np.concatenate([each.embeddings for each in both]).mean(0)
     gone, come = (_missing(one, other, centre) for one, other in (both, both[::-1]))
     changes = sorted(_changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.strength))
-    counts = len(find_objects(both[0].things)), len(find_objects(both[1].things))
+    counts = len(find_objects(old, named[0])), len(find_objects(new, named[1]))
     if len(gone) + len(come) > MOST_CHANGES * sum(counts):
         warnings.warn(
             f"{_name(new)}: {len(gone) + len(come)} of {sum(counts)} objects are in one place here and in another, or "

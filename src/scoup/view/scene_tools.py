@@ -104,7 +104,7 @@ class SceneTools:
         With `thing`, only that one, what it is on or inside, and what is on or inside it. Names: as in `list_things`.
         """
         field, every = self._field(scene), self._named(scene)
-        objects = find_objects(list(every.values()))
+        objects = find_objects(field, list(every.values()))
         if thing is not None:
             asked = _numbered_thing(every, thing)
             objects = [asked, *(each for each in objects if not overlaps(each, asked))]
