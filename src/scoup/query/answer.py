@@ -171,7 +171,8 @@ class Answer:
             "things": list(self.things),
             "count": len(self.instances) if self.things or not self.presence else None,
             **self.verdict(),
-            "runner_up": None if self.runner_up is None else _runner_up(self.runner_up),
+            "runner_up": self.runner_up
+            and {"thing": self.runner_up.thing, "score": _rounded(self.runner_up.score)},
         }
 
     def verdict(self) -> dict[str, Any]:
@@ -184,10 +185,6 @@ class Answer:
             **({"seen_from": self.seen_from} if self.seen_from else {}),
             **({} if self.threshold is None else {"threshold": round(self.threshold, 3)}),
         }
-
-
-def _runner_up(found: RunnerUp) -> dict[str, Any]:
-    return {"thing": found.thing, "score": _rounded(found.score)}
 
 
 def _rounded(score: float | None) -> float | None:
