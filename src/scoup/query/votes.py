@@ -98,9 +98,12 @@ def select_by_relevancy(
     return Selection(mask, relevancy[level], level, float(threshold))
 
 
-def level_thresholds(values: Tensor, coded: Tensor) -> Tensor:
-    """Return the most stable threshold of relevancy [S, N] rescaled over the coded Gaussians [S, N], [S] on the CPU."""
-    return thresholds_of_counts(stretched_counts(values, coded, LOWEST_SHARE)[1])
+def level_thresholds(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the most stable threshold [S] of relevancy [S, N] rescaled over the coded Gaussians [S, N], and the
+    relevancies [S, 2] that rescaling takes to 0 and to 1, 0.5 and 0.5 for a level without any; on the CPU."""
+    ends, counts = stretched_counts(values, coded, LOWEST_SHARE)
+    spans = torch.stack([ends.mean(1), ends[:, 1]], 1)  # the lower half is cut off
+    return thresholds_of_counts(counts), torch.where(coded.any(1)[:, None].cpu(), spans, 0.5)
 
 
 def _most_stable(values: Tensor, coded: Tensor) -> Selection:
