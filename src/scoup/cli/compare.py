@@ -61,7 +61,7 @@ class CompareCaptures(NamingOptions):
             thing = change.new or change.old
             assert thing is not None
             far = "" if change.distance is None else f" by {change.distance:.3g}"
-            text = f"{thing.text or 'unnamed'}: thing {thing.number}, {thing.describe()}"
+            text = f"{thing.text or 'unnamed'}: thing {thing.number}, at {thing.describe()}"
             console.say(f"{change.kind}{far}, strength {change.strength:.2f}: {text}")
         changed = sum(change.kind != "unseen" for change in found.changes)
         console.say(

@@ -87,10 +87,14 @@ class Thing:
     def _repr_html_(self) -> str:
         return card(f"Thing {self.text}", {**self.to_dict(), "box": str(self.box.to_dict())})
 
-    def describe(self) -> str:
-        """Return position and extent in words, for people."""
+    def describe(self, metres_per_unit: float | None = None) -> str:
+        """Return position and extent in words, for people; in metres, too, if the length of the unit is known."""
         position = ", ".join(f"{part:g}" for part in rounded_vector(self.position.tolist()))
-        return f"at [{position}], extent {' x '.join(f'{side:.3g}' for side in self.box.extent.tolist())}"
+        extent, metres = (
+            " x ".join(f"{side:.3g}" for side in (self.box.extent * unit).tolist())
+            for unit in (1.0, metres_per_unit or 1.0)
+        )
+        return f"[{position}], extent {extent}{f' ({metres} m)' if metres_per_unit is not None else ''}"
 
     def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """The thing as plain JSON values, rounded.
