@@ -108,6 +108,7 @@ def _joined(
         mine = [thing for leaf in wanted for thing in of_leaf[leaf]] if wanted else of_texts[""]
         found = [thing for thing in _once(mine) if 2 * int(mask[thing.gaussians].sum()) > thing.n_gaussians]
     without = [thing.number for leaf in expression.leaves(False) for thing in of_leaf[leaf]]
+    needed = {text for leaf in wanted for text in texts_of(leaf)}
     ranked = [of_text[text] for text in expression.wanted]
     ranked.sort(key=lambda each: (each.presence, each.score or 0.0), reverse=True)
     present = ranked[0].presence
@@ -124,7 +125,7 @@ def _joined(
         presence=present,
         things=numbers,
         instances=numbers,
-        excluded=tuple({*expression.texts}.difference(text for leaf in wanted for text in texts_of(leaf))),
+        excluded=tuple(text for text in expression.texts if text not in needed),
         without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
         parts=parts,
         asked=tuple(one for each in ranked for one in each.asked),
