@@ -56,7 +56,7 @@ def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) 
     save_table(Path("lantern.npz"), [*names, "lantern"], vectors)
     Path("lamp.txt").write_text("lamp\n")
     monkeypatch.setattr(
-        "scoup.query.compare.thing_names", lambda _, question: seen.append(question.near) or {}
+        "scoup.query.thing_names.thing_names", lambda _, question: seen.append(question.near) or {}
     )
     run("compare", "old.scoup", "named.scoup", "--text", "lantern.npz", "--words", "lamp.txt")
     assert seen == [(), ("lantern",)]

@@ -115,3 +115,31 @@ def planted_room(
     )
     field.text_encoder(dict(zip(words, vectors, strict=True)))
     return field
+
+
+def with_whole(parts: LanguageField, members: Sequence[int]) -> tuple[LanguageField, int]:
+    """Return a room with a second, coarser level, at which some things are one; and the number of that one."""
+    fine = parts.thing_table
+    assert fine is not None
+    whole, inside = len(fine), torch.tensor(members)
+    owners = torch.where(torch.isin(fine.owners, inside), whole, NO_THING).int()
+    more = {name: getattr(fine, name)[:1] for name in ("agreement", "n_regions", "mass", "stability")}
+    table = replace(
+        fine,
+        owners=torch.cat([fine.owners, owners], 1),
+        levels=torch.cat([fine.levels, torch.ones(1, dtype=torch.uint8)]),
+        parents=torch.where(torch.isin(torch.arange(whole + 1), inside), whole, NO_THING).int(),
+        embeddings=torch.cat([fine.embeddings, unit(fine.embeddings[inside].float().sum(0)).half()[None]]),
+        **{name: torch.cat([getattr(fine, name), column]) for name, column in more.items()},
+    )
+    field = LanguageField(
+        parts.code_indices.expand(-1, 2, -1).contiguous(),
+        parts.code_weights.expand(-1, 2, -1).contiguous(),
+        parts.codebook.expand(2, -1, -1).contiguous(),
+        replace(parts.info, levels=("s", "m")),
+        parts.gaussians,
+        cameras=parts.cameras,
+        thing_table=table,
+    )
+    field.keep_encoder_of(parts)
+    return field, whole

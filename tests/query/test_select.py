@@ -51,7 +51,7 @@ def literal_stable_select(values, coded) -> tuple[list[bool], int, float]:
     answers = []
     for level, (row, own) in enumerate(zip(values, coded, strict=True)):
         one = torch.from_numpy(row[own])[None]
-        threshold = float(level_thresholds(one, torch.ones_like(one, dtype=torch.bool))[0])
+        threshold = float(level_thresholds(one, torch.ones_like(one, dtype=torch.bool))[0][0])
         chosen = literal_above(row, own, threshold)
         mean = np.mean(row[chosen]) if any(chosen) else -np.inf
         peak = max(row[own], default=-np.inf)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from raster.parity import needs_native
 from scoup.query import votes
-from scoup.query.votes import STABILITY, above_thresholds, stretched_counts
+from scoup.query.votes import LOWEST_SHARE, above_thresholds, stretched_counts
 from support import examples
 
 
@@ -30,7 +30,7 @@ def some_values(draw: st.DrawFn) -> tuple[Tensor, Tensor | None]:
 
 @needs_native
 @settings(max_examples=examples(100))
-@given(some_values(), st.sampled_from([STABILITY.lowest_share, 0.0]), st.floats(0, 1, width=32))
+@given(some_values(), st.sampled_from([LOWEST_SHARE, 0.0]), st.floats(0, 1, width=32))
 def test_they_are_those_of_torch(some: tuple[Tensor, Tensor | None], share: float, threshold: float) -> None:
     spans, counts = stretched_counts(*some, share)
     expected = votes.plain_stretched_counts(*some, share)

@@ -19,13 +19,14 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.matching import (
-    CHOICE_RULE,
+    AGREEMENT,
     FEW_REGIONS,
     HUB_QUANTILE,
     HUB_SHARE,
     LEAST_STABILITY,
     MOST_GAP,
     MOST_TOGETHER,
+    RIVAL,
     SAME,
     TEXTS_AT_A_TIME,
     UNSTABLE,
@@ -93,9 +94,7 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     rivals[thing] = fits[thing]
             rival = max(rivals, key=lambda thing: rivals[thing], default=None)
             lead = 0.0 if rival is None else max(0.0, rivals[rival] - mean)
-            alone[-1].append(
-                (min(last - behind, MOST_GAP) - (top - mean) - CHOICE_RULE.rival * lead, chosen, rival)
-            )
+            alone[-1].append((min(last - behind, MOST_GAP) - (top - mean) - RIVAL * lead, chosen, rival))
     found = []
     for each, sets in enumerate(alone):
         for score, chosen, rival in sets if level in (None, each) else ():
@@ -107,7 +106,7 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     if len(whole & them) > SAME * len(whole | them):
                         best = max(best, their_score + MOST_GAP)
                 added += best
-            found.append((score + CHOICE_RULE.agreement * added, chosen, rival))
+            found.append((score + AGREEMENT * added, chosen, rival))
     return found
 
 

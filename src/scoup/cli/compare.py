@@ -50,7 +50,7 @@ class CompareCaptures(NamingOptions):
         out = second.output_folder(self.out, "changes")
         transform = None if self.transform is None else read_similarity(self.transform)
         old, new = self.open_field(), second.open_field("--new-gaussians")
-        words = self.naming_words(old)
+        words = self.naming_words()
         self.text_encoder(old)
         new.keep_encoder_of(old)
         found = compare(old, new, words, transform)
@@ -61,7 +61,7 @@ class CompareCaptures(NamingOptions):
             thing = change.new or change.old
             assert thing is not None
             far = "" if change.distance is None else f" by {change.distance:.3g}"
-            text = f"{thing.text or 'unnamed'}: thing {thing.number}, {thing.describe()}"
+            text = f"{thing.text or 'unnamed'}: thing {thing.number}, at {thing.describe()}"
             console.say(f"{change.kind}{far}, confidence {change.confidence:.2f}: {text}")
         changed = sum(change.kind != "unseen" for change in found.changes)
         console.say(

@@ -195,16 +195,18 @@ class NamingOptions(TextOptions):
 
     def naming_question(self, field: LanguageField) -> Question[Any]:
         """The question of these words."""
-        from scoup.query.question import literal
+        from scoup.query.question import naming_question
 
-        return self.question(field, literal(self.naming_words(field)))
+        self.text_encoder(field)
+        question = naming_question(field, self.naming_words())
+        field.text_encoder().close()  # models are large
+        return question
 
-    def naming_words(self, field: LanguageField) -> tuple[str, ...]:
-        """The words of --words, or of the encoder."""
-        from scoup.models.text import everyday_vocabulary
+    def naming_words(self) -> tuple[str, ...]:
+        """The words of --words; none without."""
         from scoup.view.vocabulary import read_words
 
-        return read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
+        return read_words(self.words) if self.words else ()
 
 
 @dataclass(frozen=True, kw_only=True)

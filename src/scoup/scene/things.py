@@ -97,6 +97,14 @@ class ThingTable:
         level = int(self.levels[things[0]]) if len(things) else 0
         return chosen.index_select(0, self.owners[:, level] + 1)
 
+    def parts(self, thing: int) -> Tensor:
+        """Return a thing with its parts and theirs, [T] boolean on the CPU."""
+        parents = self.parents.long().cpu()
+        found = torch.arange(len(self)) == thing
+        for _ in range(1, self.owners.shape[1]):
+            found |= (parents != NO_THING) & found[parents]
+        return found
+
     def sums(self, weights: Tensor) -> Tensor:
         """Return [T] float64: the sum of weights [N] over the Gaussians of each thing."""
         gaussians = torch.from_numpy(np.flatnonzero(weights.cpu().numpy()))  # few, as a rule
