@@ -178,8 +178,8 @@ def check_codes(kind: str, seed: int, levels: int, n_atoms: int, k: int, halves:
     if device == "cpu" and n_atoms > 128:  # many programs a tile
         gaussians, camera = gaussians.select(torch.arange(min(len(gaussians), 60))), camera.resized(12, 9)
     projections = projections_of(gaussians, camera, "gsplat", device)
-    indices, weights, *rest = random_codes(len(gaussians), levels, k, n_atoms, seed)
-    codes = indices, weights.half() if halves else weights, *rest
+    indices, weights, *vectors = random_codes(len(gaussians), levels, k, n_atoms, seed)
+    codes = indices, weights.half() if halves else weights, *vectors
     painted = assert_codes_agree(projections, sure_pixels(gaussians, camera, "gsplat"), codes, device)
     if kind not in ("empty", "behind", "opacity 0", "nan", "zero quat"):
         assert bool(painted.any()), "nothing is drawn: proves little"

@@ -166,7 +166,7 @@ def labels_at(scene: tuple[Gaussians, Camera], preset: str, levels: int, n_regio
 
 def random_codes(
     count: int, levels: int, k: int, n_atoms: int, seed: int, repeated: bool = False
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, ...]:
     """indices, weights [N, S, K], codebook [S, L, 24], queries [Q, 24]. A third of the Gaussians have no code; a code
     may have an atom ``repeated``."""
     generator = torch.Generator().manual_seed(seed)
@@ -186,7 +186,7 @@ def random_codes(
 
 
 def assert_codes_agree(
-    projections: Pair, sure: Tensor, codes: tuple[Tensor, Tensor, Tensor, Tensor], device: str = "cpu"
+    projections: Pair, sure: Tensor, codes: tuple[Tensor, ...], device: str = "cpu"
 ) -> Tensor:
     """Coefficients, cosines, norms and features agree with the reference's, the second, at ``sure`` [H, W] pixels.
     Returns the coefficients of the reference."""

@@ -39,7 +39,7 @@ SIZES = [(1, 1), (1, 37), (37, 1), (16, 16), (17, 17), (4097, 3), (8192, 2), (81
 @given(scene=any_scenes(), preset=PRESETS, channels=st.sampled_from(CHANNELS), seed=SEEDS)
 def test_channels_and_alpha(scene, preset, channels, seed):
     values = torch.randn(len(scene[0]), channels, generator=torch.Generator().manual_seed(seed))
-    assert_channels_agree(both(*scene, preset), scene, preset, values)
+    assert_channels_agree(both(scene[0], scene[1], preset), scene, preset, values)
 
 
 @settings(max_examples=examples(40))
@@ -55,7 +55,8 @@ def test_channels_and_alpha(scene, preset, channels, seed):
 @example(hard_scene("wall", 3), "inria", 8, 10**6, torch.int32, 1)
 def test_region_sums(scene, preset, levels, regions, dtype, seed):
     labels = labels_at(scene, preset, levels, regions, seed % 1000).to(dtype)
-    assert_same_sums(*(raster.region_sums(each, labels) for each in both(*scene, preset)))
+    native, reference = both(scene[0], scene[1], preset)
+    assert_same_sums(raster.region_sums(native, labels), raster.region_sums(reference, labels))
 
 
 @settings(max_examples=examples(30))
@@ -121,8 +122,8 @@ def test_codes_and_cosines(scene, preset, levels, n_atoms, k, halves, longs, see
     gaussians, camera = scene
     if camera.width * camera.height * levels * n_atoms > 4_000_000:
         levels = 1
-    indices, weights, *rest = random_codes(len(gaussians), levels, k, n_atoms, seed, repeated=True)
-    codes = indices.long() if longs else indices, weights.half() if halves else weights, *rest
+    indices, weights, *vectors = random_codes(len(gaussians), levels, k, n_atoms, seed, repeated=True)
+    codes = indices.long() if longs else indices, weights.half() if halves else weights, *vectors
     assert_codes_agree(both(gaussians, camera, preset), sure_pixels(gaussians, camera, preset), codes)
 
 
@@ -131,17 +132,17 @@ def test_image_sizes(width, height):
     gaussians = random_gaussians(60, width, ("plain", "needle", "huge", "tiny"))
     gaussians.opacities[gaussians.scales[:, 0] > 10] *= 0.1
     camera = make_camera(width, height, 0.4 * width, 7)
-    projections = both(gaussians, camera)
+    native, reference = both(gaussians, camera)
     values = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
-    images = [painted(projection, values) for projection in projections]
-    assert images[0].any()
-    flips = explained_flips(gaussians, camera, "inria", *images)
+    image = painted(native, values)
+    assert image.any()
+    flips = explained_flips(gaussians, camera, "inria", image, painted(reference, values))
     assert flips.pixels.sum() <= max(1, 1e-3 * width * height)
 
     labels = random_labels(2, height, width, 11, 0)
     labels[:, flips.pixels] = -1
-    assert_same_sums(*(raster.region_sums(projection, labels) for projection in projections))
-    assert_codes_agree(projections, ~flips.pixels, random_codes(60, 1, 2, 3, 0))
+    assert_same_sums(raster.region_sums(native, labels), raster.region_sums(reference, labels))
+    assert_codes_agree((native, reference), ~flips.pixels, random_codes(60, 1, 2, 3, 0))
 
 
 def test_a_close_call_is_found():
