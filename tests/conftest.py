@@ -81,6 +81,18 @@ def mobile_sam() -> Path:
     return path
 
 
+@pytest.fixture(params=["baseline", "v3", "v4"])
+def instruction_set(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The compiled core uses it, wherever the CPU and SCOUP_NATIVE let it."""
+    core, asked = native.require_core(), os.environ.get("SCOUP_NATIVE", "")
+    if asked not in ("", request.param):
+        pytest.skip(f"SCOUP_NATIVE asks for {asked}")
+    if not core.use_isa(request.param):
+        pytest.skip(f"this CPU does not run {request.param}")
+    yield request.param
+    core.use_isa(asked or "best")
+
+
 @pytest.fixture(scope="session")
 def needs_triton() -> None:
     """Tests that compile or interpret kernels are skipped where triton is not installed."""

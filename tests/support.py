@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -19,6 +21,16 @@ from scoup.scene.things import NO_THING, ThingTable
 def examples(full: int) -> int:
     """How many examples a test tries: a quarter of ``full``; all of them in ``make test-all``."""
     return full if os.environ.get("SCOUP_TEST_EXAMPLES") == "all" else max(5, full // 4)
+
+
+@contextmanager
+def threads_of_torch(count: int) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 KINDS = (
@@ -128,6 +140,15 @@ def small_scene(
             for s, level in enumerate(LEVELS)
         }
     return gaussians, cameras, Regions.from_maps(maps)
+
+
+def changed_regions(regions: Regions, change: Callable[[str, str, RegionMap], RegionMap]) -> Regions:
+    """Other maps in place of the map of each view and level."""
+
+    def load(name: str, level: str) -> RegionMap:
+        return change(name, level, regions.load(name, level))
+
+    return Regions(regions.levels, regions.view_names, load)
 
 
 def gaussians_at(means: torch.Tensor, scale: float = 0.01, opacity: float = 0.9) -> Gaussians:

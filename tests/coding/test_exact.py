@@ -20,6 +20,7 @@ from scoup.coding.exact import FAST, ExactSettings, Learner, solve_exact
 from scoup.coding.exact_start import starting_atoms
 from scoup.coding.reference import code
 from scoup.coding.report import report_on
+from support import threads_of_torch
 
 REFERENCE = coding_backend("reference")
 QUICK = ExactSettings(steps=30, batch=100, passes=3)
@@ -144,15 +145,11 @@ def test_same_seed_same_bytes(backend: str) -> None:
 
 def test_same_bytes_whatever_the_number_of_threads(core: ModuleType) -> None:
     rows = clip_like(5000, 200, objects=100)  # more than the sample of the start
-    before = torch.get_num_threads()
     solutions, books = [], []
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
+    for threads in (1, 2, 3):
+        with threads_of_torch(threads):
             solutions.append(solve_exact(rows, 70, 4, 0, ExactSettings(steps=60, passes=2), backend="native"))
             books.append(fit_codes(rows, 20, 4, solver="exact", backend="native"))
-    finally:
-        torch.set_num_threads(before)
     assert len({replace(book.report, seconds=0.0) for book in books}) == 1
     assert len({book.atoms.numpy().tobytes() for book in books}) == 1
     for solution in solutions[1:]:

@@ -26,7 +26,7 @@ from raster.parity import (
 )
 from scoup import raster
 from scoup.raster.combinations import combine_reference
-from support import examples, make_camera, random_gaussians, random_labels
+from support import examples, make_camera, random_gaussians, random_labels, threads_of_torch
 
 pytestmark = needs_native
 PRESETS = st.sampled_from(["inria", "gsplat"])
@@ -91,12 +91,8 @@ def test_combinations(levels, width, height, regions, edge, dtype, threads, seed
         lowest, regions, (levels, -(-height // edge), -(-width // edge)), generator=generator
     )
     labels = labels.repeat_interleave(edge, 1).repeat_interleave(edge, 2)[:, :height, :width].to(dtype)
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
+    with threads_of_torch(threads):
         found = raster.combine(labels)
-    finally:
-        torch.set_num_threads(before)
     expected = combine_reference(labels.long())
     assert torch.equal(found.map, expected.map)
     assert torch.equal(found.table, expected.table)

@@ -20,7 +20,7 @@ from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base.counts import spread
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Cameras
-from scoup.scene.regions import RegionMap, Regions
+from scoup.scene.regions import RegionMap
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
@@ -28,7 +28,7 @@ from scoup.uplift.merging import LEAST_IOU, LEAST_OVERLAP, ROOT_STEPS, merge_reg
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.things import LEAST_REGIONS, find_things, mean_embeddings
-from support import examples, small_scene
+from support import changed_regions, examples, small_scene
 
 DECIDED = ("owners", "levels", "parents", "n_regions")
 
@@ -309,13 +309,12 @@ def test_a_level_may_have_no_things(wall: Wall) -> None:
     first = wall.cameras.names[0]
     for bare in LEVELS:
 
-        def load(name: str, level: str, bare: str = bare) -> RegionMap:
-            known = wall.regions.load(name, level)
+        def load(name: str, level: str, known: RegionMap, bare: str = bare) -> RegionMap:
             if level != bare or name == first:
                 return known
             return RegionMap(torch.full_like(known.labels, -1), known.embeddings[:0])
 
-        found = of_field(built(replace(wall, regions=Regions(LEVELS, wall.cameras.names, load))))
+        found = of_field(built(replace(wall, regions=changed_regions(wall.regions, load))))
         other = 1 - LEVELS.index(bare)
         assert found.levels.tolist() == [other] * (2 * COUNT, COUNT)[other]
         assert bool((found.parents == NO_THING).all())
@@ -325,13 +324,12 @@ def test_a_level_may_have_no_things(wall: Wall) -> None:
 def test_zero_embeddings_merge_as_others(wall: Wall, things: ThingTable) -> None:
     """Embeddings do not decide what is merged, and a thing of zeros has none."""
 
-    def load(name: str, level: str) -> RegionMap:
-        known = wall.regions.load(name, level)
+    def load(_: str, level: str, known: RegionMap) -> RegionMap:
         embeddings = known.embeddings.clone()
         embeddings[: 1 if level == "m" else 2] = 0
         return RegionMap(known.labels, embeddings)
 
-    found = of_field(built(replace(wall, regions=Regions(LEVELS, wall.cameras.names, load))))
+    found = of_field(built(replace(wall, regions=changed_regions(wall.regions, load))))
     assert_same(found, things, (*DECIDED, "mass"))
     bare = ~found.embeddings.any(1)
     assert int(bare.sum()) == 3

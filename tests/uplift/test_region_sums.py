@@ -123,22 +123,6 @@ def test_sums_stacked_view_by_view_are_the_matrix() -> None:
         assert (stacked.data == matrix.data).all()
 
 
-@pytest.mark.parametrize("backend", ["native", "reference"])
-def test_every_backend_keeps_the_same_layout(scene, kept, backend):
-    gaussians, cameras, regions = scene
-    other = region_sums(gaussians, cameras, regions, backend=backend)
-    for name, view in kept.views.items():
-        mine, theirs = view.parts[0], other.views[name].parts[0]
-        np.testing.assert_array_equal(mine.table, theirs.table)
-        assert abs(len(mine.places) - len(theirs.places)) <= 0.01 * len(mine.places)
-        for level in range(3):
-            dense = [np.zeros((len(gaussians), 40)) for _ in range(2)]
-            for out, sums in zip(dense, (kept, other), strict=True):
-                gaussian, region, weight = sums.triplets(name, level)
-                out[gaussian, region] = weight
-            np.testing.assert_allclose(dense[0], dense[1], rtol=1e-3, atol=1e-3)
-
-
 def test_a_file_gives_back_what_it_was_given(scene, kept, tmp_path):
     gaussians, cameras, regions = scene
     made = region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
@@ -258,12 +242,10 @@ def test_what_is_something_else_is_refused(scene, tmp_path):
     gaussians, cameras, regions = scene
     path = tmp_path / "f.sums"
     region_sums(gaussians, cameras, regions, path=path)
-    (path / view_file(cameras.names[0])).write_bytes(b"a picture, or the like" * 9)
-    with pytest.raises(FileFormatError, match="not a file of region sums"):
-        RegionSums.open(path)
-    (path / view_file(cameras.names[0])).write_bytes(b"")
-    with pytest.raises(FileFormatError, match="not a file of region sums"):
-        RegionSums.open(path)
+    for other in (b"a picture, or the like" * 9, b""):
+        (path / view_file(cameras.names[0])).write_bytes(other)
+        with pytest.raises(FileFormatError, match="not a file of region sums"):
+            RegionSums.open(path)
     (path / "scene.safetensors").unlink()
     with pytest.raises(MissingFileError, match="is not a folder of region sums"):
         RegionSums.open(path)
