@@ -19,8 +19,6 @@ from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.answer_scene import answer_scene
-from scoup.query.labels import label
-from scoup.query.place import place_of
 from scoup.query.presence import PRESENT_FROM
 from scoup.query.question import Question, encode_texts
 from scoup.query.view_answer import ViewAnswer
@@ -158,29 +156,6 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     with pytest.raises(MissingFileError, match=r"words\.npz: is missing.*`encoder`"):
         LanguageField.load(moved).answer("word 5")
     assert loaded.to("cpu") is loaded
-
-
-def test_location_and_label_are_their_functions(queried: Queried, table: dict[str, Tensor]) -> None:
-    field = queried.field
-    words = ["word 1", "word 2", "word 8"]
-    texts = Question.from_vectors(encode_texts(TextEncoder.open(table), field, words).with_everyday())
-    expected = [place_of(field, answer) for answer in answer_scene(field, replace(texts, threshold=0.5))]
-    located = field.location(field.question(words, encoder=table, threshold=0.5, always=True))
-    assert isinstance(located, list)
-    assert [each.to_dict() for each in located] == [each.to_dict() for each in expected]
-    score = field.answer(field.question("word 1", threshold=0.5)).score or 0.0
-    absent = field.location(field.question("word 1", threshold=0.5, present_from=score + 1e-6))
-    assert (absent.position, absent.box, absent.presence, absent.thing) == (None, None, False, None)
-    labels, same = field.label(field.question(words, always=True)), label(field, texts)
-    assert labels.ids.equal(same.ids)
-    assert labels.names == tuple(words)
-    # Without a threshold, each text has its most stable one.
-    (located,), answer = field.location(field.question(words[:1], always=True)), answer_scene(field, texts)[0]
-    assert located.to_dict() == place_of(field, answer).to_dict()
-    assert located.answer.threshold is None
-    assert field.label(field.question(words, threshold=0.5, always=True)).ids.equal(
-        label(field, replace(texts, threshold=0.5)).ids
-    )
 
 
 def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(

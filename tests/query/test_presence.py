@@ -121,6 +121,7 @@ def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Querie
     for field in (queried.field, voted.field):
         for answer in answer_scene(field, few):
             assert (answer.score, answer.certainty, answer.presence) == (None, None, True)
+            assert answer.runner_up is None or answer.runner_up.score is None
             assert "presence not judged" in repr(answer)
     assert presence_threshold(LEAST_WORDS - 1, "words.npz") is None
     with pytest.raises(InputError, match=r"words\.npz: has \d+ words, but presence is judged against"):

@@ -33,7 +33,6 @@ from scoup.query.matching import (
     choose_things,
     compare_things,
 )
-from scoup.query.question import Question
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from support import altered, examples, things_of, unit
@@ -421,13 +420,3 @@ def test_gaussians_of_no_thing_do_not_count(asked: Asked) -> None:
     beside = answer.mask & (wall.shows(wall.cameras[2]) == 1)
     beside[:, : int((wall.shows(wall.cameras[2])[14] == 0).nonzero()[-1]) + 2] = False  # the border
     assert beside.any()
-
-
-def test_without_words_to_judge_by_the_fits_are_of_canonical_phrases(asked: Asked) -> None:
-    texts = asked.wall.texts
-    few = Question(texts.texts, texts.queries, texts.canonical, texts.everyday[:3])
-    for number, answer in enumerate(answer_scene(asked.field, few)):
-        assert sorted(answer.things) == asked.named(number, LEVELS.index(answer.level)).tolist()
-        assert answer.score is None
-        assert answer.runner_up is not None
-        assert answer.runner_up.score is None
