@@ -56,21 +56,6 @@ def test_relevancy_equals_decoding_to_d_dimensions(scene, tmp_path, n_atoms):
         assert torch.allclose(actual[s], expected, atol=1e-4)
 
 
-def test_file_round_trip(scene, field, tmp_path):
-    path = tmp_path / "f.scoup"
-    field.save(path, embed_geometry=True)
-    back = LanguageField.load(path)
-    for name in ("code_indices", "code_weights", "codebook"):
-        assert torch.equal(getattr(back, name), getattr(field, name))
-    assert back.info == field.info
-    assert back.cameras is not None
-    assert back.cameras.names == scene[1].names
-    assert torch.equal(back.cameras[1].viewmat, scene[1][1].viewmat)
-    assert back.gaussians.fingerprint() == scene[0].fingerprint()
-    camera, queries = scene[1][0], unit(torch.randn(1, 16))
-    assert torch.equal(back.relevancy(camera, queries, queries), field.relevancy(camera, queries, queries))
-
-
 def test_eight_bit_weights_are_close(field, tmp_path):
     field.save(tmp_path / "f.scoup", weight_bits=8)
     back = LanguageField.load(tmp_path / "f.scoup")

@@ -128,24 +128,21 @@ def test_strays_do_not_move_it() -> None:
     assert int((found.thing.gaussians < 60).sum()) <= 1
 
 
-def test_of_two_things_the_heavier_is_meant() -> None:
-    few, many = block(200, [1.0] * 3), block(300, [1.0] * 3, seed=1) + 10
-    found = located(torch.cat([few, many]))
-    assert found.position is not None
-    assert float(found.position[0]) == pytest.approx(10, abs=0.2)
-    faint = torch.cat([torch.full((200,), 0.9), torch.full((300,), 0.1)])
-    found = located(torch.cat([few, many]), opacities=faint)
-    assert found.position is not None
-    assert float(found.position[0]) == pytest.approx(0, abs=0.2)
-
-
-def test_a_gaussian_weighs_its_opacity_times_its_relevancy() -> None:
+@pytest.mark.parametrize(
+    ("relevancies", "opacities", "position"),
+    [((0.8, 0.8), (0.8, 0.8), 10), ((0.8, 0.8), (0.9, 0.1), 0), ((0.8, 0.5), (0.8, 0.8), 0),
+     ((0.6, 0.5), (0.8, 0.8), 10)],
+    ids=["more", "more opaque", "more relevant, 80 against 75", "60 against 75"],
+)  # fmt: skip
+def test_the_thing_is_meant_that_weighs_most_by_opacity_times_relevancy(
+    relevancies: tuple[float, float], opacities: tuple[float, float], position: float
+) -> None:
+    counts = torch.tensor([100, 150])
     few, many = block(100, [1.0] * 3), block(150, [1.0] * 3, seed=1) + 10
-    means = torch.cat([few, many])
-    for of_few, position in ((0.8, 0.0), (0.6, 10.0)):  # 80 or 60 against 150 times 0.5
-        found = located(means, torch.cat([torch.full((100,), of_few), torch.full((150,), 0.5)]))
-        assert found.position is not None
-        assert float(found.position[0]) == pytest.approx(position, abs=0.3)
+    each = (torch.tensor(values).repeat_interleave(counts) for values in (relevancies, opacities))
+    found = located(torch.cat([few, many]), *each)
+    assert found.position is not None
+    assert float(found.position[0]) == pytest.approx(position, abs=0.3)
 
 
 def test_what_has_no_place() -> None:
