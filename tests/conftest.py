@@ -9,7 +9,7 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from subprocess import DEVNULL
@@ -107,6 +107,12 @@ def triton_interpreter(needs_triton: None) -> Iterator[ProcessPoolExecutor]:
 
     with interpreter() as worker:
         yield worker
+
+
+@pytest.fixture(scope="session")
+def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
+    """Runs a check of kernels, which takes a device last, with interpreted ones."""
+    return lambda check, *arguments: triton_interpreter.submit(check, *arguments, "cpu").result()
 
 
 @pytest.fixture

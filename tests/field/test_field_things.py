@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
 from field_files import parts_of
 from planted_wall import SETTINGS, planted_wall
@@ -81,29 +80,17 @@ def test_a_field_without_things_has_none_in_its_file(field: LanguageField, tmp_p
     assert LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table is None
 
 
-def test_a_scene_in_which_nothing_was_found_keeps_that(field: LanguageField, tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [0, MOST_THINGS])
+def test_files_contain_any_number_of_things(field: LanguageField, tmp_path: Path, count: int) -> None:
+    """Of as many as there may be, 65534 is a thing, and 65535 in a file is none."""
     things = things_of(field)
-    parts = {name: getattr(things, name)[:0] for name in PARTS if name != "owners"}
-    nothing = ThingTable(owners=torch.full_like(things.owners, NO_THING), **parts)
-    with_things(field, nothing).save(tmp_path / "f.scoup")
-    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, nothing)
-
-
-def test_the_last_number_of_a_thing_is_not_taken_for_none(field: LanguageField, tmp_path: Path) -> None:
-    """As many as there may be: 65534 is a thing, and 65535 in a file is none."""
-    things = things_of(field)
-
-    def filled(part: Tensor) -> Tensor:
-        return torch.cat([part, part[-1:].expand(MOST_THINGS - len(things), *part.shape[1:])])
-
-    owners = things.owners.clone()
-    owners[5, 1] = MOST_THINGS - 1
-    parts: dict[str, Any] = {name: filled(getattr(things, name)) for name in PARTS if name != "owners"}
-    many = ThingTable(owners, **parts)
-    with_things(field, many).save(tmp_path / "f.scoup")
-    back = things_of(LanguageField.load(tmp_path / "f.scoup", field.gaussians))
-    assert_same(back, many)
-    assert int(back.owners.max()) == MOST_THINGS - 1
+    rows = torch.arange(count).clamp(max=len(things) - 1)
+    parts: dict[str, Any] = {name: getattr(things, name)[rows] for name in PARTS if name != "owners"}
+    owners = things.owners.clone() if count else torch.full_like(things.owners, NO_THING)
+    owners[5, 1] = count - 1  # NO_THING of none
+    other = ThingTable(owners, **parts)
+    with_things(field, other).save(tmp_path / "f.scoup")
+    assert_same(LanguageField.load(tmp_path / "f.scoup", field.gaussians).thing_table, other)
 
 
 def test_some_gaussians_keep_their_owners(field: LanguageField, tmp_path: Path) -> None:

@@ -222,3 +222,8 @@ def check_build(rounds: int, device: str) -> None:
     # A tie between atoms may turn; what is close to one is as good.
     close = (dense[0] - dense[1]).abs().amax((1, 2)) < 2e-3
     assert float(close.float().mean()) > 0.95
+
+
+SMALL_CHECKS = (
+    check_kinds_of_labels, check_few_sums_at_a_time, check_nothing_painted, check_split, check_repeated_atoms,
+)  # fmt: skip
