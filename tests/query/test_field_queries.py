@@ -55,14 +55,7 @@ def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, T
     field, camera = queried.field, queried.camera
     expected = field.at(camera).answer(field.question("word 3", encoder=table))
     vector = table["word 3"]
-    for same in (
-        vector,
-        vector.numpy(),
-        10 * vector,
-        (vector * 0.01).double(),
-        vector[None],
-        vector.tolist(),
-    ):
+    for same in (vector, vector.numpy(), vector.tolist(), 10 * vector, vector.double() / 99, vector[None]):
         (found,) = field.at(camera).answer(same)
         assert found.text == "query 1"
         assert found.mask.equal(expected.mask)
