@@ -184,3 +184,16 @@ def test_a_sample_that_is_not_valid_is_an_error(tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes(b"other")
     with pytest.raises(ValueError, match="no refusal"):
         target_of(Reader(FILE, lambda folder: fail(folder / FILE)), tmp_path)
+
+
+NOT_SHARED = {"spz, unpacked", "config.yml", "cfg.yml", "region sums", "scene of region sums",
+              "archive.json", "scan of an archive"}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [name for name in READERS if name not in NOT_SHARED])
+def test_pointers_of_git_lfs_are_named(samples: Path, tmp_path: Path, name: str) -> None:
+    reader, folder = READERS[name], tmp_path / "files"
+    shutil.copytree(samples, folder)
+    (folder / reader.file).write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(FileFormatError, match="pointer of Git LFS"):
+        reader.read(folder)

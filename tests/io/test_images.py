@@ -125,6 +125,7 @@ def test_accents_of_either_form(tmp_path, form):
         assert folder.find(f"{name}.jpg") == folder.find(name) == folder.photographs()["Küche/é.jpg"]
         assert find_beside(tmp_path / other, name) == folder.find(name)
         assert folder.find(name.upper()) == folder.find(name.replace("/", "\\")) == folder.find(name)
+        assert folder.find(f"./{name}") == folder.find(name)
 
 
 def test_no_distortion_is_the_identity():

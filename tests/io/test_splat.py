@@ -62,7 +62,6 @@ KSPLAT = struct.pack("<2B2x4IH", 0, 1, 1, 0, 0, 64, 0)  # as gaussforge writes i
         (KSPLAT, r"\.ksplat"), (b"\x1f\x8b\x08\0", "gzip"), (b"PK\x03\x04", "zip"), (b"NGSP\4\0\0\0", r"\.spz"),
         (b"ply\nformat binary_little_endian 1.0\n", "PLY"), (b"glTF\2\0\0\0", r"\.glb"),
         (b"\xef\xbb\xbf\n<!DOCTYPE html>" + b" " * 99, "a web page"), (b'{"a": 1}' + b" " * 88, "JSON"),
-        (b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64, "a pointer of Git LFS"),
         (b"404: Not Found\n" + b" " * 81, "text"),
     ],
 )  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base.errors import InputError, ScoupError
+from scoup.base.errors import FileFormatError, InputError, ScoupError
 from scoup.models import hub
 from scoup.models.hub import ModelRequest, Pretrained, load_open_clip, load_pretrained
 
@@ -90,6 +90,9 @@ def test_a_folder_is_not_searched_on_the_hub(tmp_path: Path) -> None:
     with pytest.raises(ScoupError, match=r"'short' cannot be loaded \(damaged\); .* or do without$"):
         load_pretrained(request, load)
     assert [files.model_id for files in calls] == [str(tmp_path)]
+    (tmp_path / "model.safetensors").write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
+    with pytest.raises(FileFormatError, match=r"model\.safetensors: is a pointer of Git LFS"):
+        load_pretrained(request, load)
 
 
 def test_names_of_open_clip() -> None:

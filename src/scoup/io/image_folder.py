@@ -110,8 +110,8 @@ class ImageFolder:
 
     def _places(self, name: str) -> Iterator[str]:
         """Yield the name, and what follows this folder in it; of an absolute path or one with .., all ends."""
-        yield name
         parts = PurePosixPath(name).parts
+        yield "/".join(parts)  # without ./ and //
         own = self.folder.absolute()
         folders = (*own.parent.parts, re.sub(r"^images_\d+$", "images", own.name))
         elsewhere = ".." in parts or PurePosixPath(name).is_absolute() or bool(PureWindowsPath(name).drive)

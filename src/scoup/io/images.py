@@ -15,8 +15,9 @@ from torch import Tensor
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, refused_read
+from scoup.base.existing import existing_file
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
-from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, existing_file, read_bytes
+from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, read_bytes
 from scoup.scene.cameras import Camera
 
 FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "GIF", "PPM")  # some others start programs

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.errors import FileFormatError, refused_read
-from scoup.io.reading import existing_file
+from scoup.base.existing import existing_file
 
 _MAX_HEADER = 1 << 16
 _REMEDY = "the file is cut short or damaged; write it again"

@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError
-from scoup.io.reading import existing_file, read_bytes
+from scoup.base.existing import existing_file
+from scoup.io.reading import read_bytes
 
 _PICKLE = b"\x80"
 _OBJECTS = "contains Python objects other than tensors; it was not opened, because that could run code"

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.base.counts import listed
 from scoup.base.errors import FileFormatError
-from scoup.io.reading import existing_file
+from scoup.base.existing import existing_file
 from scoup.io.splats.ply import PlyTable, read_ply_table, write_ply_table
 
 _MAX_LABEL = 1 << 31

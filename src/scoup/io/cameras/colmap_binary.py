@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.errors import FileFormatError
+from scoup.base.existing import existing_file
 from scoup.io.cameras.colmap_model import MODEL_NAMES, MODELS, PARAMETER_COUNTS, Lens, Shot
-from scoup.io.reading import decoded, existing_file, read_bytes
+from scoup.io.reading import decoded, read_bytes
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
 _LENS = struct.Struct("<iiQQ")

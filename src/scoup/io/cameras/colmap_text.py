@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.errors import FileFormatError
+from scoup.base.existing import existing_file
 from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Shot
-from scoup.io.reading import existing_file, read_text
+from scoup.io.reading import read_text
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
 

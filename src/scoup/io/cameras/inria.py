@@ -12,11 +12,10 @@ import numpy as np
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.existing import existing_file, existing_folder
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
     MAX_IMAGE_SIDE,
-    existing_file,
-    existing_folder,
     make_camera,
     read_json,
     read_text,

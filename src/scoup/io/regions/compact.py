@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from scoup.base.atomic import atomic_file
 from scoup.base.digests import array_checksum, is_sealed, sealed
 from scoup.base.errors import FileFormatError, check_format_version
+from scoup.base.existing import existing_file
 from scoup.base.json_node import JsonNode
 from scoup.base.safetensors_damage import safetensors_damage_named
 from scoup.io.image_folder import EXTENSIONS
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
+from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.manifest import SCHEMA, VERSION
 from scoup.io.regions.views import REMEDY, ViewRegions
 

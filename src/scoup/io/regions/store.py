@@ -12,7 +12,7 @@ import numpy as np
 
 from scoup.base.atomic import check_output
 from scoup.base.errors import InputError, ScoupError
-from scoup.io.reading import existing_folder
+from scoup.base.existing import existing_folder
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.views import (

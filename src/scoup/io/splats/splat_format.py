@@ -21,12 +21,7 @@ _BEGINNINGS = {
     b"NGSP": ".spz", b"glTF": ".glb", b"PXR-USDC": "OpenUSD", b"\x93NUMPY": ".npy", b"\xff\xd8\xff": "JPEG",
     b"\x89PNG": "PNG", b"RIFF": "WebP",
 }  # fmt: skip
-_TEXTS = {
-    "<": "a web page or other XML",
-    "{": "JSON",
-    "[": "JSON",
-    "version https://git-lfs": "a pointer of Git LFS",
-}
+_TEXTS = {"<": "a web page or other XML", "{": "JSON", "[": "JSON"}
 _KSPLAT = struct.Struct("<2B2xI8xIH")  # version, sections, splats, level of compression
 
 
