@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import torch
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.scene.rotations import quats_of_rotations
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
@@ -109,3 +111,42 @@ def save_checkpoint(gaussians: Gaussians, path: Path) -> None:
         "shN": gaussians.sh[:, 1:].clone(),
     }
     torch.save({"step": 100, "splats": splats}, path)
+
+
+def write_inria_cameras(cameras: Cameras, path: str | Path) -> None:
+    """Write cameras.json. The layout has no principal point; readers take the image centre."""
+    entries = []
+    for position, camera in enumerate(cameras):
+        entries.append(
+            {
+                "id": position,
+                "img_name": camera.name,
+                "width": camera.width,
+                "height": camera.height,
+                "position": camera.position.tolist(),
+                "rotation": camera.viewmat[:3, :3].T.tolist(),
+                "fy": camera.fy,
+                "fx": camera.fx,
+            }
+        )
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    Path(path).write_text(json.dumps(entries, indent=1) + "\n")
+
+
+def write_colmap_text(
+    cameras: Cameras, folder: Path, points: tuple[np.ndarray, np.ndarray] | None = None
+) -> None:
+    """Write a COLMAP model in text, with a lens for each camera."""
+    folder.mkdir(parents=True, exist_ok=True)
+    quats = quats_of_rotations(torch.stack([camera.viewmat[:3, :3] for camera in cameras])).tolist()
+    lenses, images = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"], ["# IMAGE_ID, QW, QX, ..."]
+    for number, (camera, quat) in enumerate(zip(cameras, quats, strict=True), start=1):
+        parameters = f"{camera.fx!r} {camera.fy!r} {camera.cx!r} {camera.cy!r}"
+        lenses.append(f"{number} PINHOLE {camera.width} {camera.height} {parameters}")
+        pose = " ".join(map(repr, (*quat, *camera.viewmat[:3, 3].tolist())))
+        images += [f"{number} {pose} {number} {camera.name}", ""]
+    positions, colors = (np.zeros((0, 3)), np.zeros((0, 3))) if points is None else points
+    rows = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)
+    lines = [" ".join(map(repr, (number, *position, *color, 0))) for number, (position, color) in rows]
+    for name, content in (("cameras", lenses), ("images", images), ("points3D", lines)):
+        (folder / f"{name}.txt").write_text("\n".join(content) + "\n")

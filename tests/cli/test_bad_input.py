@@ -13,17 +13,17 @@ import pytest
 import torch
 
 from cli_support import ASK, BUILD, QUICK, WORDS, refused, run, run_json, write_scene
+from io_samples import write_inria_cameras
 from scoup.io import (
     load_cameras,
     save_gaussians,
     write_colmap,
-    write_inria_cameras,
     write_transforms,
 )
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Cameras
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import view_file
 from support import make_camera, random_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")

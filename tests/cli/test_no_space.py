@@ -29,7 +29,6 @@ from scoup.io import (
     save_gaussians,
     save_png,
     save_regions,
-    write_inria_cameras,
     write_transforms,
 )
 from scoup.models.word_table import save_table
@@ -240,9 +239,7 @@ def writers() -> dict[str, Callable[[], object]]:
         "a.ply": lambda: save_gaussians(gaussians, "a.ply"),
         "a.splat": lambda: save_gaussians(gaussians, "a.splat"),
         "colmap/cameras.bin": lambda: scoup_io.write_colmap(cameras, "colmap"),
-        "text/cameras.txt": lambda: scoup_io.write_colmap(cameras, "text", text=True),
         "transforms.json": lambda: write_transforms(cameras, "transforms.json"),
-        "cameras.json": lambda: write_inria_cameras(cameras, "cameras.json"),
         "features/view_00_f.npy": lambda: save_regions(regions, "features"),
         "words.npz": lambda: save_table("words.npz", ["a", "b"], torch.eye(2)),
         "new.sums": lambda: region_sums(gaussians, cameras, regions, path="new.sums"),
@@ -254,7 +251,7 @@ def writers() -> dict[str, Callable[[], object]]:
 
 
 @pytest.mark.parametrize("path", [
-    "a.ply", "a.splat", "colmap/cameras.bin", "text/cameras.txt", "transforms.json", "cameras.json",
+    "a.ply", "a.splat", "colmap/cameras.bin", "transforms.json",
     "features/view_00_f.npy", "words.npz", "new.sums", "kept.sums", f"temporary file in {tempfile.gettempdir()}",
 ])  # fmt: skip
 def test_every_writer_of_the_library(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ import torch
 
 from cli_support import QUICK, run, snapshot
 from scoup.io import load_gaussians, save_gaussians, save_png
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import view_file
 
 PLY, CAMERAS, IMAGES = "scene/point_cloud.ply", "scene/sparse/0/cameras.bin", "scene/sparse/0/images.bin"
 LABELS, ROWS = "scene/language_features/view_02_s.npy", "scene/language_features/view_02_f.npy"

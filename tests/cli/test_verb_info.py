@@ -13,12 +13,12 @@ import pytest
 from PIL import Image
 
 from cli_support import QUICK, refused, run, run_json, write_scene
+from io_samples import write_inria_cameras
 from scoup.io import (
     load_cameras,
     load_gaussians,
     save_gaussians,
     write_colmap,
-    write_inria_cameras,
     write_transforms,
 )
 from scoup.io.splats.ply import read_ply_table, write_ply_table

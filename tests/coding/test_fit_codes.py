@@ -10,7 +10,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.coding import fit_codes
-from scoup.coding.encode import encode
+from scoup.coding.codebook import encode
 from scoup.coding.report import report_on
 from scoup.scene.codes import SparseCodes
 from support import examples

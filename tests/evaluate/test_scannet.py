@@ -9,8 +9,7 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
-from scoup_lab.data.class_names import NYU40
-from scoup_lab.data.labelled_points import LabelledPoints
+from scoup_lab.data.labelled_points import NYU40, LabelledPoints
 from scoup_lab.evaluate.protocols import scannet
 from scoup_lab.evaluate.protocols.points import NO_CLASS
 

@@ -27,6 +27,8 @@ from tests.io_samples import (
     some_cameras,
     some_gaussians,
     some_regions,
+    write_colmap_text,
+    write_inria_cameras,
 )
 from tests.support import small_scene
 
@@ -37,7 +39,6 @@ from scoup.io import (
     save_png,
     save_regions,
     write_colmap,
-    write_inria_cameras,
     write_spz,
     write_transforms,
 )
@@ -148,7 +149,7 @@ def _write_cameras(folder: Path) -> None:
     cameras, means = some_cameras(2), some_gaussians(3).means.numpy()
     points = (means.astype(float), (means > 0).astype("u1"))
     write_colmap(cameras, folder / "scene" / "sparse" / "0", points)
-    write_colmap(cameras, folder / "text" / "sparse", points, text=True)
+    write_colmap_text(cameras, folder / "text" / "sparse", points)
     save_images(cameras, folder / "scene" / "images")
     write_transforms(cameras, folder / "transforms.json")
     write_inria_cameras(cameras, folder / "cameras.json")

@@ -7,23 +7,27 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import camera_difference, save_images, some_cameras
+from io_samples import camera_difference, save_images, some_cameras, write_colmap_text
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
 from scoup.io import load_cameras
 from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
 
 
-@pytest.mark.parametrize("text", [False, True])
-def test_round_trip(tmp_path, text):
+@pytest.mark.parametrize("write", [write_colmap, write_colmap_text])
+def test_round_trip(tmp_path, write):
     cameras = some_cameras(5)
     points = np.random.default_rng(0).normal(size=(4, 3)), np.arange(12, dtype=np.uint8).reshape(4, 3)
-    write_colmap(cameras, tmp_path / "sparse" / "0", points, text=text)
+    write(cameras, tmp_path / "sparse" / "0", points)
     assert camera_difference(cameras, read_colmap(tmp_path / "sparse" / "0")) < 1e-12
     positions, colors = read_points(tmp_path / "sparse" / "0")
     assert np.array_equal(positions, points[0])
     assert np.array_equal(colors, points[1])
+
+
+def test_a_model_is_not_overwritten(tmp_path):
+    write_colmap(some_cameras(1), tmp_path)
     with pytest.raises(OutputExistsError):
-        write_colmap(cameras, tmp_path / "sparse" / "0", text=text)
+        write_colmap(some_cameras(1), tmp_path)
 
 
 def test_rotations_of_every_angle(tmp_path):
@@ -38,7 +42,7 @@ def test_pycolmap_reads_what_we_write_and_we_what_it_writes(tmp_path, text):
     pycolmap = pytest.importorskip("pycolmap")
     cameras = some_cameras(4)
     points = np.random.default_rng(0).normal(size=(3, 3)), np.arange(9, dtype=np.uint8).reshape(3, 3)
-    write_colmap(cameras, tmp_path / "ours", points, text=text)
+    (write_colmap_text if text else write_colmap)(cameras, tmp_path / "ours", points)
     model = pycolmap.Reconstruction(str(tmp_path / "ours"))
     assert model.num_images() == 4
     for image in model.images.values():
@@ -138,7 +142,7 @@ def test_images_without_a_rotation(tmp_path):
 def test_cameras_of_impossible_sizes_and_lengths(tmp_path: Path) -> None:
     """Focal lengths that vanish when the camera is brought to the size of its image, and more pixels than there are."""
     cameras = some_cameras(1)
-    write_colmap(cameras, tmp_path / "sparse" / "0", text=True)
+    write_colmap_text(cameras, tmp_path / "sparse" / "0")
     save_images(cameras, tmp_path / "images", divisor=2)
     lens = tmp_path / "sparse" / "0" / "cameras.txt"
     for line, said in (

@@ -17,12 +17,12 @@ from io_samples import (
     save_images,
     some_cameras,
     some_gaussians,
+    write_inria_cameras,
 )
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io import as_stored, load_cameras, load_gaussians, load_image, save_gaussians, splat_source
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.cameras.colmap import write_colmap
-from scoup.io.cameras.inria import write_inria_cameras
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.splats.ply import table_from_gaussians, write_ply_table
 from scoup.scene.sanity_checks import sanity_problems

@@ -35,14 +35,9 @@ def test_rows_are_restored(backend, dtype):
     scene = raster.prepare_gaussians(gaussians, backend)
     numbers = torch.arange(100).to(dtype)
     rows = torch.stack([numbers, numbers], 1)
-    moved = (
-        rows
-        if scene.order is None
-        else rows.view(torch.int16)[scene.order].view(dtype)
-        if dtype == torch.uint16
-        else rows[scene.order]
-    )
-    assert torch.equal(scene.restored(moved).long(), rows.long())
+    order = torch.arange(100) if scene.order is None else scene.order
+    moved = rows.view(torch.int16)[order].view(dtype) if dtype == torch.uint16 else rows[order]
+    assert torch.equal(raster.restored(moved, order).long(), rows.long())
 
 
 def test_region_sums_are_in_the_new_order(backend):

@@ -22,7 +22,7 @@ from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 from scoup.uplift.rasterise import add_views, open_sums, region_sums
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import view_file
 from support import changed_regions, make_camera, random_gaussians, small_scene, threads_of_torch, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=2)

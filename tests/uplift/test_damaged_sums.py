@@ -18,8 +18,7 @@ from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.storage.array_file import read_arrays, write_arrays
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import read_arrays, view_file, write_arrays
 from scoup.uplift.vote import vote
 from support import small_scene
 

@@ -21,7 +21,7 @@ from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import view_file
 from support import KINDS, random_gaussians, small_scene
 from uplift.random_votes import sums_of_triplets
 

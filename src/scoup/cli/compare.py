@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
+from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups, arg
 from scoup.cli.query_options import NamingOptions, check_metres
 
 
@@ -24,9 +24,9 @@ class CompareCaptures(NamingOptions):
         "output": "out metres_per_unit",
     }
 
-    field: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OLD", help_behavior_hint="")]
+    field: Annotated[tyro.conf.Positional[Path], arg(metavar="OLD")]
     """The .scoup file of the first capture."""
-    new: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="NEW", help_behavior_hint="")]
+    new: Annotated[tyro.conf.Positional[Path], arg(metavar="NEW")]
     """The .scoup file of the second one, with embeddings of the same model."""
     new_gaussians: OptionalPath = None
     """The splat that NEW was built on; --gaussians is that of OLD. Default: the one NEW names."""

@@ -148,12 +148,7 @@ def is_outside(folder: Path, name: str) -> bool:
 
 
 def warn_of_outside(source: Path, folder: Path, names: Iterable[str]) -> None:
-    """Warn of names of images that leave the scene's folder.
-
-    Args:
-        source: the file that has them.
-        folder: of the scene.
-    """
+    """Warn of names of images, in a file ``source``, that leave the scene's folder."""
     outside = [name for name in names if is_outside(folder, name)]
     if outside:
         warnings.warn(

@@ -95,13 +95,8 @@ def save_table(
     overwrite: bool = False,
     model: str = "",
 ) -> None:
-    """Write an .npz table with arrays ``names`` [M] and ``vectors`` [M, D] float32, scaled to unit norm.
-
-    Args:
-        path: must end in .npz.
-        names: all different.
-        model: id of the embedding model.
-    """
+    """Write a table, whose name ends in .npz, with arrays ``names`` [M], all different, and ``vectors`` [M, D] float32,
+    scaled to unit norm, of an embedding model."""
     check_table_name(path)
     if len(set(names)) != len(names):
         raise InputError(f"{path}: two names of the table are the same")

@@ -122,14 +122,11 @@ class ThingTable:
 
 
 def cosine_spread(agreement: Tensor, n_regions: Tensor, dim: int) -> float:
-    """Return how far the cosines of one thing's regions with a text differ, in the median thing.
+    """Return how far the cosines of one thing's regions with a text differ, in the median thing merged from enough
+    regions.
 
     A region's embedding lies about sqrt(1 - agreement^2) from its thing's mean, in any of the D directions, one of
-    which is the text's. The median is that of the things merged from enough regions.
-
-    Args:
-        agreement, n_regions: [T] of the things (``ThingTable``).
-        dim: D.
+    which is the text's.
     """
     sure = agreement[n_regions >= SURE_REGIONS]
     median = float((sure if len(sure) else agreement.new_ones(1)).median())

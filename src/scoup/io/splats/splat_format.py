@@ -26,11 +26,8 @@ _KSPLAT = struct.Struct("<2B2xI8xIH")  # version, sections, splats, level of com
 
 
 def kind_inside(content: bytes) -> str:
-    """Return the kind of file by its first bytes, for formats that do not begin in a way of their own; "" if unknown.
-
-    Args:
-        content: the first 64 bytes.
-    """
+    """Return the kind of file by its first 64 bytes, for formats that do not begin in a way of their own; "" if
+    unknown."""
     for beginning, kind in _BEGINNINGS.items():
         if content.startswith(beginning):
             return kind

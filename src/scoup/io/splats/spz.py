@@ -50,11 +50,7 @@ def read_spz(path: str | Path) -> Gaussians:
 
 
 def spz_columns(path: Path, content: bytes) -> Columns:
-    """Return the values in the bytes of a .spz file.
-
-    Args:
-        path: for errors.
-    """
+    """Return the values in the bytes of a .spz file; ``path`` is for errors."""
     return _columns(path, content)[1]
 
 

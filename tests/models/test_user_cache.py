@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base.user_cache import cache_folder
+from scoup.models.word_cache import cache_folder
 
 
 @pytest.mark.parametrize(
