@@ -64,16 +64,6 @@ def test_same_seed_same_bytes_and_norms_do_not_matter() -> None:
     torch.testing.assert_close(scaled.atoms, first.atoms, atol=1e-4, rtol=0)
 
 
-def test_zero_rows_get_empty_codes() -> None:
-    rows = random_rows(20)
-    rows[[0, 7, 19]] = 0
-    book = fit_codes(rows, n_atoms=6, k=2, solver="adam", epochs=5)
-    assert_valid(book.codes, rows)
-    assert book.report.regions == 17
-    kept = fit_codes(rows[rows.any(1)], n_atoms=6, k=2, solver="adam", epochs=5)
-    assert kept.atoms.equal(book.atoms)
-
-
 @pytest.mark.parametrize("count", [0, 3])
 def test_nothing_to_code(count: int) -> None:
     book = fit_codes(torch.zeros(count, 8), n_atoms=4, k=2)

@@ -106,15 +106,6 @@ def test_the_level_by_its_peak_with_a_threshold_and_by_its_mean_without() -> Non
     assert select_by_relevancy(relevancy[[1, 1]], coded[:2]).level == 0
 
 
-def test_the_threshold_of_a_level_knows_only_its_coded_gaussians() -> None:
-    relevancy = torch.cat([torch.full((30,), 0.5), torch.full((10,), 0.7), torch.full((5,), 0.99)])[None]
-    coded = torch.ones(1, 45, dtype=torch.bool)
-    coded[0, 40:] = False
-    found = select_by_relevancy(relevancy, coded)
-    assert found.mask.nonzero()[:, 0].tolist() == list(range(30, 40))
-    assert found.fit == pytest.approx(0.7)
-
-
 @pytest.mark.parametrize("threshold", [None, 0.0, 0.6])
 def test_nothing_is_selected_where_nothing_stands_out(threshold: float | None) -> None:
     relevancy = torch.tensor([0.4, 0.6])[:, None].expand(2, 5)
