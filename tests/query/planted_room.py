@@ -13,6 +13,7 @@ from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
+from scoup.scene.things import NO_THING
 from support import gaussians_at, things_of, unit
 
 DIM = 32
