@@ -52,7 +52,15 @@ class RealScene:
     def open(cls, name: str, data: Path) -> RealScene:
         """Open a scene of ``REAL_SCENES`` from the folder of the data."""
         place, features = REAL_SCENES[name]
-        folder = data / place
+        scene = cls.of_folder(data / place, features, data)
+        if name.startswith("desk"):
+            return scene
+        meanings = json.loads((scene.folder / "words.json").read_text())
+        return replace(scene, counts=true_counts(name.partition("-")[0], scene.cameras, meanings))
+
+    @classmethod
+    def of_folder(cls, folder: Path, features: str, data: Path) -> RealScene:
+        """Open a scene that lies anywhere, without counts; its words are those of desk's table."""
         cameras = scoup.load_cameras(folder)
         held_out = folder / "held_out.json"
         labelled = scoup.load_cameras(held_out) if held_out.exists() else cameras
@@ -61,10 +69,8 @@ class RealScene:
             for frame, camera in match_frames(read_labels(folder / "label"), labelled)
         ]
         meanings = json.loads((folder / "words.json").read_text())
-        counts: dict[str, int] = {}
         if held_out.exists():
             frames = [(renamed(frame, meanings), camera) for frame, camera in frames]
-            counts = true_counts(name.partition("-")[0], cameras, meanings)
         encoder = scoup.TextEncoder.open(data / "desk" / "desk_words.npz")
         words = tuple(word for word in encoder.names or () if word not in CANONICAL_PHRASES)
         desk = json.loads((data / "desk" / "words.json").read_text())["absent"]
@@ -76,10 +82,8 @@ class RealScene:
             words,
             torch.nn.functional.normalize(encoder.encode(words), dim=1),
             encoder.canonical(),
-            tuple(desk)
-            if name.startswith("desk")
-            else tuple(word for word in ABSENT.split(",") if word in words),
-            counts,
+            tuple(word for word in ABSENT.split(",") if word in words) if held_out.exists() else tuple(desk),
+            {},
         )
 
 

@@ -38,10 +38,10 @@ class SharedDecoder:
     @cached_property
     def _image(self) -> _Image:
         model = self.model
-        dense, places = model.prompt_encoder.no_mask_embed.weight, model.get_image_wide_positional_embeddings()
+        dense = model.prompt_encoder.no_mask_embed.weight.reshape(1, -1, 1, 1)
+        images = self.embedding + dense, model.get_image_wide_positional_embeddings()
         tokens, places = (
-            values.to(self.embedding.dtype).flatten(2).transpose(1, 2).contiguous()
-            for values in (self.embedding + dense.reshape(1, -1, 1, 1), places)
+            each.to(self.embedding.dtype).flatten(2).transpose(1, 2).contiguous() for each in images
         )
         first = model.mask_decoder.transformer.layers[0]
         to_image, from_image = first.cross_attn_token_to_image, first.cross_attn_image_to_token
