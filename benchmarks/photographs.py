@@ -107,21 +107,19 @@ class Photographs(Study):
         }
 
     def _miou(self, folder: Path, views: Sequence[Camera], regions: str = "language_features") -> float:
-        """Return the mIoU of the field of some views."""
-        found = []
+        """Return the mIoU of the fields of some views: the poolings have the same masks."""
+        cameras, found = Cameras(views), []
+        scene = with_splat(RealScene.of_folder(folder, regions, self.data, cameras))
+        asked = with_everyday(scene.canonical, scene.everyday)
         for pooling in POOLINGS:
-            opened = RealScene.of_folder(folder, regions + pooling, self.data)
-            cameras = Cameras(views)
-            maps = scoup.load_regions(folder / (regions + pooling), cameras)
-            scene = with_splat(folder.name, replace(opened, cameras=cameras, regions=maps))
-            fitted = METHODS["sparse"].uplift(scene.inputs(), MethodSettings(SEED))
-            asked = with_everyday(scene.canonical, scene.everyday)
+            pooled = scoup.load_regions(folder / (regions + pooling), cameras)
+            embeddings = [pooled.embeddings(level)[0] for level in pooled.levels]
+            inputs = replace(scene, embeddings=embeddings).inputs()
+            fitted = METHODS["sparse"].uplift(inputs, MethodSettings(SEED))
             answers = answers_of(scene, fitted, tuple(scene.queries), asked)
-            found += [
-                iou(mask, frame.masks[label])
-                for frame, view in scene.frames
-                for label, mask in zip(
-                    frame.labels, drawn_masks([answers[label] for label in frame.labels], view), strict=True
-                )
-            ]
+            for frame, view in scene.frames:
+                masks = drawn_masks([answers[label] for label in frame.labels], view)
+                found += [
+                    iou(mask, frame.masks[label]) for label, mask in zip(frame.labels, masks, strict=True)
+                ]
         return round(mean(found), 3)

@@ -59,8 +59,8 @@ class RealScene:
         return replace(scene, counts=true_counts(name.partition("-")[0], scene.cameras, meanings))
 
     @classmethod
-    def of_folder(cls, folder: Path, features: str, data: Path) -> RealScene:
-        """Open a scene that lies anywhere, without counts; its words are those of desk's table."""
+    def of_folder(cls, folder: Path, features: str, data: Path, chosen: Cameras | None = None) -> RealScene:
+        """Open a scene that lies anywhere, of all or of chosen views, without counts; desk's table has its words."""
         cameras = scoup.load_cameras(folder)
         held_out = folder / "held_out.json"
         labelled = scoup.load_cameras(held_out) if held_out.exists() else cameras
@@ -76,8 +76,8 @@ class RealScene:
         desk = json.loads((data / "desk" / "words.json").read_text())["absent"]
         return cls(
             folder,
-            cameras,
-            scoup.load_regions(folder / features, cameras),
+            chosen or cameras,
+            scoup.load_regions(folder / features, chosen or cameras),
             frames,
             words,
             torch.nn.functional.normalize(encoder.encode(words), dim=1),
