@@ -31,7 +31,6 @@ WAYS = {
     ALL_POINTS: replace(_FAST, by_need=False),
     "fast": _FAST,
     "fast, 20 x 20 points": replace(_FAST, points_per_side=20),
-    "fast, with crops": replace(_FAST, crop_layers=1),
 }
 """How MobileSAM is asked, all points first; the preset fast is the default without a GPU."""
 IN_32_BITS, SECOND = "fast, 32 bits", "fast, SAM 2 tiny"
