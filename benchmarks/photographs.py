@@ -42,9 +42,9 @@ class Photographs(Study):
 
     scenes: Path
     """Folder of the scenes."""
-    captures: tuple[str, ...] = ("table-51", "hall-51")
+    captures: tuple[str, ...] = ("hall-51", "table-51")
     """Names of the captures."""
-    points: tuple[str, ...] = ("desk", "shelves-21", "hall-21", "yard-21")
+    points: tuple[str, ...] = ("desk",)
     """Names of the scenes with two sets of masks."""
     data: Path = field(default_factory=data_folder)
     """Folder of desk, whose words are asked."""
