@@ -44,7 +44,7 @@ class Photographs(Study):
     """Folder of the scenes."""
     captures: tuple[str, ...] = ("hall-51", "table-51")
     """Names of the captures."""
-    points: tuple[str, ...] = ("desk",)
+    points: tuple[str, ...] = ("desk", "hall-21")
     """Names of the scenes with two sets of masks."""
     data: Path = field(default_factory=data_folder)
     """Folder of desk, whose words are asked."""
