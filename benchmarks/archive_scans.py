@@ -23,7 +23,7 @@ from benchmarks.embedding_kinds import EmbeddingKind, draw_prototypes
 from benchmarks.real_scenes import ABSENT, FOLDERS
 from benchmarks.scenes import LAYOUTS
 from scoup.archive.archive import Archive
-from scoup.archive.read_scans import read_blocks, read_records, read_scans
+from scoup.archive.read_scans import read_block, read_records
 from scoup.archive.scan_files import Scan, ScanRecord, connect
 from scoup.archive.search import words_digest
 from scoup.models.words import CANONICAL_PHRASES
@@ -124,12 +124,11 @@ class World:
             archive.add(path)
         connection = connect()
         files = [archive.folder / f"{layout}.parquet" for layout in LAYOUTS]
-        (block,) = read_blocks(read_records(files, connection), connection)
-        scans = read_scans([(block, number) for number in range(len(files))], connection)
+        block = read_block(read_records(files, connection), connection)
         things = {layout: LAYOUTS[layout].things() for layout in LAYOUTS}
         return [
             TrueScan(scan, _boxes((self.meanings[layout].get(each.name), each) for each in things[layout]))
-            for scan, layout in zip(scans, LAYOUTS, strict=True)
+            for scan, layout in zip(map(block.scan, range(len(files))), LAYOUTS, strict=True)
         ]
 
 
@@ -242,7 +241,7 @@ class _Scan:
         best_fits = ComparedTable.known(table, everyday, hubs, sizes, overlaps).best_fits
         file, dim, words = Path(f"{name}.parquet"), means.shape[1], words_digest(everyday)
         record = ScanRecord(
-            name, file, file.with_suffix(".scoup"), "simulated", dim, ("s", "m", "l"), {}, len(levels), words, best_fits
+            name, file, f"{name}.scoup", "simulated", dim, ("s", "m", "l"), {}, len(levels), words, best_fits
         )  # fmt: skip
         middles = (pieces * self.sizes) @ self.middles / counts[:, None]
         boxes = np.tile(np.append(np.eye(3), [0.1] * 3), (len(levels), 1))

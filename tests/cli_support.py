@@ -30,6 +30,8 @@ from support import small_scene, unit
 WORDS = ("kettle", "mug", "wooden table")
 QUICK = ("--n-atoms", "8", "--effort", "fast")
 """Options that make a build quick."""
+FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
+"""Options of an extraction without models."""
 BUILD = ("build", "scene", *QUICK, "--out", "a.scoup")
 ASK = {
     "query": ("query", "f.scoup", "kettle", "--out", "answers"),
@@ -65,6 +67,18 @@ def write_scene(folder: Path, count: int = 150, seed: int = 0, mark: str = "") -
     return folder
 
 
+def plain_photographs(folder: Path | str = "scene/images", count: int = 4) -> None:
+    """So many photographs of the views, of few regions, in place of those that are there."""
+    for number in range(4):
+        path = Path(folder) / f"view_0{number}.png"
+        path.unlink(missing_ok=True)
+        if number < count:
+            pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
+            pixels[:15, : 10 + 5 * number] = torch.tensor([200, 30, 30], dtype=torch.uint8)
+            pixels[15:, 20:] = torch.tensor([30, 200, 60], dtype=torch.uint8)
+            save_png(pixels, path)
+
+
 def add_words(table: Path | str = "scene/words.npz", path: Path | str = "many.npz", seed: int = 5) -> str:
     """Write a word table with 30 more words, random as the others, so that presence is judged; its path."""
     known = load_table(Path(table))
@@ -83,6 +97,13 @@ def run(*arguments: object) -> tuple[int, str, str]:
         except SystemExit as stop:  # the parser's own refusals
             code = stop.code if isinstance(stop.code, int) else 1
     return code, out.getvalue(), err.getvalue()
+
+
+def printed(*arguments: object) -> str:
+    """Run, expect success without a warning; standard output."""
+    code, out, err = run(*arguments)
+    assert (code, err) == (0, "")
+    return out
 
 
 def together(*commands: Sequence[object]) -> list[CompletedProcess[str]]:
@@ -112,11 +133,11 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 def refused(*arguments: object, folder: Path | None = None) -> str:
     """Run what must be refused, for people and for machines; the one sentence said.
 
-    Checks that it is one line on standard error, the same in the JSON object, exit code 2, and that no file below
-    ``folder`` (the current one) changed, appeared or went.
+    Checks that it is one line on standard error, the same in the JSON object, exit code 2, and that no file or folder
+    below ``folder`` (the current one) changed, appeared or went.
     """
     folder = folder or Path.cwd()
-    before = snapshot(folder)
+    before, entries = snapshot(folder), set(folder.rglob("*"))
     code, out, err = run(*arguments)
     assert code == 2, (code, out, err)
     lines = err.splitlines()
@@ -127,4 +148,5 @@ def refused(*arguments: object, folder: Path | None = None) -> str:
     assert (code, json.loads(out)) == (2, {"error": message})
     assert err.splitlines() == lines
     assert snapshot(folder) == before
+    assert set(folder.rglob("*")) == entries
     return message

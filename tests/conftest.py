@@ -9,7 +9,7 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from subprocess import DEVNULL
@@ -81,6 +81,18 @@ def mobile_sam() -> Path:
     return path
 
 
+@pytest.fixture(params=["baseline", "v3", "v4"])
+def instruction_set(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The compiled core uses it, wherever the CPU and SCOUP_NATIVE let it."""
+    core, asked = native.require_core(), os.environ.get("SCOUP_NATIVE", "")
+    if asked not in ("", request.param):
+        pytest.skip(f"SCOUP_NATIVE asks for {asked}")
+    if not core.use_isa(request.param):
+        pytest.skip(f"this CPU does not run {request.param}")
+    yield request.param
+    core.use_isa(asked or "best")
+
+
 @pytest.fixture(scope="session")
 def needs_triton() -> None:
     """Tests that compile or interpret kernels are skipped where triton is not installed."""
@@ -95,6 +107,12 @@ def triton_interpreter(needs_triton: None) -> Iterator[ProcessPoolExecutor]:
 
     with interpreter() as worker:
         yield worker
+
+
+@pytest.fixture(scope="session")
+def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
+    """Runs a check of kernels, which takes a device last, with interpreted ones."""
+    return lambda check, *arguments: triton_interpreter.submit(check, *arguments, "cpu").result()
 
 
 @pytest.fixture

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from scoup.io.regions.views import ViewRegions
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.scene.rotations import quats_of_rotations, rotation_matrices
 
 
 def some_gaussians(count: int = 7, degree: int = 1, seed: int = 0) -> Gaussians:
@@ -29,6 +32,17 @@ def same_gaussians(one: Gaussians, other: Gaussians) -> bool:
     """Equal bit by bit (a negative zero counts as zero)."""
     pairs = zip(one.tensors().values(), other.tensors().values(), strict=True)
     return one.antialiased == other.antialiased and all(torch.equal(*pair) for pair in pairs)
+
+
+def angles(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    """Degrees between rotations."""
+    return torch.rad2deg(2 * torch.acos((one.double() * other.double()).sum(1).abs().clamp(max=1)))
+
+
+def covariances(gaussians: Gaussians) -> torch.Tensor:
+    """[N, 3, 3] float64."""
+    axes = rotation_matrices(gaussians.quats.double()) * gaussians.scales.double()[:, None]
+    return axes @ axes.transpose(1, 2)
 
 
 def some_cameras(
@@ -70,6 +84,14 @@ def some_regions(cameras: Cameras, dimensions: int = 8, seed: int = 0) -> Region
     return Regions.from_maps(maps)
 
 
+def stored_view(regions: Regions, name: str, dtype: str = "<f4", photograph: str = "") -> ViewRegions:
+    """The regions of one view as they are stored."""
+    maps = {level: regions.load(name, level) for level in LEVELS}
+    labels = {level: item.labels.numpy() for level, item in maps.items()}
+    rows = {level: item.embeddings.numpy().astype(dtype) for level, item in maps.items()}
+    return ViewRegions(name, labels, rows, photograph)
+
+
 def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:
     """A PNG of noise for every camera."""
     from PIL import Image
@@ -109,3 +131,42 @@ def save_checkpoint(gaussians: Gaussians, path: Path) -> None:
         "shN": gaussians.sh[:, 1:].clone(),
     }
     torch.save({"step": 100, "splats": splats}, path)
+
+
+def write_inria_cameras(cameras: Cameras, path: str | Path) -> None:
+    """Write cameras.json. The layout has no principal point; readers take the image centre."""
+    entries = []
+    for position, camera in enumerate(cameras):
+        entries.append(
+            {
+                "id": position,
+                "img_name": camera.name,
+                "width": camera.width,
+                "height": camera.height,
+                "position": camera.position.tolist(),
+                "rotation": camera.viewmat[:3, :3].T.tolist(),
+                "fy": camera.fy,
+                "fx": camera.fx,
+            }
+        )
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    Path(path).write_text(json.dumps(entries, indent=1) + "\n")
+
+
+def write_colmap_text(
+    cameras: Cameras, folder: Path, points: tuple[np.ndarray, np.ndarray] | None = None
+) -> None:
+    """Write a COLMAP model in text, with a lens for each camera."""
+    folder.mkdir(parents=True, exist_ok=True)
+    quats = quats_of_rotations(torch.stack([camera.viewmat[:3, :3] for camera in cameras])).tolist()
+    lenses, images = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"], ["# IMAGE_ID, QW, QX, ..."]
+    for number, (camera, quat) in enumerate(zip(cameras, quats, strict=True), start=1):
+        parameters = f"{camera.fx!r} {camera.fy!r} {camera.cx!r} {camera.cy!r}"
+        lenses.append(f"{number} PINHOLE {camera.width} {camera.height} {parameters}")
+        pose = " ".join(map(repr, (*quat, *camera.viewmat[:3, 3].tolist())))
+        images += [f"{number} {pose} {number} {camera.name}", ""]
+    positions, colors = (np.zeros((0, 3)), np.zeros((0, 3))) if points is None else points
+    rows = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)
+    lines = [" ".join(map(repr, (number, *position, *color, 0))) for number, (position, color) in rows]
+    for name, content in (("cameras", lenses), ("images", images), ("points3D", lines)):
+        (folder / f"{name}.txt").write_text("\n".join(content) + "\n")

@@ -79,12 +79,8 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
         "weights": F32,
         "count": "i32",
     }
-    found["unpack"] = (
-        regions.unpack_kernel,
-        {**types, "n_combinations": "i32", "scale": "fp32"},
-        {"BLOCK": 256},
-        4,
-    )
+    types |= {"n_combinations": "i32", "scale": "fp32"}
+    found["unpack"] = regions.unpack_kernel, types, {"BLOCK": 256}, 4
     types = {
         "starts": I64, "combinations": I32, "shares": F32, "rows": I32, "atoms": I32, "weights": F32,
         "inverse_norms": F32, "grams": F32, "earlier_atoms": I32, "earlier_weights": F32, "sharpness": F32, "out": F32,
@@ -93,12 +89,8 @@ def launches() -> dict[str, tuple[Any, dict[str, str], dict[str, Any], int]]:
     for n_atoms, earlier_k, keep in ((64, 0, 4), (128, 4, 4), (1024, 4, 0)):
         constants = {"K": 4, "EARLIER_K": earlier_k, "KEEP": keep, **vote_triton.blocks(n_atoms)}
         warps = constants.pop("num_warps")
-        found[f"vote, {n_atoms} atoms, {earlier_k} earlier"] = (
-            vote_kernel.vote_kernel,
-            types,
-            constants,
-            warps,
-        )
+        name = f"vote, {n_atoms} atoms, {earlier_k} earlier"
+        found[name] = vote_kernel.vote_kernel, types, constants, warps
     types = {name: SCENE[name] for name in ("means", "scales", "opacities", "camera")}
     found["sieve"] = projection.sieve_kernel, {**types, "keep": I8, "count": "i32"}, {"BLOCK": 128}, 4
     visible = {"geometry": DOUBLE, "centres": DOUBLE, "rects": I32, "across": "i32", "down": "i32"}

@@ -12,7 +12,7 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build_settings import BuildSettings
-from support import make_camera, unit
+from support import gaussians_at, make_camera, unit
 
 DIM = 24
 LEVELS = ("s", "m")
@@ -57,14 +57,7 @@ def planted_wall(views: int = 5, noise: float = 0.05, seed: int = 0) -> Wall:
     generator = torch.Generator().manual_seed(seed)
     x, y = torch.meshgrid(torch.arange(-2.35, 2.4, 0.1), torch.arange(-1.15, 1.2, 0.1), indexing="ij")
     means = torch.stack([x.flatten(), y.flatten(), torch.full_like(x.flatten(), 4.0)], 1)
-    count = len(means)
-    gaussians = Gaussians(
-        means,
-        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
-        torch.full((count, 3), 0.04),
-        torch.full((count,), 0.9),
-        torch.zeros(count, 1, 3),
-    )
+    gaussians = gaussians_at(means, 0.04)
     common = unit(torch.randn(DIM, generator=generator))
     vectors = unit(common + unit(torch.randn(COUNT, DIM, generator=generator)))
     words = unit(common + unit(torch.randn(40, DIM, generator=generator)))

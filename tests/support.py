@@ -4,18 +4,33 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import torch
 from hypothesis import strategies as st
 
+from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.scene.things import NO_THING, ThingTable
 
 
 def examples(full: int) -> int:
     """How many examples a test tries: a quarter of ``full``; all of them in ``make test-all``."""
     return full if os.environ.get("SCOUP_TEST_EXAMPLES") == "all" else max(5, full // 4)
+
+
+@contextmanager
+def threads_of_torch(count: int) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 KINDS = (
@@ -30,8 +45,6 @@ KINDS = (
     "tiny",
     "zero quat",
 )
-
-
 SCALES = {"huge": [50.0, 80.0, 20.0], "needle": [2.0, 1e-5, 1e-5], "tiny": [1e-9] * 3}
 
 
@@ -125,6 +138,46 @@ def small_scene(
             for s, level in enumerate(LEVELS)
         }
     return gaussians, cameras, Regions.from_maps(maps)
+
+
+def changed_regions(regions: Regions, change: Callable[[str, str, RegionMap], RegionMap]) -> Regions:
+    """Other maps in place of the map of each view and level."""
+
+    def load(name: str, level: str) -> RegionMap:
+        return change(name, level, regions.load(name, level))
+
+    return Regions(regions.levels, regions.view_names, load)
+
+
+def gaussians_at(means: torch.Tensor, scale: float = 0.01, opacity: float = 0.9) -> Gaussians:
+    """Small round Gaussians without a colour at these places."""
+    count = len(means)
+    quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1)
+    opacities = torch.full((count,), opacity)
+    return Gaussians(means.float(), quats, torch.full((count, 3), scale), opacities, torch.zeros(count, 1, 3))
+
+
+def things_of(
+    owners: torch.Tensor, levels: torch.Tensor, embeddings: torch.Tensor, **parts: Any
+) -> ThingTable:
+    """A table of things without parents, alike but for what is given."""
+    count = len(levels)
+    given = {
+        "parents": torch.full((count,), NO_THING, dtype=torch.int32), "agreement": torch.full((count,), 0.99),
+        "n_regions": torch.full((count,), 9, dtype=torch.int32), "mass": torch.ones(count),
+        "stability": torch.ones(count), **parts,
+    }  # fmt: skip
+    return ThingTable(owners.int(), levels.to(torch.uint8), embeddings=embeddings.half(), **given)
+
+
+def altered(field: LanguageField, **parts: Any) -> LanguageField:
+    """The field with other parts, without its encoder."""
+    given = {
+        "code_indices": field.code_indices, "code_weights": field.code_weights, "codebook": field.codebook,
+        "info": field.info, "gaussians": field.gaussians if field.has_geometry else None,
+        "cameras": field.cameras, "thing_table": field.thing_table,
+    }  # fmt: skip
+    return LanguageField(**{**given, **parts})
 
 
 def unit(rows: torch.Tensor) -> torch.Tensor:

@@ -1,8 +1,10 @@
-"""The examples that build in parts, without the engines (tests/test_engines.py has Slurm and Ray)."""
+"""The examples that build in parts, without the engines (tests/test_engines.py has Slurm and Ray), and the recipes for
+many scenes, with the tools that are installed."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -14,7 +16,11 @@ from cli_support import run, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick_python")
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+TOOLS = (ROOT / "docs" / "many_scenes.md").read_text().partition("## Other tools")[2]
+RECIPES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```$", TOOLS, re.M | re.S))
+needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="there is no program make")
 SCOUP = """#!/bin/sh
 exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
 """
@@ -84,12 +90,10 @@ def test_slurm(parts_folder: Path) -> None:
     assert is_whole()
     assert "contains 4 views already" in launched(*submit)
     assert is_whole()
-    assert "pass SCENE FIELD.scoup COUNT" in launched(
-        "bash", EXAMPLES / "slurm.sh", "scene", "g.scoup", code=1
-    )
+    assert "pass SCENE FIELD.scoup COUNT" in launched(*submit[:4], code=1)
 
 
-@pytest.mark.skipif(shutil.which("make") is None, reason="there is no program make")
+@needs_make
 def test_make(parts_folder: Path) -> None:
     make = ("make", "-f", EXAMPLES / "parts.mk", "SCENE=scene", "FIELD=g.scoup", "COUNT=3")
     options = ("BUILD=--model scene/words.npz --json",)
@@ -101,3 +105,39 @@ def test_make(parts_folder: Path) -> None:
     assert launched(*make, *options).count("scoup build scene") == 2
     assert is_whole()
     assert Path("g.scoup").stat().st_mtime_ns > made.st_mtime_ns
+
+
+@pytest.fixture
+def scenes(parts_folder: Path) -> None:
+    """Two scenes, and a folder for their fields."""
+    for name in "ab":
+        shutil.copytree("scene", f"scenes/{name}")
+    Path("fields").mkdir()
+
+
+def check_fields() -> None:
+    for name in "ab":
+        assert run("info", f"fields/{name}.scoup")[0] == 0
+
+
+def test_the_page_has_the_recipes_that_are_tested() -> None:
+    assert list(RECIPES) == ["Make", "Slurm"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script of Unix shells")
+def test_slurm_deals_scenes_out(scenes: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each task as Slurm would start it, without a GPU."""
+    script = RECIPES["Slurm"].replace(" --device cuda", "")
+    monkeypatch.setenv("SLURM_ARRAY_TASK_COUNT", "2")
+    for task, made in (("1", ["b.scoup"]), ("0", ["a.scoup", "b.scoup"])):
+        monkeypatch.setenv("SLURM_ARRAY_TASK_ID", task)
+        launched("bash", "-c", script)
+        assert sorted(path.name for path in Path("fields").glob("*.scoup")) == made
+    check_fields()
+
+
+@needs_make
+def test_make_builds_all_scenes(scenes: None) -> None:
+    Path("Makefile").write_text(RECIPES["Make"])
+    launched("make", "--keep-going", "--jobs", "2")
+    check_fields()

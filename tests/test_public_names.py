@@ -12,10 +12,9 @@ from scoup import raster
 
 
 def test_importing_scoup_is_light():
-    """`import scoup` loads neither torch nor model code."""
-
-    heavy = ("torch", "numpy", "transformers", "PIL", "scipy")
-    code = f"import sys, scoup; print([name for name in {heavy} if name in sys.modules])"
+    """`import scoup` loads neither torch nor model code nor the compiled core."""
+    heavy = ("torch", "numpy", "transformers", "PIL", "scipy", "scoup._native")
+    code = f"import sys, scoup, scoup.base.native; print([name for name in {heavy} if name in sys.modules])"
     assert finished([sys.executable, "-c", code]).stdout.strip() == "[]"
 
 

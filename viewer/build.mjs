@@ -22,7 +22,8 @@ const result = await build({
 copyFileSync(join(here, "index.html"), join(out, "index.html"));
 copyFileSync(join(here, "style.css"), join(out, "viewer.css"));
 const inputs = Object.keys(result.metafile.inputs);
-writeFileSync(join(out, "licences.txt"), `${licences(inputs)}\n${"-".repeat(80)}\n\n${wasmLicences(inputs)}`);
+const apache = readFileSync(join(here, "..", "LICENSE"), "utf8"); // ours, too
+writeFileSync(join(out, "licences.txt"), [licences(inputs), wasmLicences(inputs), apache].join(`\n${"-".repeat(80)}\n\n`));
 
 /** The licence texts of the packages in the bundle: those its files are from, and what these depend on, which they may hold inlined. */
 function licences(files) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import re
@@ -12,25 +13,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 import scoup
 from cli_support import refused, run, run_json
+from mask_samples import smooth_image
 from query import planted_room as planted
 from query.planted_room import ABSENT, ROOM, Box, planted_room
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive import kept_scans
+from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
-from scoup.archive.read_scans import ScanBlock, read_blocks
+from scoup.archive.read_scans import ScanBlock, read_block
 from scoup.archive.results_page import results_page
 from scoup.archive.scan_files import ScanRecord
-from scoup.archive.search import ImageSearch
+from scoup.archive.search import ImageSearch, Search
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, UnknownNameError
 from scoup.extract.plain_colors import PlainColors
 from scoup.field.language_field import LanguageField
+from scoup.models.image import open_image_model
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.query.presence import LIKELY
@@ -97,6 +100,10 @@ def test_answers_are_those_of_the_fields(
             (each.scan, each.thing) for each in found[:top]
         ]
     assert bool(found) == (question != ABSENT)
+    encoder = archive.text_encoder()
+    search = Search.of(question, encoder, encoder.encode, False, None)
+    for bound, asked in archive._ranked(search, None):
+        assert all(asked.rank(*answer)[1] < bound for answer in asked.things())
 
 
 def assert_answers_are_those_of(
@@ -209,18 +216,61 @@ def test_what_has_not_changed_is_read_once(
 ) -> None:
     read: list[list[str]] = []
 
-    def reading(records: Sequence[ScanRecord], connection: Any) -> list[ScanBlock]:
+    def reading(records: Sequence[ScanRecord], connection: Any) -> ScanBlock:
         read.append([record.name for record in records])
-        return read_blocks(records, connection)
+        return read_block(records, connection)
 
-    monkeypatch.setattr(kept_scans, "read_blocks", reading)
+    monkeypatch.setattr(kept_scans, "read_block", reading)
     for where in (None, "floor = 1", None):
         archive.find("mug", where=where)
     archive.add(fields["hall"], floor=7)
     archive.find("mug")
     archive.remove("kitchen")
     archive.find("mug")
-    assert read == [["hall", "kitchen", "office"], [], [], ["hall"], []]
+    assert read == [["hall", "kitchen", "office"], ["hall"]]
+
+
+def test_what_was_read_of_many_scans_is_kept(
+    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_scans, "LEAST_KEPT", 1)
+    kept, wanted = archive.folder / kept_scans.KEPT, [each.to_dict() for each in archive.find("mug")]
+    read: list[int] = []
+    monkeypatch.setattr(
+        kept_scans, "read_block", lambda *given: read.append(len(given[0])) or read_block(*given)
+    )
+
+    def found() -> list[dict[str, Any]]:
+        return [each.to_dict() for each in scoup.Archive(archive.folder).find("mug")]
+
+    assert (found(), read) == (wanted, [])
+    for damage in (lambda: flipped(kept, 5000), lambda: flipped(kept, 9), lambda: kept.write_bytes(b"")):
+        damage()
+        assert (found(), read.pop()) == (wanted, 3)
+        assert (found(), read) == (wanted, [])
+    monkeypatch.setattr(kept_scans, "VERSION", 9)
+    assert (found(), read.pop()) == (wanted, 3)
+    size = kept.stat().st_size
+    archive.remove("hall")
+    assert found() == [each for each in wanted if each["scan"] != "hall"]
+    assert kept.stat().st_size < size
+    archive.add(fields["office"], floor=9)
+    assert {each["columns"]["floor"] for each in found()} == {1, 9}
+    assert (read, kept.stat().st_size < size) == ([1], True)
+    warm = scoup.Archive(archive.folder)
+    assert warm.find("mug")
+    kept.unlink()
+    kept.mkdir()  # cannot be written
+    assert ({each["scan"] for each in found()}, read) == ({"kitchen", "office"}, [1, 2])
+    for name in ("kitchen", "office"):
+        archive.remove(name)
+    assert (warm.find("mug"), found()) == ([], [])
+
+
+def flipped(path: Path, place: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1
+    path.write_bytes(data)
 
 
 def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
@@ -303,28 +353,50 @@ def test_a_page_has_no_pictures_of_what_is_gone(fields: dict[str, LanguageField]
 
 
 def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planted, "DIM", PlainColors.dim)
-    field, colors = planted_room(), {LAMP: "red", MUG: "#ff3c00", BALL: "blue"}
+    pytest.importorskip("transformers", reason="transformers is not installed")
+    from tiny_models import saved, tiny_clip
+
+    model = str(saved(tiny_clip(), tmp_path / "model"))
+    embedder = open_image_model(model)
+    monkeypatch.setattr(planted, "DIM", embedder.dim)
+    monkeypatch.chdir(tmp_path)
+    field = planted_room()
     assert field.thing_table is not None
     vectors = field.thing_table.embeddings.clone()
-    for thing, color in colors.items():
-        Image.new("RGB", (30, 30), color).save(tmp_path / f"{color}.png")
-        pixels = torch.from_numpy(np.array(Image.new("RGB", (64, 64), color)))
-        vectors[thing] = PlainColors().embed(pixels[None])[0]
+    for thing in (LAMP, MUG, BALL):
+        pixels = smooth_image(32, 32, thing)
+        Image.fromarray(pixels).save(f"{thing}.png")
+        vectors[thing] = embedder.embed(torch.from_numpy(pixels)[None])[0]
     field.thing_table = replace(field.thing_table, embeddings=vectors)
-    field.info = replace(field.info, embedding_model=PlainColors.name)
-    field.save(tmp_path / "a.scoup")
-    archive = scoup.Archive(tmp_path / "a", field.text_encoder())
+    field.info = replace(field.info, embedding_model=model)
+    field.save("a.scoup")
+    encoder = field.text_encoder()
+    archive = scoup.Archive("a", encoder)
     archive.add(field, floor=1)
-    found = archive.find_image(tmp_path / "red.png", top=3)
-    assert [each.thing for each in found[:2]] == [LAMP, MUG]
-    assert (len(found), found[0].text) == (3, "red.png")
-    assert found[0].score == pytest.approx(1, abs=2e-3)
-    assert [each.thing for each in archive.find_image(tmp_path / "blue.png", "thing > 3", 1)] == [BALL]
-    assert archive.find_image(tmp_path / "red.png", "floor = 2") == []
+    for thing in (LAMP, MUG, BALL):
+        found = archive.find_image(f"{thing}.png", top=3)
+        assert (found[0].thing, len(found), found[0].text) == (thing, 3, f"{thing}.png")
+        assert found[0].score == pytest.approx(1, abs=2e-3)
+    assert [each.thing for each in archive.find_image(f"{BALL}.png", "thing > 3", 1)] == [BALL]
+    assert archive.find_image(f"{LAMP}.png", "floor = 2") == []
+    save_table("words.npz", encoder.names or (), encoder.encode(encoder.names or ()).numpy())
+    printed = run_json("archive", "a", "--image", f"{MUG}.png", "--top", "2", "--text", "words.npz")
+    wanted = [each.to_dict() for each in archive.find_image(f"{MUG}.png", top=2)]
+    assert printed["things"] == wanted
+    tool, image = archive_tool(archive), base64.b64encode(Path(f"{MUG}.png").read_bytes()).decode()
+    told = tool(image=image, limit=2)["things"]
+    assert [each["thing"] for each in told] == [each["thing"] for each in wanted]
+    for arguments, said in (
+        ({"image": "?"}, "not base64"),
+        ({"image": "aaaa"}, "image: "),
+        ({"image": image, "text": "mug"}, "without `image`"),
+        ({}, "expected an image or a text"),
+    ):
+        with pytest.raises((InputError, FileFormatError), match=said):
+            tool(**arguments)
     # What a lamp is a part of, and its parts, are left out.
-    (place,) = archive._kept.places(archive._files())
-    (scan,) = archive._kept.scans([place])
+    ((block, number),) = archive._kept.places().values()
+    scan = archive._kept.scan(block, number)
     for pair in ((LAMP, MUG), (MUG, LAMP)):
         shares = scan.shared.to_dense()
         shares[pair] = shares[pair[::-1]] = scan.counts[pair[0]] * 0.6
@@ -340,10 +412,10 @@ def test_an_image_needs_an_embedder_of_images(
 ) -> None:
     path = tmp_path / "a.png"
     Image.new("RGB", (20, 30)).save(path)
-    with pytest.raises(InputError, match=r"some/model .* embeds no image here .*cannot be loaded"):
+    with pytest.raises(InputError, match=r"some/model .*embeds no image here .*cannot be loaded"):
         archive.find_image(path)
     monkeypatch.setattr("scoup.extract.registry.open_embedder", lambda name: PlainColors())
-    with pytest.raises(InputError, match=r"32 dimensions.*embeds images in 72"):
+    with pytest.raises(InputError, match=r"32 dimensions.*embeds no image here \(it has 72 dimensions"):
         archive.find_image(path)
     with pytest.raises(InputError, match="contains no scan"):
         scoup.Archive(tmp_path / "nothing").find_image(path)

@@ -8,42 +8,30 @@ import pickle
 import pytest
 
 from scoup.base import errors
-from scoup.base.errors import (
-    FieldVersionError,
-    FileFormatError,
-    GeometryMismatchError,
-    InputError,
-    MissingFileError,
-    OutputExistsError,
-    OutputInUseError,
-    ScoupError,
-    UnknownNameError,
-    WriteError,
-)
 
 ONE_OF_EACH = [
-    ScoupError("said"),
-    InputError("said"),
-    FileFormatError("a.ply", "is damaged", "make it again"),
-    FieldVersionError("a.scoup", 9, 3),
-    MissingFileError("a.ply", "is not there"),
-    GeometryMismatchError("said"),
-    OutputExistsError("a.scoup"),
-    WriteError("a.scoup", "No space left on device", "free some space"),
-    OutputInUseError("a.scoup"),
-    UnknownNameError("camera", "b", [f"a{number}" for number in range(9)], "scene"),
+    errors.ScoupError("said"),
+    errors.InputError("said"),
+    errors.FileFormatError("a.ply", "is damaged", "make it again"),
+    errors.FieldVersionError("a.scoup", 9, 3),
+    errors.MissingFileError("a.ply", "is not there"),
+    errors.GeometryMismatchError("said"),
+    errors.OutputExistsError("a.scoup"),
+    errors.WriteError("a.scoup", "No space left on device", "free some space"),
+    errors.OutputInUseError("a.scoup"),
+    errors.UnknownNameError("camera", "b", [f"a{number}" for number in range(9)], "scene"),
 ]
 
 
 def test_there_is_one_of_each() -> None:
-    classes = {
-        item for _, item in inspect.getmembers(errors, inspect.isclass) if issubclass(item, ScoupError)
+    classes = [item for _, item in inspect.getmembers(errors, inspect.isclass)]
+    assert {type(error) for error in ONE_OF_EACH} == {
+        item for item in classes if issubclass(item, errors.ScoupError)
     }
-    assert {type(error) for error in ONE_OF_EACH} == classes
 
 
 @pytest.mark.parametrize("error", ONE_OF_EACH, ids=lambda error: type(error).__name__)
-def test_they_can_be_sent(error: ScoupError) -> None:
+def test_they_can_be_sent(error: errors.ScoupError) -> None:
     other = pickle.loads(pickle.dumps(error))
     assert type(other) is type(error)
     assert str(other) == str(error)

@@ -42,16 +42,14 @@ def events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, s
     return found
 
 
-def test_a_file(events: list[tuple[str, str]]) -> None:
+def test_a_file_and_a_path(events: list[tuple[str, str]]) -> None:
+    expected = [("flush", "content"), ("rename", "a"), ("flush", "folder")]
     with atomic_file("a") as stream:
         stream.write(b"content")
-    assert events == [("flush", "content"), ("rename", "a"), ("flush", "folder")]
-
-
-def test_a_path(events: list[tuple[str, str]]) -> None:
-    with atomic_path("a") as path:
+    assert events == expected
+    with atomic_path("a", overwrite=True) as path:
         path.write_text("content")
-    assert events == [("flush", "content"), ("rename", "a"), ("flush", "folder")]
+    assert events == 2 * expected
 
 
 def test_folders_that_are_made(events: list[tuple[str, str]]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -54,11 +53,9 @@ def test_the_second_is_refused(tmp_path: Path, what: str) -> None:
     with another_process(what, path):
         with pytest.raises(OutputInUseError) as refused, WRITERS[what](path):
             pass
-        message = (
-            f"{path.parent / 'a-scoup' if what == 'staged' else path}: is being written by another process; "
-        )
-        assert str(refused.value) == message + "wait for it, or choose another output"
-        assert str(pickle.loads(pickle.dumps(refused.value))) == str(refused.value)
+        output = path.parent / "a-scoup" if what == "staged" else path
+        said = f"{output}: is being written by another process; wait for it, or choose another output"
+        assert str(refused.value) == said
         with atomic_file(tmp_path / "b.scoup"):  # another output
             pass
     assert sorted(item.name for item in tmp_path.iterdir()) == ["a.scoup", "b.scoup"]
@@ -139,14 +136,6 @@ def test_files_of_users_with_names_like_ours_stay(tmp_path: Path) -> None:
     with atomic_file(tmp_path / "a.scoup"):
         pass
     assert {item.name for item in tmp_path.iterdir()} == {*precious, "a.scoup"}
-
-
-def test_names_as_long_as_the_file_system_allows(tmp_path: Path) -> None:
-    with atomic_file(tmp_path / ("x" * 255)) as stream:
-        stream.write(b"whole")
-    with atomic_path(tmp_path / ("y" * 255)) as path:
-        path.write_text("whole")
-    assert sorted(item.name[0] for item in tmp_path.iterdir()) == ["x", "y"]
 
 
 def test_two_processes_stage_different_files_into_one_folder(tmp_path: Path) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import ModuleType
+from unittest.mock import Mock
 
 import pytest
 
-from children import finished
 from scoup.base import native
 from scoup.base.errors import InputError, ScoupWarning, warn_once
 
@@ -56,13 +56,6 @@ def no_core(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, MODULE, None)
 
 
-def fails_with(error: Exception) -> Callable[[str], ModuleType]:
-    def load(name: str) -> ModuleType:
-        raise error
-
-    return load
-
-
 def test_a_core_that_was_built(core):
     assert native.native_core() is core
     assert native.missing_reason() is None
@@ -94,15 +87,12 @@ def test_the_user_is_warned_once():
         native.warn_if_missing()
 
 
-@pytest.mark.parametrize(
-    "error",
-    [
-        ImportError("libstdc++.so.6: version GLIBCXX_3.4.29\nnot found", name=MODULE),
-        ModuleNotFoundError("No module named 'elsewhere'", name="elsewhere"),
-    ],
-)
+@pytest.mark.parametrize("error", [
+    ImportError("libstdc++.so.6: version GLIBCXX_3.4.29\nnot found", name=MODULE),
+    ModuleNotFoundError("No module named 'elsewhere'", name="elsewhere"),
+])  # fmt: skip
 def test_a_core_that_does_not_load(monkeypatch, error):
-    monkeypatch.setattr(native.importlib, "import_module", fails_with(error))
+    monkeypatch.setattr(native.importlib, "import_module", Mock(side_effect=error))
     assert native.native_core() is None
     reason = native.missing_reason()
     assert reason is not None
@@ -125,24 +115,14 @@ def test_an_instruction_set_that_the_user_wants(core, monkeypatch):
 
 
 @pytest.mark.usefixtures("core")
-@pytest.mark.parametrize(
-    ("setting", "problem"),
-    [
-        ("v4", "'v4', but this CPU or this build has no such instruction set"),
-        ("fast", "one of off, baseline, v3, v4"),
-    ],
-)
+@pytest.mark.parametrize(("setting", "problem"), [
+    ("v4", "'v4', but this CPU or this build has no such instruction set"), ("fast", "one of off, baseline, v3, v4"),
+])  # fmt: skip
 def test_settings_that_cannot_be_used(monkeypatch, setting, problem):
     monkeypatch.setenv("SCOUP_NATIVE", setting)
     for ask in (native.native_core, native.missing_reason, native.warn_if_missing):
         with pytest.raises(InputError, match=problem):
             ask()
-
-
-def test_the_core_is_not_loaded_before_it_is_used():
-    code = f"import sys, scoup, scoup.base.native; print({MODULE!r} in sys.modules)"
-    done = finished([sys.executable, "-c", code])
-    assert done.stdout == "False\n", done.stderr
 
 
 def test_the_core_that_was_built_here(monkeypatch):

@@ -54,13 +54,10 @@ def test_a_kernel_of_its_own_namespace_passes(tmp_path):
     assert check(tmp_path, KERNEL) == (True, "")
 
 
-@pytest.mark.parametrize(
-    ("source", "symbol"),
-    [
-        pytest.param(SHARED, "_Z4halfi", id="shared"),
-        pytest.param(RUNS_AT_LOAD, "_GLOBAL__sub_I", id="runs at load"),
-    ],
-)
+@pytest.mark.parametrize(("source", "symbol"), [
+    pytest.param(SHARED, "_Z4halfi", id="shared"),
+    pytest.param(RUNS_AT_LOAD, "_GLOBAL__sub_I", id="runs at load"),
+])  # fmt: skip
 def test_what_could_reach_another_cpu_is_refused(tmp_path, source, symbol):
     passes, says = check(tmp_path, KERNEL, source)
     assert not passes

@@ -7,6 +7,7 @@ import os
 import sys
 import textwrap
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -110,13 +111,8 @@ def test_arrays_that_do_not_fit_are_refused_by_name(name, why):
 @pytest.mark.parametrize("wrong", ["big-endian", "objects", "text", "a list", "nothing"])
 def test_what_is_no_array_of_this_machine_is_refused(name, wrong):
     array = scene_arrays()[name]
-    made = {
-        "big-endian": array.astype(array.dtype.newbyteorder(">")),
-        "objects": array.astype(object),
-        "text": array.astype(str),
-        "a list": array.tolist(),
-        "nothing": None,
-    }
+    made = {"big-endian": array.astype(array.dtype.newbyteorder(">")), "objects": array.astype(object)}
+    made |= {"text": array.astype(str), "a list": array.tolist(), "nothing": None}
     with pytest.raises(TypeError, match=f"{name}: ndarray"):
         project(**{name: made[wrong]})
 
@@ -132,22 +128,19 @@ def test_read_only_arrays_are_read_and_not_written():
         core.Vote(**vote_arrays()).round(np.zeros((N, 1, 2), np.uint8), weights, None, False, 0, 2, 1)
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"width": 0}, "image of 0 x 32"),
-        ({"height": -3}, "image of 48 x -3"),
-        ({"width": 2**62}, "cannot be rendered"),
-        ({"width": 65535 * 16, "height": 65535 * 16}, "cannot be rendered"),
-        ({"intrinsics": (np.nan, 1.0, 0.0, 0.0)}, "focal lengths"),
-        ({"intrinsics": (1.0, -1.0, 0.0, 0.0)}, "focal lengths"),
-        ({"intrinsics": (1.0, 1.0, 0.0, np.inf)}, "principal point"),
-        ({"viewmat": np.full((3, 4), np.nan)}, "viewmat must be finite"),
-        ({"near_alpha_max_stop": (np.nan, 0.99, 1e-4)}, "near"),
-        ({"near_alpha_max_stop": (0.2, 1.5, 1e-4)}, "alpha_max"),
-        ({"near_alpha_max_stop": (0.2, 0.99, np.inf)}, "stop"),
-    ],
-)
+@pytest.mark.parametrize(("changed", "message"), [
+    ({"width": 0}, "image of 0 x 32"),
+    ({"height": -3}, "image of 48 x -3"),
+    ({"width": 2**62}, "cannot be rendered"),
+    ({"width": 65535 * 16, "height": 65535 * 16}, "cannot be rendered"),
+    ({"intrinsics": (np.nan, 1.0, 0.0, 0.0)}, "focal lengths"),
+    ({"intrinsics": (1.0, -1.0, 0.0, 0.0)}, "focal lengths"),
+    ({"intrinsics": (1.0, 1.0, 0.0, np.inf)}, "principal point"),
+    ({"viewmat": np.full((3, 4), np.nan)}, "viewmat must be finite"),
+    ({"near_alpha_max_stop": (np.nan, 0.99, 1e-4)}, "near"),
+    ({"near_alpha_max_stop": (0.2, 1.5, 1e-4)}, "alpha_max"),
+    ({"near_alpha_max_stop": (0.2, 0.99, np.inf)}, "stop"),
+])  # fmt: skip
 def test_cameras_and_presets_that_cannot_be(changed, message):
     with pytest.raises(ValueError, match=message):
         project(**changed)
@@ -168,32 +161,58 @@ def test_nothing_is_fine():
     assert not any(round_of(core.Vote(**vote_arrays() | {"views": []})))
 
 
-def test_renders_refuse_values_and_codes_of_another_scene():
-    projection = project()
-    with pytest.raises(ValueError, match=r"^values must be"):
-        core.render_channels(projection, np.zeros((N + 1, 3), np.float32), 1)
-    indices, weights = np.full((N, 1, 2), 7, np.uint8), np.ones((N, 1, 2), np.float32)
-    with pytest.raises(ValueError, match="atom 7 of 7"):
-        core.render_codes(projection, indices, weights, 7, 1)
-    with pytest.raises(ValueError, match="atoms"):
-        core.render_codes(projection, indices, weights, 0, 1)
-    with pytest.raises(ValueError, match=r"^code weights must be"):
-        core.render_codes(projection, indices, weights[:, :, :1].copy(), 8, 1)
-    with pytest.raises(ValueError, match=r"^code indices must be"):
-        core.render_codes(projection, indices.astype(np.int64), weights, 8, 1)
-    scores = np.zeros((1, 8, 5), np.float32)
-    with pytest.raises(ValueError, match=r"^grams must be"):
-        core.render_cosines(projection, indices, weights, np.zeros((1, 8, 9), np.float32), scores, 1)
+INDICES, WEIGHTS = np.full((N, 1, 2), 7, np.uint8), np.ones((N, 1, 2), np.float32)
+DEVIATING = (INDICES, WEIGHTS, np.ones(1, np.float32))
 
 
-def test_region_sums_refuse_what_does_not_fit():
-    for bad in (combinations()[:-1], combinations().astype(np.int64), combinations()[None]):
-        with pytest.raises(ValueError, match=r"^combinations must be"):
-            core.region_sums(project(), bad, 1)
-    with pytest.raises(ValueError, match="labels must be"):
-        core.combine(combinations(), 1)
-    with pytest.raises(ValueError, match=r"^labels must be"):
-        core.combine(np.zeros((2, 3, 4), np.int64), 1)
+def render_codes(indices: np.ndarray = INDICES, weights: np.ndarray = WEIGHTS, n_atoms: int = 8) -> None:
+    core.render_codes(project(), indices, weights, n_atoms, 1)
+
+
+def vote(**changed: Any) -> Any:
+    return core.Vote(**vote_arrays() | changed)
+
+
+def vote_round(
+    indices: np.ndarray = INDICES, weights: np.ndarray = WEIGHTS, first: int = 0, last: int = 2
+) -> None:
+    vote().round(indices, weights.copy(), None, False, first, last, 1)
+
+
+REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
+    "values": (lambda: core.render_channels(project(), np.zeros((N + 1, 3), np.float32), 1), "^values must be"),
+    "atom": (lambda: render_codes(n_atoms=7), "atom 7 of 7"),
+    "no atoms": (lambda: render_codes(n_atoms=0), "atoms"),
+    "code weights": (lambda: render_codes(weights=WEIGHTS[:, :, :1].copy()), "^code weights must be"),
+    "code indices": (lambda: render_codes(INDICES.astype(np.int64)), "^code indices must be"),
+    "grams of cosines": (lambda: core.render_cosines(project(), INDICES, WEIGHTS, np.zeros((1, 8, 9), np.float32),
+                                                     np.zeros((1, 8, 5), np.float32), 1), "^grams must be"),
+    "rows": (lambda: core.region_sums(project(), combinations()[:-1], 1), "^combinations must be"),
+    "integers": (lambda: core.region_sums(project(), combinations().astype(np.int64), 1), "^combinations must be"),
+    "levels": (lambda: core.region_sums(project(), combinations()[None], 1), "^combinations must be"),
+    "one level": (lambda: core.combine(combinations(), 1), "labels must be"),
+    "labels": (lambda: core.combine(np.zeros((2, 3, 4), np.int64), 1), "^labels must be"),
+    "grams": (lambda: vote(grams=np.eye(8, dtype=np.float32)[None].repeat(2, 0)), "^grams must be"),
+    "empty grams": (lambda: vote(grams=np.zeros((1, 0, 0), np.float32)), "1 to 65536 atoms"),
+    "atom of a vote": (lambda: vote(codes=[codes(8, rows=5)]), "atom 8 of 8"),
+    "region without a code": (lambda: vote(codes=[codes(rows=4)]), "damaged: region 4 has no code"),
+    "Gaussians": (lambda: vote(n_gaussians=-1), "too many Gaussians"),
+    **{f"buckets {first} to {last}": (lambda first=first, last=last: vote_round(first=first, last=last),
+       "no such buckets")
+       for first, last in ((-1, 1), (1, 0), (0, 3), (2**62, 2**62))},
+    "indices": (lambda: vote_round(INDICES.astype(np.uint16)), "^indices must be"),
+    "weights": (lambda: vote_round(weights=WEIGHTS[1:]), "^weights must be"),
+    "no k": (lambda: vote_round(INDICES[:, :, :0].copy(), WEIGHTS[:, :, :0]), "k at least 1"),
+    "earlier atom": (lambda: vote().deviations((INDICES + 1, *DEVIATING[1:]), 0, 2, 1), ""),
+    "earlier rows": (lambda: vote().deviations((INDICES[1:], *DEVIATING[1:]), 0, 2, 1), ""),
+    "earlier levels": (lambda: vote().deviations((*DEVIATING[:2], np.ones(2, np.float32)), 0, 2, 1), ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED.values(), ids=REFUSED)
+def test_what_does_not_fit_is_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
 
 
 @pytest.mark.parametrize("place", range(6))
@@ -205,39 +224,6 @@ def test_a_vote_refuses_arrays_that_do_not_fit(place, why):
     arguments["views"] = [tuple(view)]
     with pytest.raises(ValueError, match="must be"):
         core.Vote(**arguments)
-
-
-def test_a_vote_refuses_what_does_not_fit():
-    arguments = vote_arrays()
-    with pytest.raises(ValueError, match=r"^grams must be"):
-        core.Vote(**arguments | {"grams": np.eye(8, dtype=np.float32)[None].repeat(2, 0)})
-    with pytest.raises(ValueError, match="1 to 65536 atoms"):
-        core.Vote(**arguments | {"grams": np.zeros((1, 0, 0), np.float32)})
-    with pytest.raises(ValueError, match="atom 8 of 8"):
-        core.Vote(**arguments | {"codes": [codes(8, rows=5)]})
-    with pytest.raises(ValueError, match="damaged: region 4 has no code"):
-        core.Vote(**arguments | {"codes": [codes(rows=4)]})
-    with pytest.raises(ValueError, match="too many Gaussians"):
-        core.Vote(**arguments | {"n_gaussians": -1})
-    vote = core.Vote(**arguments)
-    indices, weights = np.zeros((N, 1, 2), np.uint8), np.zeros((N, 1, 2), np.float32)
-    for first, last in ((-1, 1), (1, 0), (0, 3), (2**62, 2**62)):
-        with pytest.raises(ValueError, match="no such buckets"):
-            vote.round(indices, weights, None, False, first, last, 1)
-    with pytest.raises(ValueError, match=r"^indices must be"):
-        vote.round(indices.astype(np.uint16), weights, None, False, 0, 2, 1)
-    with pytest.raises(ValueError, match=r"^weights must be"):
-        vote.round(indices, weights[1:], None, False, 0, 2, 1)
-    with pytest.raises(ValueError, match="k at least 1"):
-        vote.round(indices[:, :, :0].copy(), weights[:, :, :0].copy(), None, False, 0, 2, 1)
-    earlier = (indices, weights, np.ones(1, np.float32))
-    for bad in (
-        (indices + 8, *earlier[1:]),
-        (indices[1:], *earlier[1:]),
-        (*earlier[:2], np.ones(2, np.float32)),
-    ):
-        with pytest.raises(ValueError):
-            vote.deviations(bad, 0, 2, 1)
 
 
 def test_memory_outlives_its_owner():

@@ -54,15 +54,12 @@ def test_entries_of_other_packages_follow(installed) -> None:
     assert table.find("blue").help == "of the sky"
 
 
-@pytest.mark.parametrize(
-    ("module", "problem"),
-    [
-        ("raise SystemError('no brush')\n", ".SystemError: no brush."),
-        ("", ".AttributeError"),
-        ("BLUE = 'blue'\n", ".TypeError: it is not of the class Entry"),
-        ("BLUE = Entry('red')\n", ".ValueError: the name 'red' is taken"),
-    ],
-)
+@pytest.mark.parametrize(("module", "problem"), [
+    ("raise SystemError('no brush')\n", ".SystemError: no brush."),
+    ("", ".AttributeError"),
+    ("BLUE = 'blue'\n", ".TypeError: it is not of the class Entry"),
+    ("BLUE = Entry('red')\n", ".ValueError: the name 'red' is taken"),
+])  # fmt: skip
 def test_a_damaged_package_is_one_warning(installed, module: str, problem: str) -> None:
     table = installed(module, "sky = paints:BLUE")
     with pytest.warns(

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import RegionMap, Regions
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.joint_codes import (
@@ -52,9 +51,8 @@ def dense_loss(
     bound = shares.topk(k, dim=1).values[:, -1:]
     shares = torch.where(shares >= bound, shares, 0.0)
     features = blending @ (shares / shares.sum(1, keepdim=True)) @ atoms
-    labels = scene.regions.load_labels(camera.name, camera.width, camera.height)[
-        scene.regions.levels.index(level)
-    ]
+    labels = scene.regions.load_labels(camera.name, camera.width, camera.height)
+    labels = labels[scene.regions.levels.index(level)]
     there = labels >= 0
     expected = scene.regions.load(camera.name, level).embeddings[labels[there].long()]
     return (1 - torch.nn.functional.cosine_similarity(features[there], expected)).mean()
@@ -122,9 +120,8 @@ def test_what_is_learned_shows_the_regions(scene: RasterisedScene) -> None:
         for each in (found, blurred):
             codes = torch.zeros(80, 8).scatter(1, each.indices[:, level].long(), each.weights[:, level])
             camera = scene.cameras[0]
-            image, _ = raster.render_channels(
-                raster.project(scene.gaussians, camera), codes @ each.codebook[level]
-            )
+            projection = raster.project(scene.gaussians, camera)
+            image, _ = raster.render_channels(projection, codes @ each.codebook[level])
             region = scene.regions.load(camera.name, name)
             there = region.labels >= 0
             shown = region.embeddings[region.labels[there].long()]
@@ -155,7 +152,7 @@ def test_gaussians_that_paint_no_region_have_no_code() -> None:
     gaussians, cameras, regions = small_scene(count=60, views=2)
     means = gaussians.means.clone()
     means[7] = torch.tensor([0.0, 0.0, -50.0])  # behind every camera
-    moved = Gaussians(means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+    moved = replace(gaussians, means=means)
     found = learned(RasterisedScene(moved, cameras, regions))
     assert not found.weights[7].any()
     assert found.weights.any(-1).sum() > 60
@@ -214,11 +211,7 @@ def test_sums_alone_are_refused(scene: RasterisedScene) -> None:
         learn_joint_codes(UpliftInputs(inputs.sums, inputs.embeddings), MethodSettings(joint=SMALL))
 
 
-def test_negative_iterations_are_refused() -> None:
-    with pytest.raises(InputError, match="negative"):
-        fit_joint_codes([], [unit(torch.randn(3, 4))], [{}], 5, replace(SMALL, iterations=-1))
-
-
-def test_a_level_without_regions_is_refused() -> None:
-    with pytest.raises(InputError, match="without a region"):
-        fit_joint_codes([], [unit(torch.randn(3, 4))], [{}], 5, SMALL)
+@pytest.mark.parametrize(("iterations", "said"), [(-1, "negative"), (60, "without a region")])
+def test_what_cannot_be_learned_is_refused(iterations: int, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        fit_joint_codes([], [unit(torch.randn(3, 4))], [{}], 5, replace(SMALL, iterations=iterations))

@@ -98,23 +98,18 @@ def test_sizes(scene: RasterisedScene) -> None:
     }  # fmt: skip
 
 
-def test_sparse_is_a_build(scene: RasterisedScene) -> None:
-    sparse = METHODS["sparse"].fit(scene, SETTINGS)
-    assert isinstance(sparse, FittedField)
-    field = build(scene.gaussians, scene.cameras, scene.regions, settings=SETTINGS.build)
-    assert torch.equal(sparse.field.code_indices, field.code_indices)
-    assert torch.equal(sparse.field.code_weights, field.code_weights)
-    assert torch.equal(sparse.field.codebook, field.codebook)
-
-
-def test_the_paper_is_the_build_preset_of_that_name(scene: RasterisedScene) -> None:
-    settings = replace(SETTINGS, build=BuildSettings(epochs=3))
-    paper = METHODS["paper"].fit(scene, settings)
-    assert isinstance(paper, FittedField)
-    preset = replace(BUILD_PRESETS["paper"], epochs=3)
-    field = build(scene.gaussians, scene.cameras, scene.regions, settings=preset)
-    assert torch.equal(paper.field.code_indices, field.code_indices)
-    assert torch.equal(paper.field.codebook, field.codebook)
+@pytest.mark.parametrize(("name", "given", "expected"), [
+    ("sparse", SETTINGS.build, SETTINGS.build),
+    ("paper", BuildSettings(epochs=3), replace(BUILD_PRESETS["paper"], epochs=3)),
+])  # fmt: skip
+def test_fields_are_builds(
+    scene: RasterisedScene, name: str, given: BuildSettings, expected: BuildSettings
+) -> None:
+    fitted = METHODS[name].fit(scene, replace(SETTINGS, build=given))
+    assert isinstance(fitted, FittedField)
+    field = build(scene.gaussians, scene.cameras, scene.regions, settings=expected)
+    for part in ("code_indices", "code_weights", "codebook"):
+        assert torch.equal(getattr(fitted.field, part), getattr(field, part)), part
 
 
 def test_the_autoencoder_decodes_what_was_rendered(scene: RasterisedScene) -> None:

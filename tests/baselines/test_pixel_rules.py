@@ -66,18 +66,12 @@ def literal(rule: object, weights: np.ndarray, centres: np.ndarray) -> np.ndarra
         ray = sorted((i for i in range(count) if flat[i, pixel] > 0), key=lambda i: (-flat[i, pixel], i))
         for rank, i in enumerate(ray):
             centre = centres[i] == pixel
-            if isinstance(rule, TopContributors):
-                kept = rank < rule.count
-            else:
-                kept = centre
+            kept = rank < rule.count if isinstance(rule, TopContributors) else centre
             out[i, pixel] = flat[i, pixel] if kept else 0
     return out
 
 
-@pytest.mark.parametrize(
-    "rule",
-    [CentrePixel(), TopContributors(1), TopContributors(3)],
-)
+@pytest.mark.parametrize("rule", [CentrePixel(), TopContributors(1), TopContributors(3)])
 def test_region_sums_against_loops(rule: CentrePixel | TopContributors) -> None:
     gaussians, cameras, regions = small_scene(count=50, views=2)
     sums = rule.region_sums(gaussians, cameras, regions)
@@ -157,9 +151,8 @@ def test_the_gate_sees_a_view_as_a_whole() -> None:
             labels = regions.load(camera.name, name).labels.flatten()
             gaussian, region, weight = sums.triplets(camera.name, level)
             there = {i: weight for i, weight in expected if labels[centres[i]] >= 0}
-            assert dict(zip(gaussian.tolist(), weight.tolist(), strict=True)) == pytest.approx(
-                there, abs=1e-5
-            )
+            found = dict(zip(gaussian.tolist(), weight.tolist(), strict=True))
+            assert found == pytest.approx(there, abs=1e-5)
             assert region.tolist() == [int(labels[centres[i]]) for i in gaussian]
 
 

@@ -81,9 +81,8 @@ def test_kept_pairs_give_the_means_and_differences(
             continue
         shown = kept["ways"]["default"]["procedural"][rule]
         assert shown == pytest.approx(sum(one) / len(one), abs=1e-4)
-        expected = bootstrap_interval(
-            [a - b for a, b in zip(one, other, strict=True)], labels, scenes=["a"] * len(one)
-        )
+        differences = [a - b for a, b in zip(one, other, strict=True)]
+        expected = bootstrap_interval(differences, labels, scenes=["a"] * len(one))
         assert kept["differences"]["default - dense"]["procedural"][rule] == [
             pytest.approx(value, abs=1e-4) for value in (expected.mean, expected.low, expected.high)
         ]

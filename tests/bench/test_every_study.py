@@ -10,7 +10,6 @@ import torch
 from benchmarks import bounds
 from benchmarks.answer_presence import auc, presence_of_group
 from benchmarks.compare import Compare
-from benchmarks.documents import STUDIES, record
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
 from benchmarks.scenes import scene_of
@@ -28,12 +27,6 @@ def ran(study: Study) -> Record:
     found = run(study, "test")
     assert json.loads(json.dumps(found)) == found
     return found
-
-
-@pytest.mark.parametrize("name", STUDIES)
-def test_tables_are_made_of_the_records_that_are_kept(name: str) -> None:
-    study, of_record = STUDIES[name]
-    assert study.table(record(of_record)).startswith(("|", "1"))
 
 
 @pytest.mark.parametrize("backend", usable_backends()[0])

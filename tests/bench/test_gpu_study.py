@@ -42,6 +42,7 @@ def _on_a_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("_on_a_cpu", "quick_python")
 def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("benchmarks.gpu_rows.TESTS", TESTS[:1])
+    monkeypatch.setenv("PYTEST_XDIST_AUTO_NUM_WORKERS", "0")  # they run in one process, which starts at once
     monkeypatch.setitem(sys.modules, "gsplat", stand_in(random_workload(60, 30, 20)))
     rows = run(TINY, "gpu")["rows"]
     assert rows.pop(gpu.DIFFERENCE)["value"] < 1e-6
@@ -54,9 +55,8 @@ def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     for size in ("30 x 20", "32 x 24"):
         parity = rows.pop(f"parity, {size}")
         assert [len(set(parity["region sums"]["entries"])), parity["vote"]["other codes"]] == [1, 0]
-        assert all(
-            parity[name]["mean"] < 1e-6 for name in ("RGB", "coefficient maps", "cosines", "relevancy")
-        )
+        names = ("RGB", "coefficient maps", "cosines", "relevancy")
+        assert all(parity[name]["mean"] < 1e-6 for name in names)
     assert len(rows) == 5 + 3 + 5 + 3
     assert all(row["median_s"] > 0 for row in rows.values())
     assert "| gsplat: RGB " in capsys.readouterr().out
@@ -124,12 +124,8 @@ def test_dense_uplift_by_gradients(chunk: int, monkeypatch: pytest.MonkeyPatch) 
     work = random_workload(60, 30, 20, regions=(4, 3, 2))
     embeddings = [torch.randn(len(codes), 7) for codes in work.codes]
     blending = gpu.render(stand_in(work), work, torch.eye(60))  # e_i(p)
-    expected = torch.stack(
-        [
-            torch.einsum("hwn,hwd->nd", blending, rows[work.labels[level].long()])
-            for level, rows in enumerate(embeddings)
-        ]
-    )
+    rows = [each[labels.long()] for each, labels in zip(embeddings, work.labels, strict=True)]
+    expected = torch.stack([torch.einsum("hwn,hwd->nd", blending, each) for each in rows])
     assert expected.abs().max() > 1
     out = torch.zeros(3, 60, 7)
     gpu.dense_uplift(stand_in(work), work, embeddings, out)

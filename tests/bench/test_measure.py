@@ -27,6 +27,7 @@ def test_tasks_take_turns_under_their_threads():
     assert reported[0] == (0, 6)
     assert reported[-1] == (6, 6)
     assert torch.get_num_threads() == before
+    assert time_tasks({}) == {}
 
 
 def test_threads_are_restored_after_an_error():
@@ -48,32 +49,18 @@ def test_medians():
     assert timing.to_dict() == {"median_s": 2.5, "min_s": 1.0, "max_s": 9.0, "repeats": 4}
 
 
-def test_nothing_to_measure():
-    assert time_tasks({}) == {}
-
-
 def test_the_clock_of_stages(monkeypatch: pytest.MonkeyPatch):
     now = [0.0]
     monkeypatch.setattr(measure.time, "perf_counter", lambda: now[0])
     reported: list[str] = []
     clock = StageClock(lambda stage, done, total: reported.append(f"{stage} {done}/{total}"))
-    for spent, call in [
-        (1.0, ("coding", 0, 2)),
-        (2.0, ("coding", 1, 2)),
-        (4.0, ("coding", 2, 2)),
-        (8.0, ("uplift", 0, 1)),
-        (16.0, ("uplift", 1, 1)),
-    ]:
-        now[0] += spent
+    calls = [("coding", 0, 2), ("coding", 1, 2), ("coding", 2, 2), ("uplift", 0, 1), ("uplift", 1, 1)]
+    for power, call in enumerate(calls):
+        now[0] += 2.0**power
         clock(*call)
     now[0] += 32.0
-    assert clock.stop() == {
-        "start": 1.0,
-        "coding": 6.0,
-        "after coding": 8.0,
-        "uplift": 16.0,
-        "after uplift": 32.0,
-    }
+    found = {"start": 1.0, "coding": 6.0, "after coding": 8.0, "uplift": 16.0, "after uplift": 32.0}
+    assert clock.stop() == found
     assert reported == ["coding 0/2", "coding 1/2", "coding 2/2", "uplift 0/1", "uplift 1/1"]
 
 

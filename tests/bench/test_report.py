@@ -42,42 +42,25 @@ def test_a_table_of_the_reference_alone_has_no_ratios():
 
 
 def test_a_table_says_how_often_each_column_ran():
-    head = stage_table(
-        [row("project", "native", 1, 1, 1, 1), row("project", "reference", 1, 9)]
-    ).splitlines()[0]
+    rows = [row("project", "native", 1, 1, 1, 1), row("project", "reference", 1, 9)]
+    head = stage_table(rows).splitlines()[0]
     assert "native, 1 thread, ms (3 runs)" in head
     assert "reference, 1 thread, ms (1 runs)" in head
 
 
 def test_ratios_are_of_the_same_scene_stage_and_threads():
-    rows = [
-        row("project", "native", 1, 2),
-        row("project", "native", 2, 2),
-        row("vote", "native", 1, 2),
-        row("project", "reference", 1, 8),
-    ]
+    rows = [row("project", "native", 1, 2), row("project", "native", 2, 2), row("vote", "native", 1, 2)]
+    rows += [row("project", "reference", 1, 8)]
     assert ratios(rows) == {rows[0]: 0.25}
     found = comparison(rows)
     assert found["rows"] == [item.to_dict() for item in rows]
-    assert found["ratios"] == [
-        {
-            "scene": "room",
-            "gaussians": 1000,
-            "stage": "project",
-            "backend": "native",
-            "threads": 1,
-            "time_over_reference": 0.25,
-        }
-    ]
+    at = {"scene": "room", "gaussians": 1000, "stage": "project", "backend": "native", "threads": 1}
+    assert found["ratios"] == [{**at, "time_over_reference": 0.25}]
 
 
 def test_markdown_is_aligned():
-    assert markdown(["a", "bb"], [["1", "2"], ["333333", "4"]]).splitlines() == [
-        "| a      |  bb |",
-        "| ------ | --: |",
-        "| 1      |   2 |",
-        "| 333333 |   4 |",
-    ]
+    rows = ["| a      |  bb |", "| ------ | --: |", "| 1      |   2 |", "| 333333 |   4 |"]
+    assert markdown(["a", "bb"], [["1", "2"], ["333333", "4"]]).splitlines() == rows
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,9 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _few_candidates(few_candidates: None) -> None: ...
+def _quick_choices(few_candidates: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few cameras of a splat alone, and in small photographs of noise few regions, not one a pixel."""
+    monkeypatch.setattr("scoup.extract.felzenszwalb._REFERENCE", 10_000)
 
 
 @pytest.fixture

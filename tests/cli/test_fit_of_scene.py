@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import BUILD, refused, run, run_json, write_scene
+from cli_support import BUILD, printed, refused, run_json, write_scene
 from scoup.base.registry import Registry
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import formats
@@ -27,8 +27,7 @@ def _scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_scene_that_fits_is_silent():
-    code, _, err = run(*BUILD, "--model", "scene/words.npz")
-    assert (code, err) == (0, "")
+    printed(*BUILD, "--model", "scene/words.npz")
     fit = run_json("info", "scene")["fit"]
     assert (fit["verdict"], fit["views_tried"]) == ("fits", 4)
     assert fit["similarity"] > 0.9
@@ -69,5 +68,4 @@ def test_cameras_follow_a_splat_into_the_frame_of_its_training():
     rows = [[float(row == column) for column in range(3)] + [shift[row]] for row in range(3)]
     Path("dataparser_transforms.json").write_text(json.dumps({"transform": rows, "scale": scale}))
     words = ("--model", "scene/words.npz")
-    code, _, err = run(*trained, *words, "--dataparser-transforms", "dataparser_transforms.json")
-    assert (code, err) == (0, "")
+    printed(*trained, *words, "--dataparser-transforms", "dataparser_transforms.json")

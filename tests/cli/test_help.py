@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cli_support import run
+from cli_support import printed
 from scoup.cli.app import SCOUP
 from scoup.cli.family import Family
 from scoup.cli.option_groups import attribute_texts, option_groups
@@ -41,9 +41,7 @@ def boxes(text: str) -> dict[str, list[str]]:
 def help_of(*verb: str, columns: int = 80) -> str:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", str(columns))
-        code, out, err = run(*verb, "--help")
-    assert (code, err) == (0, "")
-    return out
+        return printed(*verb, "--help")
 
 
 @every_verb

@@ -20,27 +20,23 @@ import torch
 
 import scoup.io as scoup_io
 from children import finished
-from cli_support import QUICK, run, snapshot
+from cli_support import FREE, QUICK, plain_photographs, run, snapshot
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import WriteError
 from scoup.base.staging import staged
-from scoup.io import (
-    load_gaussians,
-    save_gaussians,
-    save_png,
-    save_regions,
-    write_inria_cameras,
-    write_transforms,
-)
+from scoup.io import load_gaussians, save_gaussians
 from scoup.models.word_table import save_table
 from scoup.raster import ViewSums
+from scoup.scene.cameras import Cameras
+from scoup.scene.gaussians import Gaussians
+from scoup.scene.regions import Regions
 from scoup.uplift.build import build
 from scoup.uplift.rasterise import region_sums
+from scoup.uplift.region_sums import RegionSums
 from support import small_scene
 
 resource = pytest.importorskip("resource")
 
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 SMALL = ("--n-gaussians", "2000", "--width", "48", "--height", "36", "--views", "2")
 VERBS = {
     "build": ("build", "scene", *QUICK, "--out", "new/a.scoup"),
@@ -121,13 +117,7 @@ def check_refused(arguments: tuple[str, ...], size: int, outputs: set[str]) -> N
 @pytest.fixture
 def scene(here: Path) -> Path:
     """The current folder, whose scene has two photographs that show something."""
-    for number in range(4):
-        picture = here / "scene" / "images" / f"view_0{number}.png"
-        picture.unlink()
-        if number < 2:
-            pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
-            pixels[:15, : 10 + 5 * number] = 200
-            save_png(pixels, picture)
+    plain_photographs(count=2)
     return here
 
 
@@ -230,39 +220,31 @@ def test_standard_output_that_is_full() -> None:
 # ---- the library
 
 
-def writers() -> dict[str, Callable[[], object]]:
-    """What writes files without a verb, by the first file it writes."""
-    gaussians, cameras, regions = small_scene(count=40, views=2)
-    kept = region_sums(gaussians, cameras, regions, path="kept.sums")
-    none = torch.zeros(0, dtype=torch.int32)
-    view = ViewSums(none, none, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32))
-    return {
-        "a.ply": lambda: save_gaussians(gaussians, "a.ply"),
-        "a.splat": lambda: save_gaussians(gaussians, "a.splat"),
-        "colmap/cameras.bin": lambda: scoup_io.write_colmap(cameras, "colmap"),
-        "text/cameras.txt": lambda: scoup_io.write_colmap(cameras, "text", text=True),
-        "transforms.json": lambda: write_transforms(cameras, "transforms.json"),
-        "cameras.json": lambda: write_inria_cameras(cameras, "cameras.json"),
-        "features/view_00_f.npy": lambda: save_regions(regions, "features"),
-        "words.npz": lambda: save_table("words.npz", ["a", "b"], torch.eye(2)),
-        "new.sums": lambda: region_sums(gaussians, cameras, regions, path="new.sums"),
-        "kept.sums": lambda: kept.append("another", view),
-        f"temporary file in {tempfile.gettempdir()}": lambda: build(
-            gaussians, cameras, regions, check_fit=False
-        ),
-    }
+NONE = torch.zeros(0, dtype=torch.int32)
+EMPTY = ViewSums(NONE, NONE, torch.zeros(0), torch.zeros(0, 3, dtype=torch.int32))
+Scene = tuple[Gaussians, Cameras, Regions]
+WRITERS: dict[str, Callable[[Scene, RegionSums], object]] = {
+    "a.ply": lambda scene, _: save_gaussians(scene[0], "a.ply"),
+    "a.splat": lambda scene, _: save_gaussians(scene[0], "a.splat"),
+    "colmap/cameras.bin": lambda scene, _: scoup_io.write_colmap(scene[1], "colmap"),
+    "transforms.json": lambda scene, _: scoup_io.write_transforms(scene[1], "transforms.json"),
+    "features/view_00_f.npy": lambda scene, _: scoup_io.save_regions(scene[2], "features"),
+    "words.npz": lambda *_: save_table("words.npz", ["a", "b"], torch.eye(2)),
+    "new.sums": lambda scene, _: region_sums(*scene, path="new.sums"),
+    "kept.sums": lambda _, kept: kept.append("another", EMPTY),
+    f"temporary file in {tempfile.gettempdir()}": lambda scene, _: build(*scene, check_fit=False),
+}
+"""What writes files without a verb, by the first file it writes."""
 
 
-@pytest.mark.parametrize("path", [
-    "a.ply", "a.splat", "colmap/cameras.bin", "text/cameras.txt", "transforms.json", "cameras.json",
-    "features/view_00_f.npy", "words.npz", "new.sums", "kept.sums", f"temporary file in {tempfile.gettempdir()}",
-])  # fmt: skip
+@pytest.mark.parametrize("path", WRITERS)
 def test_every_writer_of_the_library(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    write = writers()[path]
+    scene = small_scene(count=40, views=2)
+    kept = region_sums(*scene, path="kept.sums")
     before = snapshot(tmp_path)
     with largest_file(100), pytest.raises(WriteError, match="File too large") as caught:
-        write()
+        WRITERS[path](scene, kept)
     named = re.escape(path) + (r"/\S+\.safetensors" if path.endswith(".sums") else "")
     assert re.match(rf"{named}: cannot be written \(File too large\); ", str(caught.value))
     assert snapshot(tmp_path) == before

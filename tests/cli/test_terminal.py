@@ -10,9 +10,8 @@ from subprocess import CompletedProcess
 import pytest
 
 from children import finished
-from cli_support import BUILD, QUICK, RUN, run, write_scene
+from cli_support import BUILD, FREE, QUICK, RUN, run, write_scene
 
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 MARK = "a\x1b[2J\x07\u202eb "
 WORD = f"{MARK}kettle"
 SCENE = f"{MARK}scene"
@@ -93,13 +92,10 @@ def limited(limit: str, most: int, *arguments: object) -> CompletedProcess[str]:
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
-@pytest.mark.parametrize(
-    "verb",
-    [
-        (*BUILD, "--model", "scene/words.npz"),
-        pytest.param(("query", "f.scoup", "kettle", "--out", "o"), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("verb", [
+    (*BUILD, "--model", "scene/words.npz"),
+    pytest.param(("query", "f.scoup", "kettle", "--out", "o"), marks=pytest.mark.slow),
+])  # fmt: skip
 def test_sixteen_open_files_are_enough(verb: tuple[str, ...]) -> None:
     done = limited("RLIMIT_NOFILE", 16, *verb)
     assert (done.returncode, done.stderr) == (0, "")
@@ -107,44 +103,17 @@ def test_sixteen_open_files_are_enough(verb: tuple[str, ...]) -> None:
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
-@pytest.mark.parametrize(
-    ("limit", "most", "said"),
-    [
-        ("RLIMIT_NOFILE", 5, "raise the limit of open files (ulimit -n)"),
-        ("RLIMIT_AS", 600 << 20, LESS_MEMORY),
-        pytest.param("RLIMIT_AS", 300 << 20, LESS_MEMORY, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("limit", "most", "said"), [
+    ("RLIMIT_NOFILE", 5, "raise the limit of open files (ulimit -n)"),
+    ("RLIMIT_AS", 600 << 20, LESS_MEMORY),
+    pytest.param("RLIMIT_AS", 300 << 20, LESS_MEMORY, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_limits_of_the_system_are_one_sentence(limit: str, most: int, said: str) -> None:
     done = limited(limit, most, "query", "f.scoup", "kettle", "--out", "o")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: ")
     assert done.stderr.endswith(f"{said}\n")
     assert done.stderr.count("\n") == 1
-
-
-PIPES = {
-    "splat": ("pipe.ply", ("convert", "pipe.ply", "b.spz")),
-    "splat of a build": ("pipe.ply", ("build", "scene", "--gaussians", "pipe.ply", "--out", "b.scoup")),
-    "field": ("pipe.scoup", ("query", "pipe.scoup", "kettle", "--out", "o")),
-    "table": ("pipe.npz", ("query", "f.scoup", "kettle", "--text", "pipe.npz", "--out", "o")),
-    "list of words": ("pipe.txt", ("view", "f.scoup", "--words", "pipe.txt", "--export", "a.html")),
-    "features": ("pipe.npy", ("convert", "pipe.npy", "b.scoup", "--gaussians", "scene/point_cloud.ply")),
-    "info": ("pipe.json", ("info", "pipe.json")),
-}
-
-
-@pytest.mark.usefixtures("here")
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of Unix")
-@pytest.mark.parametrize("kind", PIPES)
-def test_a_named_pipe_is_called_one(kind: str) -> None:
-    name, verb = PIPES[kind]
-    os.mkfifo(name)
-    before = [path for path in Path().rglob("*") if path.is_file()]
-    code, _, err = run(*verb)
-    assert code == 2
-    assert err.startswith(f"error: {name}: is a named pipe (FIFO), not ")
-    assert [path for path in Path().rglob("*") if path.is_file()] == before
 
 
 @pytest.mark.usefixtures("here")

@@ -18,9 +18,9 @@ import pytest
 import safetensors
 import torch
 
-from cli_support import QUICK, run, snapshot
-from scoup.io import load_gaussians, save_gaussians, save_png
-from scoup.uplift.storage.paths import view_file
+from cli_support import FREE, QUICK, plain_photographs, run, snapshot
+from scoup.io import load_gaussians, save_gaussians
+from scoup.uplift.storage.array_file import view_file
 
 PLY, CAMERAS, IMAGES = "scene/point_cloud.ply", "scene/sparse/0/cameras.bin", "scene/sparse/0/images.bin"
 LABELS, ROWS = "scene/language_features/view_02_s.npy", "scene/language_features/view_02_f.npy"
@@ -29,7 +29,6 @@ PHOTO = "scene/images/view_02.png"
 SUMS = view_file("view_01.png")
 GONE = "disappeared while being read; restore it and retry"
 OUT = ("--out", "a.scoup", "--overwrite")
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 
 
 @dataclass(frozen=True)
@@ -120,10 +119,7 @@ def begun(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     before = Path.cwd()
     os.chdir(folder)
     try:
-        for number in range(4):
-            pixels = torch.zeros(30, 40, 3, dtype=torch.uint8)
-            pixels[:15, : 10 + 5 * number] = 200
-            save_png(pixels, f"photographs/view_0{number}.png")
+        plain_photographs("photographs")
         save_gaussians(load_gaussians(PLY).select(slice(5, None)), "edited.ply")
         code, _, err = run("build", "scene", *QUICK, "--keep-sums", "kept.sums", "--out", "kept.scoup")
         assert code == 0, err

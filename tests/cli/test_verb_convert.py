@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from cli_support import BUILD, refused, run, run_json
+from cli_support import BUILD, QUICK, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
@@ -21,8 +21,7 @@ def test_features_become_a_field_that_can_be_queried():
     field = LanguageField.load("f.scoup")
     np.save("features.npy", field.gaussian_features("m").numpy())
     command = shlex.split("convert features.npy new.scoup --gaussians scene/point_cloud.ply --n-atoms 8")
-    code, out, err = run(*command, "--model", "scene/words.npz")
-    assert (code, err) == (0, "")
+    out = printed(*command, "--model", "scene/words.npz")
     assert "new.scoup: 150 Gaussians, 8 atoms, levels m, m: mean cosine" in out
     assert run_json("info", "new.scoup")["geometry"].endswith("point_cloud.ply")
     texts = field.question("kettle", encoder="scene/words.npz")
@@ -30,7 +29,6 @@ def test_features_become_a_field_that_can_be_queried():
             for path, level in (("f.scoup", 1), ("new.scoup", 0))]  # fmt: skip
     assert torch.corrcoef(torch.stack(pair))[0, 1] > 0.9
     assert run_json("select", "new.scoup", "kettle", "--out", "a.ply", "--always")["written"]
-    assert "already exists" in refused(*command)
 
 
 def test_checkpoints_of_langsplatv2_become_a_field():
@@ -70,24 +68,6 @@ def test_the_autoencoders_features_become_embeddings():
     for name in regions.view_names:
         rows = np.concatenate([found.load(name, level).embeddings.numpy() for level in found.levels])
         np.testing.assert_allclose(rows, expected[Path(name).stem][-len(rows) :], atol=1e-5)
-    assert "decodes rows of 3 numbers" in refused(
-        "convert", "scene/language_features", "other", "--autoencoder", "best_ckpt.pth"
-    )
-
-
-def test_bad_input():
-    np.save("features.npy", np.ones((149, 16), np.float32))
-    Path("a.txt").write_text("x")
-    gaussians = ("--gaussians", "scene/point_cloud.ply")
-    for arguments, said in (
-        (["features.npy", "a.scoup"], "--gaussians"),
-        (["features.npy", "folder", *gaussians], "ends in .scoup"),
-        (["features.npy", "a.scoup", *gaussians], "not one row for each of 150 Gaussians"),
-        (["a.txt", "a.scoup"], "cannot be converted"),
-        (["none", "there"], "none"),
-        (["scene/words.npz", "a.scoup"], "cannot be converted"),
-    ):
-        assert said in refused("convert", *arguments)
 
 
 @pytest.mark.parametrize("suffix", [".compressed.ply", ".spz"])
@@ -100,14 +80,12 @@ def test_splats_become_others(suffix):
     assert torch.allclose(found.means, before.means, atol=0.05)
     assert torch.allclose(found.opacities, before.opacities, atol=0.01)
     assert run_json("info", f"a{suffix}")["kind"] == "splat"
-    assert "already exists" in refused("convert", "scene/point_cloud.ply", f"a{suffix}")
-    assert "is the source" in refused("convert", f"a{suffix}", f"a{suffix}", "--overwrite")
 
 
 def test_a_field_is_built_on_a_splat_of_another_format():
     run_json("convert", "scene", "scene.spz")
-    run_json("build", "scene", "--gaussians", "scene.spz", "--out", "b.scoup", "--n-atoms", "8", "--effort", "fast",
-             "--model", "scene/words.npz")  # fmt: skip
+    options = ("--gaussians", "scene.spz", "--model", "scene/words.npz", "--out", "b.scoup")
+    run_json("build", "scene", *QUICK, *options)
     chosen = run_json("select", "b.scoup", "kettle", "--out", "kettle.glb", "--always")
     assert len(load_gaussians("kettle.glb")) == chosen["written"] > 0
     assert run_json("label", "b.scoup", "kettle", "mug", "--out", "labels")["gaussians"] == 150
@@ -119,4 +97,3 @@ def test_openusd_is_written_and_not_read():
     stage = usd.Stage.Open("kettle.usdz")
     assert len(stage.GetDefaultPrim().GetAttribute("positions").Get()) == chosen["written"] > 0
     assert run_json("convert", "scene/point_cloud.ply", "a.usd")["gaussians"] == 150
-    assert ".usd files are not read" in refused("convert", "a.usd", "b.ply")

@@ -5,20 +5,18 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import add_words, refused, run, run_json
+from cli_support import add_words, printed, run_json
 from scoup.field.language_field import LanguageField
-from scoup.io import load_gaussians, read_ply_table
+from scoup.io import load_gaussians
 
 pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_the_main_path():
-    code, out, err = run("label", "f.scoup", "kettle", "mug")
-    assert (code, err) == (0, "")
+    out = printed("label", "f.scoup", "kettle", "mug")
     labels = LanguageField.load("f.scoup").label(["kettle", "mug"])
     counts = labels.counts()
     assert f"kettle: {counts['kettle']} Gaussians" in out
@@ -31,16 +29,9 @@ def test_the_main_path():
     assert {path.name for path in folder.iterdir()} == {
         "labels.npy", "labels.json", "labels.ply", "colored.ply", "labels.png",
     }  # fmt: skip
-    assert np.load(folder / "labels.npy").tolist() == labels.ids.tolist()
-    for name, numbers in (("label", labels.ids), ("thing", labels.instances)):
-        assert read_ply_table(folder / "labels.ply").rows[name].tolist() == numbers.tolist()
-    before = read_ply_table("scene/point_cloud.ply").rows
-    after = read_ply_table(folder / "labels.ply").rows
-    assert all((before[name] == after[name]).all() for name in before.dtype.names or ())
     assert len(load_gaussians(folder / "colored.ply")) == 150
     with Image.open(folder / "labels.png") as picture:
         assert picture.width == 1500
-    assert "already exists" in refused("label", "f.scoup", "kettle")
 
 
 def test_an_absent_word_labels_nothing():
@@ -48,13 +39,11 @@ def test_an_absent_word_labels_nothing():
     ask = ("label", "f.scoup", "kettle", "mug", *texts, "--outputs", "sidecar")
     classes = run_json(*ask, "--out", "a", "--always")["classes"]
     low, high = sorted(classes, key=lambda one: one["score"])
-    code, out, err = run(*ask, "--out", "b", "--presence", (low["score"] + high["score"]) / 2)
-    assert (code, err) == (0, "")
+    out = printed(*ask, "--out", "b", "--presence", (low["score"] + high["score"]) / 2)
     assert f"{low['name']}: not in this scene (score {low['score']:.2f})" in out.splitlines()
     assert f"{high['name']}: {high['gaussians']} Gaussians" in out
-    absent = next(
-        one for one in json.loads(Path("b/labels.json").read_text())["classes"] if one["name"] == low["name"]
-    )
+    classes = json.loads(Path("b/labels.json").read_text())["classes"]
+    absent = next(one for one in classes if one["name"] == low["name"])
     assert (absent["present"], absent["gaussians"], absent["things"]) == (False, 0, [])
     assert absent["score"] == low["score"]
 
@@ -64,19 +53,12 @@ def test_every_output():
     record = run_json("label", "f.scoup", "kettle", "mug", "--out", "all", "--outputs", *outputs)
     found = {path.relative_to("all").as_posix() for path in Path("all").rglob("*") if path.is_file()}
     assert found == set(record["files"])
-    assert {
-        "labels.glb",
-        "clouds/kettle.ply",
-        "clouds/none.ply",
-        "maps/view_01.png",
-        "maps/coco.json",
-    } <= found
+    assert {"labels.glb", "clouds/kettle.ply", "clouds/none.ply", "maps/view_01.png"} <= found
     coco = json.loads(Path("all/maps/coco.json").read_text())
     assert len(coco["images"]) == 4
     assert [one["name"] for one in coco["categories"]] == ["kettle", "mug"]
-    one = run_json(
-        "label", "f.scoup", "kettle", "mug", "--out", "one", "--outputs", "maps", "--camera", "view_01"
-    )
+    only = ("--out", "one", "--outputs", "maps", "--camera", "view_01")
+    one = run_json("label", "f.scoup", "kettle", "mug", *only)
     assert set(one["files"]) == {"maps/view_01.png", "maps/coco.json"}
     assert Path("one/maps/view_01.png").read_bytes() == Path("all/maps/view_01.png").read_bytes()
 
@@ -87,32 +69,11 @@ def test_words_of_a_list():
     given = run_json("label", "f.scoup", "mug", "kettle", "--out", "given", "--outputs", "sidecar")
     assert listed["classes"] == given["classes"]
     assert [one["name"] for one in listed["classes"]] == ["mug", "kettle"]
-    assert "expected" in refused("label", "f.scoup", "--words", "missing.txt")
-    Path("phrase.txt").write_text("mug\nmug on the kettle\n")
-    assert "named 'mug on the kettle'" in refused("label", "f.scoup", "mug", "--words", "phrase.txt")
-    Path("empty.txt").write_text("\n")
-    assert "contains no word" in refused("label", "f.scoup", "--words", "empty.txt")
 
 
 def test_without_cameras_there_is_no_sheet():
     field = LanguageField.load("f.scoup")
-    LanguageField(field.code_indices, field.code_weights, field.codebook, field.info, field.gaussians).save(
-        "bare.scoup"
-    )
-    command = ("label", "bare.scoup", "kettle", "--text", "scene/words.npz")
-    assert "labels.png" not in run_json(*command, "--out", "a")["files"]
-    assert "contains no cameras" in refused(*command, "--out", "b", "--outputs", "maps")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "name at least one text"),
-        (["spoon"], "no text embedding named 'spoon'"),
-        (["kettle", "--out", "f.scoup"], "is a file"),
-        (["kettle", "--threshold", "2"], "threshold must be 0 to 1"),
-        (["kettle", "--outputs", "maps", "--camera", "view_99"], "view_99"),
-    ],
-)
-def test_bad_input(arguments, said):
-    assert said in refused("label", "f.scoup", *arguments)
+    parts = (field.code_indices, field.code_weights, field.codebook, field.info, field.gaussians)
+    LanguageField(*parts).save("bare.scoup")
+    command = ("label", "bare.scoup", "kettle", "--text", "scene/words.npz", "--out", "a")
+    assert "labels.png" not in run_json(*command)["files"]

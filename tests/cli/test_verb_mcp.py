@@ -107,7 +107,6 @@ def test_several_clients_are_served_over_http_and_strangers_refused() -> None:
 
 
 def test_ports_that_cannot_be_served_are_refused() -> None:
-    assert "--http must be a port" in refused("mcp", "f.scoup", "--http", "70000")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         assert "in use" in refused("mcp", "f.scoup", "--http", taken.getsockname()[1])
 

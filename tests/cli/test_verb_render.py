@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import refused, run, run_json
+from cli_support import run, run_json
 from scoup.field.language_field import LanguageField
-from scoup.io import write_colmap
 from scoup.raster import render_colors
-from scoup.scene.cameras import Cameras
-from support import make_camera
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -62,23 +57,18 @@ def test_lettering_stands_around_the_plain_picture(what):
 
 
 def test_one_picture_by_its_name():
-    assert run_json("render", "f.scoup", "--out", "deep/a.png", "--camera", "view_01")["files"] == [
-        "deep/a.png"
-    ]
+    one = ("render", "f.scoup", "--out", "deep/a.png", "--camera", "view_01")
+    assert run_json(*one)["files"] == ["deep/a.png"]
     run_json("render", "f.scoup", "--out", "all", "--camera", "all")
     assert (pixels("deep/a.png") == pixels("all/view_01.png")).all()
-    assert "one picture cannot hold 4 views" in refused(
-        "render", "f.scoup", "--out", "b.png", "--camera", "all"
-    )
 
 
 @pytest.mark.parametrize("name", ["turn.webp", "turn.gif"])
 @pytest.mark.parametrize("plain", [True, False])
 def test_an_animation(name, plain):
     shown = ("--plain",) if plain else ("--what", "relevancy", "--query", "kettle")
-    record = run_json(
-        "render", "f.scoup", "--camera", "all", "--out", name, "--frames-per-second", "5", *shown
-    )
+    film = ("--camera", "all", "--out", name, "--frames-per-second", "5")
+    record = run_json("render", "f.scoup", *film, *shown)
     assert record["files"] == [name]
     with Image.open(name) as picture:
         assert getattr(picture, "n_frames", 1) == 4
@@ -86,27 +76,3 @@ def test_an_animation(name, plain):
         picture.seek(1)
         picture.load()
         assert picture.info["duration"] == 200
-
-
-def test_nothing_is_replaced_without_overwrite():
-    run_json("render", "f.scoup", "--camera", "view_01", "--out", "all")
-    assert "view_01.png: already exists" in refused("render", "f.scoup", "--camera", "all", "--out", "all")
-    assert [path.name for path in Path("all").iterdir()] == ["view_01.png"]
-    assert run("render", "f.scoup", "--camera", "all", "--out", "all", "--overwrite")[0] == 0
-
-
-def test_bad_options():
-    assert "belong together" in refused("render", "f.scoup", "--what", "relevancy")
-    assert "belong together" in refused("render", "f.scoup", "--query", "kettle")
-    assert "there is no level 'x'; expected one of s, m, l" in refused(
-        "render", "f.scoup", "--what", "codes", "--level", "x"
-    )
-    for number in ("0", "nan", "inf", "-3"):
-        assert "--frames-per-second" in refused("render", "f.scoup", "--frames-per-second", number)
-        assert "--scale" in refused("render", "f.scoup", "--scale", number)
-    cameras = Cameras([make_camera(name="a.png"), make_camera(64, 48, name="b.png")])
-    write_colmap(cameras, "other/sparse/0")
-    assert "the views differ in size" in refused(
-        "render", "f.scoup", "--scene", "other", "--camera", "all", "--out", "a.gif"
-    )
-    assert "several files" in refused("render", "f.scoup", "--out", "film.mp4", "--camera", "all")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import refused, run, run_json, snapshot
+from cli_support import run, run_json, snapshot
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, save_gaussians
 from scoup.scene.gaussians import Gaussians
@@ -47,16 +47,3 @@ def test_an_embedded_splat_is_replaced_by_the_edited_one(edited: Gaussians) -> N
     run_json("transfer", "whole.scoup", "edited.ply", "--out", "b.scoup")
     Path("edited.ply").unlink()
     assert LanguageField.load("b.scoup").gaussians.fingerprint() == edited.fingerprint()
-
-
-def test_edits_that_cannot_be_followed_change_nothing(edited: Gaussians) -> None:
-    save_gaussians(replace(edited, means=edited.means + 1000), "other.ply")
-    Path("there.scoup").write_text("precious")
-    for arguments, message in (
-        (("edited.ply", "--out", "there.scoup"), "--overwrite"),
-        (("edited.ply", "--out", "there.ply"), "expected a name that ends in .scoup"),
-        (("no.ply",), "no.ply"),
-        (("scene/point_cloud.ply",), "nothing to do"),
-        (("other.ply",), "other.ply: none of its Gaussians lies in one of the field's"),
-    ):
-        assert message in refused("transfer", "f.scoup", *arguments)

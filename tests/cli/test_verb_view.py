@@ -16,7 +16,7 @@ from subprocess import Popen
 import pytest
 
 from children import child
-from cli_support import refused, run, run_json
+from cli_support import printed, refused, run_json
 from scoup.view import export, page, viewer
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 
@@ -40,8 +40,7 @@ def built_page(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_export_prints_sizes():
-    code, out, err = run("view", "f.scoup", "--export", "page.html")
-    assert (code, err) == (0, "")
+    out = printed("view", "f.scoup", "--export", "page.html")
     assert out.startswith("page.html: 0.")
     assert out.rstrip().endswith("3 words")
     record = run_json("view", "f.scoup", "--export", "page.html", "--overwrite")

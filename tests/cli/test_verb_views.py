@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import QUICK, refused, run, run_json, snapshot
+from cli_support import FREE, QUICK, refused, run, run_json, snapshot
 from scoup.cli.views import MakeViews
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, save_gaussians, write_transforms
@@ -21,7 +21,6 @@ pytestmark = pytest.mark.usefixtures("here")
 
 SPLAT = Path("scene/point_cloud.ply")
 SMALL = ("--width", "24", "--height", "18", "--up", "0", "-1", "0")
-FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 
 
 def test_a_splat_becomes_a_scene_that_is_extracted_and_built() -> None:
@@ -55,17 +54,6 @@ def test_photographs_whose_cameras_are_replaced_stay() -> None:
     shutil.rmtree("scene/sparse")
     run_json("views", SPLAT, *SMALL, "--views", 1, "--out", "scene", "--overwrite")
     assert set(before) < set(Path("scene/images").iterdir())
-
-
-def test_interrupted_views_leave_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = snapshot(Path())
-    with monkeypatch.context() as patch:
-        patch.setattr("scoup.extract.own_views.render_colors", interrupt)
-        code, _, said = run("views", SPLAT, *SMALL, "--views", 3, "--out", "own")
-    assert code == 130
-    assert "nothing was written" in said
-    assert snapshot(Path()) == before
-    assert not Path("own").exists()
 
 
 def test_views_beside_photographs_keep_them() -> None:
@@ -103,12 +91,6 @@ def test_cameras_without_photographs_have_nothing_to_be_beside() -> None:
     assert code == 2
     assert "error: scene: has no photographs, only cameras" in said
     assert not Path("more").exists()
-
-
-def test_views_beside_views_have_other_names() -> None:
-    run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "first")
-    run_json("views", SPLAT, *SMALL, "--views", 1, "--beside", "first", "--out", "second")
-    assert load_cameras("second").names == ("own_000.png", "own_001.png", "own_002.png")
 
 
 @pytest.mark.slow  # views of the usual size
@@ -176,20 +158,3 @@ def test_up_in_the_axes_of_the_file(options: tuple[str, ...], sign: int) -> None
 
 def interrupt(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (("views", "nothing.ply"), "nothing.ply: there is no such file"),
-        (("views", SPLAT, "--views", "0"), "--views must be 1 to 1000 views, got 0"),
-        (("views", SPLAT, "--width", "4"), "--width must be 16 to 8192 pixels, got 4"),
-        (("views", SPLAT, "--up", "0", "0", "0"), "up: expected three numbers that are not all 0"),
-        (("build", SPLAT, "--part", "1/2"), "make its scene first, with scoup views and scoup extract"),
-        (("build", "ckpt_9_rank0.pt", "--part", "1/2"), "make its scene first"),
-        (("build", SPLAT, "--gaussians", SPLAT), "is a splat; pass the scene"),
-        (("build", "scene", "--features", "r", "--embedder", "colors"), "--features names some; pass either"),
-    ],
-)
-def test_what_cannot_be_done_is_said(arguments: tuple[str, ...], expected: str) -> None:
-    assert expected in refused(*arguments)

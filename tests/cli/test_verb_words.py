@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import refused, run, run_json
+from cli_support import printed, refused, run_json
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import load_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
@@ -40,20 +40,16 @@ def test_a_table_answers_as_its_model():
 
 
 def test_everyday_words_alone():
-    code, out, err = run("words", "--model", "clip", "--out", "w.npz")
-    assert (code, err) == (0, "")
+    out = printed("words", "--model", "clip", "--out", "w.npz")
     assert "scoup build SCENE --model w.npz" in out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--out", "words.json"), "words.json: tables are written as .npz"),
-        (("--model", "w.npz"), "w.npz: is a word table, not a model; pass the model that made it"),
-        (("--model", "nobody/none"), "text model 'nobody/none' cannot be loaded"),
-        (("--words", "none.txt"), "none.txt: there is no such file (a list of words was expected)"),
-        (("--words", "clip"), "clip: is a folder, not a list of words"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "said"), [
+    (("--out", "words.json"), "words.json: tables are written as .npz"),
+    (("--model", "w.npz"), "w.npz: is a word table, not a model; pass the model that made it"),
+    (("--model", "nobody/none"), "text model 'nobody/none' cannot be loaded"),
+    (("--words", "none.txt"), "none.txt: there is no such file (a list of words was expected)"),
+    (("--words", "clip"), "clip: is a folder, not a list of words"),
+])  # fmt: skip
 def test_refusals(arguments, said):
     assert said in refused("words", "--model", "clip", *arguments)

@@ -45,6 +45,21 @@ def clip_like(count: int, dim: int = 32, objects: int = 12, seed: int = 0) -> Te
     return torch.nn.functional.normalize(rows, dim=1)
 
 
+def clusters(of_each: int) -> tuple[Tensor, Tensor]:
+    """[6, 16] centres at right angles, and unit rows around them."""
+    generator = torch.Generator().manual_seed(0)
+    centres = torch.linalg.qr(torch.randn(16, 6, generator=generator)).Q.T
+    rows = centres.repeat_interleave(of_each, 0)
+    rows = rows + 0.05 * torch.randn(rows.shape, generator=generator)
+    return centres, torch.nn.functional.normalize(rows, dim=1)
+
+
+def assert_one_at_each(centres: Tensor, atoms: Tensor) -> None:
+    nearest = (centres @ atoms.T).max(1)
+    assert sorted(nearest.indices.tolist()) == list(range(len(centres)))
+    assert float(nearest.values.min()) > 0.99
+
+
 def problem(count: int, n_atoms: int, dim: int = 32, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Unit rows, unit atoms, their similarities and the Gram matrix."""
     rows = clip_like(count, dim, max(2, n_atoms // 2), seed)

@@ -10,8 +10,7 @@ from plain_adam import plain_adam
 from scoup.coding.adam import LOGIT_SCALE, AdamSettings, solve_adam
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.coding.products import DenseProducts, SparseProducts
-from scoup.coding.slots import Slots
-from scoup.coding.step import Step
+from scoup.coding.slots import Slots, Step
 
 
 def test_trajectory_equals_plain_autograd() -> None:

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 import torch
-from coders import clip_like
+from coders import assert_one_at_each, clip_like, clusters
 from torch import Tensor
 
 from children import finished
@@ -20,6 +20,7 @@ from scoup.coding.exact import FAST, ExactSettings, Learner, solve_exact
 from scoup.coding.exact_start import starting_atoms
 from scoup.coding.reference import code
 from scoup.coding.report import report_on
+from support import threads_of_torch
 
 REFERENCE = coding_backend("reference")
 QUICK = ExactSettings(steps=30, batch=100, passes=3)
@@ -122,14 +123,9 @@ def test_rare_atoms_are_placed_at_badly_coded_rows() -> None:
 
 
 def test_the_start_spreads_over_clusters(backend: str) -> None:
-    generator = torch.Generator().manual_seed(0)
-    centres = torch.linalg.qr(torch.randn(16, 6, generator=generator)).Q.T
-    rows = centres.repeat_interleave(1000, 0) + 0.05 * torch.randn(6000, 16, generator=generator)
-    unit = torch.nn.functional.normalize(rows, dim=1)
-    atoms = starting_atoms(unit, 6, torch.Generator().manual_seed(3), coding_backend(backend))
-    nearest = (centres @ atoms.T).max(1)
-    assert sorted(nearest.indices.tolist()) == list(range(6))
-    assert float(nearest.values.min()) > 0.99
+    centres, rows = clusters(1000)
+    atoms = starting_atoms(rows, 6, torch.Generator().manual_seed(3), coding_backend(backend))
+    assert_one_at_each(centres, atoms)
 
 
 def test_same_seed_same_bytes(backend: str) -> None:
@@ -144,15 +140,11 @@ def test_same_seed_same_bytes(backend: str) -> None:
 
 def test_same_bytes_whatever_the_number_of_threads(core: ModuleType) -> None:
     rows = clip_like(5000, 200, objects=100)  # more than the sample of the start
-    before = torch.get_num_threads()
     solutions, books = [], []
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
+    for threads in (1, 2, 3):
+        with threads_of_torch(threads):
             solutions.append(solve_exact(rows, 70, 4, 0, ExactSettings(steps=60, passes=2), backend="native"))
             books.append(fit_codes(rows, 20, 4, solver="exact", backend="native"))
-    finally:
-        torch.set_num_threads(before)
     assert len({replace(book.report, seconds=0.0) for book in books}) == 1
     assert len({book.atoms.numpy().tobytes() for book in books}) == 1
     for solution in solutions[1:]:
@@ -162,15 +154,17 @@ def test_same_bytes_whatever_the_number_of_threads(core: ModuleType) -> None:
         assert solution.losses == solutions[0].losses
 
 
-def test_fit_codes_with_the_exact_solver(backend: str) -> None:
+@pytest.mark.parametrize(("solver", "epochs"), [("exact", 205), ("adam", 5)])
+def test_zero_rows_get_empty_codes(backend: str, solver: str, epochs: int) -> None:
     rows = clip_like(120, 16) * 3
     rows[[0, 50]] = 0
-    book = fit_codes(rows, 10, 3, solver="exact", seed=2, backend=backend)
-    assert (book.report.solver, book.report.regions, book.report.epochs) == ("exact", 118, 205)
-    assert not bool(book.codes.weights[[0, 50]].any())
-    kept = fit_codes(rows[rows.any(1)], 10, 3, solver="exact", seed=2, backend=backend)
+    book, kept = (
+        fit_codes(each, 10, 3, solver=solver, epochs=5, seed=2, backend=backend)
+        for each in (rows, rows[rows.any(1)])
+    )
+    assert (book.report.solver, book.report.regions, book.report.epochs) == (solver, 118, epochs)
+    torch.testing.assert_close(book.codes.weights.sum(1), rows.any(1).float())
     assert kept.atoms.equal(book.atoms)
-    assert fit_codes(torch.zeros(3, 8), 4, 2, solver="exact").report.epochs == 0
 
 
 def test_interruption_passes_through(backend: str) -> None:

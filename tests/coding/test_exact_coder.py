@@ -113,17 +113,19 @@ def test_compiled_and_torch_agree_where_nearly_every_atom_is_swapped(
     assert float(same.double().mean()) >= 0.98
 
 
-def test_near_copies_of_an_atom_are_not_used_together(coder: Coder) -> None:
+def test_copies_and_near_copies_of_an_atom_are_not_used_together(coder: Coder) -> None:
     rows, atoms, _, _ = problem(60, 6)
     generator = torch.Generator().manual_seed(0)
-    similar = torch.cat([atoms, atoms + 1e-4 * torch.randn(atoms.shape, generator=generator)])
-    similarities, gram = rows @ similar.T, similar @ similar.T
-    start = torch.tensor([0, 6, 2, 8]).expand(60, 4)
-    for coded in (coder(similarities, gram, 4, 0, start), coder(similarities, gram, 4, 2)):
-        assert float(coded.weights.max()) < 2
-        assert all(
-            len({atom % 6 for atom in s[s >= 0].tolist()}) == int((s >= 0).sum()) for s in coded.support
-        )
+    plain = coder(rows @ atoms.T, atoms @ atoms.T, 4, 2)
+    for noise in (0.0, 1e-4):
+        alike = torch.cat([atoms, atoms + noise * torch.randn(atoms.shape, generator=generator)])
+        similarities, gram = rows @ alike.T, alike @ alike.T
+        found = coder(similarities, gram, 4, 2)
+        torch.testing.assert_close(found.cosines, plain.cosines, atol=1e-5 if noise == 0 else 1e-3, rtol=0)
+        for coded in (found, coder(similarities, gram, 4, 0, torch.tensor([0, 6, 2, 8]).expand(60, 4))):
+            assert float(coded.weights.max()) < 2
+            used = [[atom % 6 for atom in row if atom >= 0] for row in coded.support.tolist()]
+            assert all(len(set(row)) == len(row) for row in used)
 
 
 def test_swaps_and_warm_starts_never_lower_the_cosine(coder: Coder) -> None:
@@ -173,15 +175,6 @@ def test_rows_that_no_atom_helps(coder: Coder) -> None:
         assert not bool(coded.weights.any())
         assert not bool(coded.cosines.any())
     assert not bool(coder(torch.ones(2, 6), torch.zeros(6, 6), 3, 1).weights.any())  # atoms of norm zero
-
-
-def test_copies_of_an_atom_are_used_once(coder: Coder) -> None:
-    rows, atoms, _, _ = problem(40, 5)
-    copies = atoms.repeat(4, 1)
-    coded = coder(rows @ copies.T, copies @ copies.T, 4, 2)
-    plain = coder(rows @ atoms.T, atoms @ atoms.T, 4, 2)
-    torch.testing.assert_close(coded.cosines, plain.cosines, atol=1e-5, rtol=0)
-    assert all(len({atom % 5 for atom in s[s >= 0].tolist()}) == int((s >= 0).sum()) for s in coded.support)
 
 
 def test_recovers_codes_that_made_the_rows(coder: Coder) -> None:

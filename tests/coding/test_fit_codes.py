@@ -10,7 +10,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.coding import fit_codes
-from scoup.coding.encode import encode
+from scoup.coding.codebook import encode
 from scoup.coding.report import report_on
 from scoup.scene.codes import SparseCodes
 from support import examples
@@ -62,16 +62,6 @@ def test_same_seed_same_bytes_and_norms_do_not_matter() -> None:
         rows * torch.tensor([1e-30, 7.0]).repeat(25)[:, None], 8, 2, solver="adam", epochs=20, seed=1
     )
     torch.testing.assert_close(scaled.atoms, first.atoms, atol=1e-4, rtol=0)
-
-
-def test_zero_rows_get_empty_codes() -> None:
-    rows = random_rows(20)
-    rows[[0, 7, 19]] = 0
-    book = fit_codes(rows, n_atoms=6, k=2, solver="adam", epochs=5)
-    assert_valid(book.codes, rows)
-    assert book.report.regions == 17
-    kept = fit_codes(rows[rows.any(1)], n_atoms=6, k=2, solver="adam", epochs=5)
-    assert kept.atoms.equal(book.atoms)
 
 
 @pytest.mark.parametrize("count", [0, 3])

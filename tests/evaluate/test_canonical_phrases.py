@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from evaluate.study_scenes import study_scene
-from scoup import raster
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.uplift.build import build
@@ -35,37 +35,21 @@ RULE = MASK_RULES["scoup"]
 WORDS = ("cup", "pot", *(f"word {number}" for number in range(30)))
 
 
-@dataclass(eq=False)
 class Recorder:
     """A ``FittedMethod`` that keeps what it was compared with."""
 
-    fitted: FittedMethod
-    given: list[Tensor] = field(default_factory=list)
+    def __init__(self, fitted: FittedMethod) -> None:
+        self.fitted, self.given = fitted, list[Tensor]()
 
-    @property
-    def bytes_per_gaussian(self) -> float:
-        return self.fitted.bytes_per_gaussian
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("relevancy", "gaussian_relevancy"):
+            return getattr(self.fitted, name)
 
-    @property
-    def shared_bytes(self) -> float:
-        return self.fitted.shared_bytes
+        def recorded(*arguments: Any) -> Tensor:
+            self.given.append(arguments[2 if name == "relevancy" else 1])
+            return getattr(self.fitted, name)(*arguments)
 
-    def relevancy(
-        self,
-        projection: raster.Projection,
-        queries: Tensor,
-        canonical: Tensor,
-        size: tuple[int, int] | None = None,
-    ) -> Tensor:
-        self.given.append(canonical)
-        return self.fitted.relevancy(projection, queries, canonical, size)
-
-    def gaussian_relevancy(self, queries: Tensor, canonical: Tensor) -> Tensor:
-        self.given.append(canonical)
-        return self.fitted.gaussian_relevancy(queries, canonical)
-
-    def coded(self) -> Tensor:
-        return self.fitted.coded()
+        return recorded
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +86,7 @@ def test_evaluation(
     """Of fields, in 2D and by selection."""
     rasterised = scene.rasterised
     built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=BUILD)
-    recorder = Recorder(FittedField(built))
+    recorder: Any = Recorder(FittedField(built))
     monkeypatch.setattr(pixel_evaluation, "FittedField", lambda _: recorder)
     maps = list(predict(scene.labelled, scene.vectors, built, "digest", tmp_path))
     assert len(maps) == len(recorder.given) == 2

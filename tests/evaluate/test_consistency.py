@@ -30,35 +30,45 @@ QUICK = AutoencoderSettings(epochs=1, encoder=(8, 3), decoder=(8,))
 SETTINGS = BuildSettings(n_atoms=4, k=2, effort="fast")
 
 
-def two_views(first: torch.Tensor, second: torch.Tensor) -> tuple[Cameras, Regions]:
-    """Two views of 40 x 30, left half region 0 and right half region 1, pixel 0 without a region."""
-    cameras = Cameras([make_camera(name="a.png"), make_camera(name="b.png")])
-    labels = torch.zeros(30, 40, dtype=torch.int32)
-    labels[:, 20:] = 1
+CAMERAS = Cameras([make_camera(name="a.png"), make_camera(name="b.png")])
+FEATURES = {"raw", "autoencoder", "sparse codes"}
+
+
+def two_views(labels: torch.Tensor, rows: torch.Tensor, levels: str = "m") -> Regions:
+    """Two views of the same labels; half of the rows are embeddings of the first one."""
+    halves = zip(CAMERAS.names, rows.chunk(2), strict=True)
+    return Regions.from_maps({name: dict.fromkeys(levels, RegionMap(labels, half)) for name, half in halves})
+
+
+def halves(seed: int) -> tuple[torch.Tensor, Regions]:
+    """Four embeddings, and views of 40 x 30: left half region 0, right half region 1, pixel 0 without a region."""
+    labels = (torch.arange(40) >= 20).int().repeat(30, 1)
     labels[0, 0] = -1
-    maps = {
-        name: {level: RegionMap(labels, rows) for level in ("s", "m", "l")}
-        for name, rows in (("a.png", first), ("b.png", second))
-    }
-    return cameras, Regions.from_maps(maps)
+    rows = unit(torch.randn(4, 16, generator=torch.Generator().manual_seed(seed)))
+    return rows, two_views(labels, rows, "sml")
+
+
+def measured(
+    points: list, regions: Regions, settings: BuildSettings = SETTINGS, network=QUICK, seed: int = 0
+):
+    return consistency("s", Matches("by hand", points), CAMERAS, regions, settings, network, seed=seed)
 
 
 def test_raw_cosines_are_those_of_the_regions() -> None:
-    rows = unit(torch.randn(4, 16, generator=torch.Generator().manual_seed(0)))
-    cameras, regions = two_views(rows[:2], rows[2:])
+    rows, regions = halves(0)
     points = [
         [("a.png", 5), ("b.png", 7)],  # left, left
         [("a.png", 5), ("b.png", 35)],  # left, right
         [("a.png", 0), ("b.png", 7)],  # no region
         [("a.png", 30), ("b.png", 30), ("b.png", 2)],  # three pairs
     ]
-    results = consistency("s", Matches("by hand", points), cameras, regions, SETTINGS, QUICK)
+    results = measured(points, regions)
     raw = next(result for result in results if (result.level, result.features) == ("m", "raw"))
     cos = (rows @ rows.T).tolist()
     expected = [cos[0][2], cos[0][3], (cos[1][3] + cos[1][2] + cos[3][2]) / 3]
     assert raw.cosines == pytest.approx(expected, abs=1e-5)
     assert raw.pairs == 5
-    assert {result.features for result in results} == {"raw", "autoencoder", "sparse codes"}
+    assert {result.features for result in results} == FEATURES
     rows = consistency_table(results).rows
     assert len(rows) == 9 + 3
     raw = [row for row in rows if row[0] == "raw"]
@@ -72,20 +82,11 @@ def test_each_kind_of_feature_is_compared_between_the_observations_of_a_point() 
     decoded differs from the embeddings. The cosines of the three pairs differ too, so none may be mixed up.
     """
     rows = unit(torch.randn(6, 16, generator=torch.Generator().manual_seed(1)))
-    labels = torch.arange(40)[None].expand(30, 40).div(14, rounding_mode="floor").int()
-    cameras = Cameras([make_camera(name="a.png"), make_camera(name="b.png")])
-    maps = {
-        name: {"m": RegionMap(labels.contiguous(), of_view)}
-        for name, of_view in (("a.png", rows[:3]), ("b.png", rows[3:]))
-    }
-    columns = (3, 20, 35)
-    points = [[("a.png", column), ("b.png", column + 40)] for column in columns]
+    labels = (torch.arange(40) // 14).int().repeat(30, 1)
+    points = [[("a.png", column), ("b.png", column + 40)] for column in (3, 20, 35)]
     settings = BuildSettings(n_atoms=4, k=1, keep=1, effort="fast")
     network_settings = replace(QUICK, epochs=60, learning_rate=0.01)
-    regions = Regions.from_maps(maps)
-    results = consistency(
-        "s", Matches("by hand", points), cameras, regions, settings, network_settings, seed=3
-    )
+    results = measured(points, two_views(labels, rows), settings, network_settings, seed=3)
     network = fit_autoencoder(rows, network_settings, 3)
     book = fit_codes(rows, n_atoms=4, k=1, effort="fast", seed=3)
     decoded = {
@@ -103,13 +104,10 @@ def test_each_kind_of_feature_is_compared_between_the_observations_of_a_point() 
 
 def test_unmatched_is_what_is_left_when_partners_are_exchanged() -> None:
     """Each of 40 columns is a region of its own, all at right angles: alike where matched, else not."""
-    rows = torch.eye(40)
-    labels = torch.arange(40, dtype=torch.int32)[None].expand(30, 40).contiguous()
-    cameras = Cameras([make_camera(name="a.png"), make_camera(name="b.png")])
-    maps = {name: {"m": RegionMap(labels, rows)} for name in ("a.png", "b.png")}
+    labels = torch.arange(40, dtype=torch.int32).repeat(30, 1)
     points = [[("a.png", column), ("b.png", column)] for column in range(40)]
     settings = BuildSettings(n_atoms=40, k=1, keep=1, effort="fast")
-    results = consistency("s", Matches("by hand", points), cameras, Regions.from_maps(maps), settings, QUICK)
+    results = measured(points, two_views(labels, torch.eye(40).repeat(2, 1)), settings)
     for kind in ("raw", "sparse codes"):
         (result,) = (each for each in results if each.features == kind)
         assert result.cosines == pytest.approx([1.0] * 40, abs=1e-3)
@@ -120,14 +118,9 @@ def test_points_of_a_model_are_observed_where_they_project_to(tmp_path: Path) ->
     """And only in the images of their own track."""
     cameras = Cameras([make_camera(name=f"{name}.png", seed=seed) for seed, name in enumerate("abc")])
     positions = torch.tensor([[0.1, -0.2, 4.3], [-0.3, 0.1, 5.2]])
-    (tmp_path / "points3D.txt").write_text(
-        "".join(
-            f"{number} {x} {y} {z} 0 0 0 0.1 {track}\n"
-            for number, ((x, y, z), track) in enumerate(
-                zip(positions.tolist(), ("1 0 2 0", "2 0 3 0"), strict=True), 1
-            )
-        )
-    )
+    tracks = zip(positions.tolist(), ("1 0 2 0", "2 0 3 0"), strict=True)
+    lines = [f"{number} {x} {y} {z} 0 0 0 0.1 {track}" for number, ((x, y, z), track) in enumerate(tracks, 1)]
+    (tmp_path / "points3D.txt").write_text("\n".join(lines))
     (tmp_path / "images.txt").write_text(
         "".join(f"{n} 1 0 0 0 0 0 0 1 {camera.name}\n1 1 -1\n" for n, camera in enumerate(cameras, 1))
     )
@@ -166,42 +159,39 @@ def test_the_plot_shows_the_difference_that_counts() -> None:
 
 
 def test_unmatched_observations_are_of_the_same_points() -> None:
-    rows = unit(torch.randn(4, 16, generator=torch.Generator().manual_seed(2)))
-    cameras, regions = two_views(rows[:2], rows[2:])
     points = [[("a.png", 5), ("b.png", 7)], [("a.png", 30), ("b.png", 35)], [("a.png", 2), ("b.png", 30)]]
-    for result in consistency("s", Matches("by hand", points), cameras, regions, SETTINGS, QUICK):
+    for result in measured(points, halves(2)[1]):
         assert len(result.unmatched_cosines) == len(result.cosines) == 3
         assert sum(result.unmatched_cosines) / 3 == pytest.approx(result.unmatched)  # a pair a point
 
 
 def test_no_overlap() -> None:
-    rows = unit(torch.randn(4, 16))
-    cameras, regions = two_views(rows[:2], rows[2:])
     with pytest.raises(InputError, match="two views"):
-        consistency("s", Matches("by hand", [[("a.png", 4)]]), cameras, regions, SETTINGS, QUICK)
+        measured([[("a.png", 4)]], halves(0)[1])
+
+
+def blobs(means: list[list[float]], opacities: list[float]) -> Gaussians:
+    count = len(means)
+    quats = torch.tensor([[1.0, 0, 0, 0]] * count)
+    return Gaussians(
+        torch.tensor(means),
+        quats,
+        torch.full((count, 3), 0.2),
+        torch.tensor(opacities),
+        torch.zeros(count, 1, 3),
+    )
 
 
 def test_gaussians_match_where_they_dominate() -> None:
-    means = torch.tensor([[0.0, 0.0, 3.0], [0.0, 0.0, 5.0], [1.0, 0.0, 4.0]])
-    scene = Gaussians(
-        means, torch.tensor([[1.0, 0, 0, 0]] * 3), torch.full((3, 3), 0.2), torch.tensor([0.9, 0.9, 0.3]),
-        torch.zeros(3, 1, 3),
-    )  # fmt: skip
-    cameras = [make_camera(name="a.png"), make_camera(name="b.png")]
-    found = dominant_gaussians(scene, cameras)
-    # The second hides behind the first, the third is faint.
-    assert len(found.points) == 1
+    """The second hides behind the first, the third is faint."""
+    scene = blobs([[0.0, 0.0, 3.0], [0.0, 0.0, 5.0], [1.0, 0.0, 4.0]], [0.9, 0.9, 0.3])
     centre = 15 * 40 + 20
-    assert found.points[0] == [("a.png", centre), ("b.png", centre)]
-    weights = raster.render_channels(raster.project(scene, cameras[0]), torch.eye(3))[0][15, 20]
+    assert dominant_gaussians(scene, list(CAMERAS)).points == [[("a.png", centre), ("b.png", centre)]]
+    weights = raster.render_channels(raster.project(scene, CAMERAS[0]), torch.eye(3))[0][15, 20]
     assert weights[0] > 0.5 > weights[1]
 
 
 def test_each_gaussian_is_a_point_of_its_own() -> None:
-    means = torch.tensor([[-1.0, 0.0, 4.0], [1.0, 0.5, 4.0]])
-    scene = Gaussians(
-        means, torch.tensor([[1.0, 0, 0, 0]] * 2), torch.full((2, 3), 0.2), torch.full((2,), 0.9), torch.zeros(2, 1, 3)
-    )  # fmt: skip
-    found = dominant_gaussians(scene, [make_camera(name="a.png"), make_camera(name="b.png")])
+    found = dominant_gaussians(blobs([[-1.0, 0.0, 4.0], [1.0, 0.5, 4.0]], [0.9, 0.9]), list(CAMERAS))
     pixels = [15 * 40 + 11, (15 + 4) * 40 + 29]  # 36 / 4 pixels aside, 39.6 / 8 below
     assert found.points == [[("a.png", pixel), ("b.png", pixel)] for pixel in pixels]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from benchmarks.scenes.yard import YARD
 
-from cli_support import refused, run, run_json
+from cli_support import QUICK, refused, run, run_json
 from scoup.view import export, page
 from scoup.view.page import page_files
 from scoup_lab.evaluate.demonstration import DemoSettings, rows_by_name, run_demo
@@ -46,7 +46,7 @@ def test_the_folder_of_the_demo_can_be_built_and_queried(
     demo: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     scene, field = demo[0] / "scene", tmp_path / "again.scoup"
-    assert run("build", scene, "--model", scene / "text.npz", "--out", field)[0] == 0
+    assert run("build", scene, *QUICK, "--model", scene / "text.npz", "--out", field)[0] == 0
     for built in (field, demo[0] / "demo.scoup"):  # both find the table by themselves
         found = run_json("query", built, "teapot", "--out", tmp_path / "q", "--overwrite")
         assert found["answers"][0]["text"] == "teapot"

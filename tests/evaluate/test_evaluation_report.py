@@ -107,9 +107,6 @@ def test_protocols_without_localisation_have_no_such_columns() -> None:
     assert table.headers == ("system", "source", "mIoU", "95 % interval")
     record = report_record(report("room", protocol="3d-ovs 2D"))
     assert record["overall"]["accuracy"] is None
-
-
-def test_published_rows_of_protocols_without_localisation() -> None:
     table = published_table(report("sofa", protocol="3d-ovs 2D"))
     assert table.rows[0] == ("this run", "measured", "50.0")
 

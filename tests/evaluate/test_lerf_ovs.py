@@ -50,20 +50,10 @@ def test_polygons_are_painted_as_opencv_paints_them(tmp_path: Path) -> None:
     triangle = square("cup", 0, 0, 20, 20)
     triangle["segmentation"] = [[2.9, 2.0], [15.0, 5.7], [9.4, 17.0]]
     (mask,) = read_frame(write_label(tmp_path / "a.json", [triangle])).masks.values()
-    spans = {
-        2: (2, 4),
-        3: (2, 8),
-        4: (3, 12),
-        5: (3, 15),
-        6: (4, 14),
-        7: (4, 14),
-        8: (5, 13),
-        9: (5, 13),
-        10: (6, 12),
-    }
-    spans |= {11: (6, 12), 12: (7, 11), 13: (7, 11), 14: (8, 10), 15: (8, 10), 16: (9, 9), 17: (9, 9)}
+    spans = [(2, 4), (2, 8), (3, 12), (3, 15), (4, 14), (4, 14), (5, 13), (5, 13), (6, 12)]  # from row 2 on
+    spans += [(6, 12), (7, 11), (7, 11), (8, 10), (8, 10), (9, 9), (9, 9)]
     expected = torch.zeros(40, 60, dtype=torch.bool)
-    for row, (first, last) in spans.items():
+    for row, (first, last) in enumerate(spans, 2):
         expected[row, first : last + 1] = True
     assert mask.equal(expected)
 
@@ -95,14 +85,9 @@ def test_other_render_size(tmp_path: Path) -> None:
 
 
 def test_scene_scores(tmp_path: Path) -> None:
-    frames = [
-        read_frame(
-            write_label(tmp_path / "a.json", [square("cup", 20, 10, 39, 29), square("cup", 0, 0, 3, 3)])
-        ),
-        read_frame(
-            write_label(tmp_path / "b.json", [square("cup", 20, 10, 39, 29), square("pot", 0, 0, 9, 9)])
-        ),
-    ]
+    cup = square("cup", 20, 10, 39, 29)
+    objects = {"a": [cup, square("cup", 0, 0, 3, 3)], "b": [cup, square("pot", 0, 0, 9, 9)]}
+    frames = [read_frame(write_label(tmp_path / f"{name}.json", of)) for name, of in objects.items()]
     maps = torch.zeros(1, 40, 60)
     maps[0, 10:30, 20:40] = 1
     both = torch.stack([maps, maps], 1)
@@ -141,12 +126,13 @@ def test_frames_are_matched_by_name(tmp_path: Path) -> None:
 
 
 def test_missing_labels(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError):
-        read_labels(tmp_path)
-    with pytest.raises(MissingFileError):
-        read_labels(tmp_path / "absent")
-    with pytest.raises(MissingFileError):
-        read_frame(tmp_path / "absent.json")
+    for read, path in (
+        (read_labels, tmp_path),
+        (read_labels, tmp_path / "absent"),
+        (read_frame, tmp_path / "a.json"),
+    ):
+        with pytest.raises(MissingFileError):
+            read(path)
 
 
 GOOD = {"info": {"width": 60, "height": 40}, "objects": [square("cup", 1, 1, 5, 5)]}
@@ -195,6 +181,5 @@ def test_masks_of_no_end_are_refused(tmp_path: Path, label: str | None) -> None:
     path = write_label(tmp_path / "f.json", objects, 5000, 5000)
     with pytest.raises(FileFormatError, match=f"has {count} objects of .* on 5000 x 5000 pixels, too many"):
         read_frame(path)
-    assert len(read_frame(write_label(tmp_path / "g.json", objects[:8], 5000, 5000)).masks) == (
-        1 if label else 8
-    )
+    few = read_frame(write_label(tmp_path / "g.json", objects[:8], 5000, 5000))
+    assert len(few.masks) == (1 if label else 8)

@@ -22,14 +22,8 @@ def test_iou() -> None:
 
 def test_points_on_borders_are_inside() -> None:
     boxes = torch.tensor([[10.0, 20.0, 30.0, 40.0], [50.5, 50.5, 51.5, 51.5]])
-    for pixel, expected in [
-        ((10, 20), True),
-        ((30, 40), True),
-        ((9, 20), False),
-        ((30, 41), False),
-        ((51, 51), True),
-    ]:
-        assert any_inside(torch.tensor([pixel]), boxes) is expected
+    for x, y, expected in ((10, 20, True), (30, 40, True), (9, 20, False), (30, 41, False), (51, 51, True)):
+        assert any_inside(torch.tensor([[x, y]]), boxes) is expected
     assert any_inside(torch.tensor([[0, 0], [51, 51]]), boxes)
     assert not any_inside(torch.zeros(0, 2, dtype=torch.long), boxes)
 

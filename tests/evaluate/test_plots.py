@@ -21,15 +21,12 @@ needs_matplotlib = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="matplotlib is not installed"
 )
 
-INTERVALS = IntervalPlot(
-    [
-        ("first", "a", Interval(50, 40, 60)),
-        ("first", "b", Interval(70, 68, 72)),
-        ("next", "c", Interval(1, 1, 1)),
-    ],
-    "title",
-    "x",
-)
+ROWS = [
+    ("first", "a", Interval(50, 40, 60)),
+    ("first", "b", Interval(70, 68, 72)),
+    ("next", "c", Interval(1, 1, 1)),
+]
+INTERVALS = IntervalPlot(ROWS, "title", "x")
 
 
 @needs_matplotlib

@@ -9,8 +9,7 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
-from scoup_lab.data.class_names import NYU40
-from scoup_lab.data.labelled_points import LabelledPoints
+from scoup_lab.data.labelled_points import NYU40, LabelledPoints
 from scoup_lab.evaluate.protocols import scannet
 from scoup_lab.evaluate.protocols.points import NO_CLASS
 
@@ -65,14 +64,13 @@ def test_faint_gaussians_do_not_count() -> None:
 def test_splats_of_other_points_are_refused() -> None:
     positions = torch.rand(4, 3, generator=torch.Generator().manual_seed(0))
     points = LabelledPoints(positions, torch.ones(4, dtype=torch.int64))
-    with pytest.raises(InputError, match=r"a.ply: has 4 points, the splat 3 Gaussians; .*frozen"):
-        scannet.gaussian_truth(splat(positions[:3]), points, CLASSES["19"], "a.ply")
-    moved = positions + torch.tensor([0.0, 0, 1, 0])[:, None] * 0.01
-    with pytest.raises(InputError, match=r"Gaussian 2 is .* m from its point"):
-        scannet.gaussian_truth(splat(moved), points, CLASSES["19"], "a.ply")
-    with pytest.raises(InputError, match="from its point"):
-        scannet.gaussian_truth(splat(positions.flip(0)), points, CLASSES["19"], "a.ply")
-    with pytest.raises(InputError, match="from its point"):
-        scannet.gaussian_truth(
-            splat(positions.index_fill(0, torch.tensor([1]), torch.nan)), points, CLASSES["19"], "a.ply"
-        )
+    moved, endless = positions.clone(), positions.clone()
+    moved[2] += 0.01
+    endless[1] = torch.nan
+    for wrong, said in (
+        (positions[:3], r"a.ply: has 4 points, the splat 3 Gaussians; .*frozen"),
+        (moved, r"Gaussian 2 is .* m from its point"),
+        (positions.flip(0), "from its point"), (endless, "from its point"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            scannet.gaussian_truth(splat(wrong), points, CLASSES["19"], "a.ply")

@@ -10,7 +10,7 @@ from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import lerf_ovs
-from scoup_lab.evaluate.protocols.selection import VALA_3D, score_scene, silhouette
+from scoup_lab.evaluate.protocols.selection import NEIGHBOURS, OPAQUE, THRESHOLD, score_scene, silhouette
 from scoup_lab.evaluate.scores import overall
 from support import make_camera, random_gaussians
 from uplift.edits import joined
@@ -42,7 +42,7 @@ def test_silhouettes_begin_at_their_opacity() -> None:
     alpha = raster.render_channels(projection, torch.ones(20, 1))[0][..., 0]
     expected = alpha > 10 / 255
     assert silhouette(scene, chosen, camera, "inria").equal(expected)
-    assert (VALA_3D.neighbours, VALA_3D.threshold, VALA_3D.silhouette) == (10, 0.6, 10 / 255)
+    assert (NEIGHBOURS, THRESHOLD, OPAQUE) == (10, 0.6, 10 / 255)
 
 
 def test_scores() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io import save_png
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import threed_ovs
@@ -21,7 +22,7 @@ def paint(path: Path, *rows: int, size: tuple[int, int] = (20, 30)) -> None:
     mask = np.zeros(size, np.uint8)
     if rows:
         mask[rows[0] : rows[1]] = 255
-    save_png(mask, path)
+    save_png(mask, path, overwrite=True)
 
 
 def write_scene(folder: Path) -> Path:
@@ -99,9 +100,8 @@ def test_the_level_with_the_highest_mean_inside_its_mask_answers_not_the_highest
     spread = square(7, 14) * 0.4
     spread[10, 14] = 0.6  # the highest peak, in a mask of low mean
     even = square(0, 6) * 0.5
-    (pair,) = threed_ovs.PROTOCOL.score_frame(
-        frame_of(square(0, 6)), torch.stack([even, spread, even])[:, None]
-    )
+    maps = torch.stack([even, spread, even])
+    (pair,) = threed_ovs.PROTOCOL.score_frame(frame_of(square(0, 6)), maps[:, None])
     assert pair.level == 2
 
 
@@ -127,34 +127,21 @@ def test_scene_score_is_the_mean_over_frames_and_classes(tmp_path: Path) -> None
         _ = scene.accuracy
 
 
-def test_no_preset_of_langsplat() -> None:
-    with pytest.raises(UnknownNameError, match="langsplat"):
-        threed_ovs.PROTOCOL.rule("langsplat")
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "no classes": lambda home: (home / "classes.txt").unlink(),
+    "empty": lambda home: (home / "classes.txt").write_text("\n \n"),
+    "twice": lambda home: (home / "classes.txt").write_text("lamp\nlamp\n"),
+    "no text": lambda home: (home / "classes.txt").write_bytes(b"\xff\xfe\x00lamp"),
+    "picture": lambda home: (home / "00" / "lamp.png").write_bytes(b"no picture"),
+    "sizes": lambda home: paint(home / "00" / "lamp.png", size=(20, 31)),
+    "none": lambda home: (home / "classes.txt").write_text("unheard of\n"),
+}
 
 
-@pytest.mark.parametrize(
-    "damage", ["no folder", "no classes", "empty", "twice", "no text", "picture", "sizes", "none"]
-)
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_is_told(tmp_path: Path, damage: str) -> None:
-    home = write_scene(tmp_path) / "segmentations"
-    if damage == "no folder":
-        with pytest.raises(MissingFileError, match="expected masks"):
-            threed_ovs.read_segmentations(tmp_path / "absent")
-        return
-    if damage == "no classes":
-        (home / "classes.txt").unlink()
-    elif damage == "empty":
-        (home / "classes.txt").write_text("\n \n")
-    elif damage == "twice":
-        (home / "classes.txt").write_text("lamp\nlamp\n")
-    elif damage == "no text":
-        (home / "classes.txt").write_bytes(b"\xff\xfe\x00lamp")
-    elif damage == "picture":
-        (home / "00" / "lamp.png").write_bytes(b"no picture")
-    elif damage == "sizes":
-        (home / "00" / "lamp.png").unlink()
-        paint(home / "00" / "lamp.png", size=(20, 31))
-    else:
-        (home / "classes.txt").write_text("unheard of\n")
+    with pytest.raises(MissingFileError, match="expected masks"):
+        threed_ovs.read_segmentations(tmp_path / "absent")
+    DAMAGES[damage](write_scene(tmp_path) / "segmentations")
     with pytest.raises(FileFormatError, match="segmentations"):
         threed_ovs.read_segmentations(tmp_path)

@@ -274,12 +274,10 @@ def test_coarse_filters_nearly_agree() -> None:
 
 
 def test_no_answer_passes() -> None:
-    found = automatic_masks(smooth_image(30, 40), MadeUp(0), replace(LIVELY, predicted_iou=2.0))
-    assert all(len(masks) == 0 and masks.size == (30, 40) for masks in found.values())
-    found = automatic_masks(
-        smooth_image(30, 40), MadeUp(0), replace(LIVELY, predicted_iou=2.0, coarse_filters=True)
-    )
-    assert all(len(masks) == 0 for masks in found.values())
+    for coarse in (False, True):
+        chosen = replace(LIVELY, predicted_iou=2.0, coarse_filters=coarse)
+        found = automatic_masks(smooth_image(30, 40), MadeUp(0), chosen)
+        assert all(len(masks) == 0 and masks.size == (30, 40) for masks in found.values())
 
 
 def test_grids_and_crops() -> None:

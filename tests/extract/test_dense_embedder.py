@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from mask_samples import random_masks, smooth_image
 from scoup.extract import extract, find_photographs, open_embedder, open_segmenter
@@ -57,8 +58,6 @@ def test_regions_are_pooled_over_the_places_that_they_cover(folder: Path, size: 
 
 def test_an_extraction_with_it_names_the_model_for_texts(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
-    from PIL import Image
-
     photographs = tmp_path / "photographs"
     photographs.mkdir()
     Image.fromarray(smooth_image(60, 80)).save(photographs / "a.png")

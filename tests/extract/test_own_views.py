@@ -19,7 +19,7 @@ from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.up import checked_direction, estimate_up_of_splat
-from support import make_camera, random_gaussians
+from support import gaussians_at, make_camera, random_gaussians
 
 
 @pytest.mark.usefixtures("few_candidates")
@@ -32,22 +32,21 @@ def test_cameras_are_as_many_as_asked_for_and_the_same_each_time() -> None:
     assert all(float(camera.viewmat[1, 2]) < 0 for camera in first)  # up is up
 
 
-@pytest.mark.parametrize("case", ["empty", "transparent", "point", "nan"])
-def test_what_cannot_be_seen_is_refused(case: str) -> None:
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"opacities": torch.zeros(20)},
+        {"means": torch.tensor([1.0, 2.0, 3.0]).repeat(20, 1)},
+        {"means": torch.full((20, 3), torch.nan)},
+        None,
+    ],
+    ids=["transparent", "point", "nan", "empty"],
+)
+def test_what_cannot_be_seen_is_refused(changes: dict[str, torch.Tensor] | None) -> None:
     gaussians = random_gaussians(20, seed=2)
-    parts = {
-        name: getattr(gaussians, name).clone() for name in ("means", "quats", "scales", "opacities", "sh")
-    }
-    if case == "empty":
-        parts = {name: rows[:0] for name, rows in parts.items()}
-    elif case == "transparent":
-        parts["opacities"][:] = 0
-    elif case == "point":
-        parts["means"][:] = torch.tensor([1.0, 2.0, 3.0])
-    else:
-        parts["means"][:] = torch.nan
+    unseen = gaussians.select([]) if changes is None else replace(gaussians, **changes)
     with pytest.raises(InputError, match="gaussians: nothing"):
-        choose_cameras(Gaussians(**parts), width=64, height=48)
+        choose_cameras(unseen, width=64, height=48)
 
 
 @pytest.mark.usefixtures("few_candidates")
@@ -63,8 +62,7 @@ def surface(normal: int, side: float = -1.0, seed: int = 3, count: int = 600) ->
     lying = torch.arange(count) < count // 2
     means[lying, normal] = side * float(means.abs().max())
     scales[lying, normal] = 0.001
-    upright = torch.tensor([1.0, 0, 0, 0]).expand(count, 4).clone()
-    return Gaussians(means, upright, scales, torch.full((count,), 0.9), gaussians.sh)
+    return replace(gaussians_at(means), scales=scales)
 
 
 @pytest.mark.parametrize(

@@ -34,16 +34,10 @@ def ball(count: int = 2000) -> Gaussians:
 
 def around(*degrees: float) -> list[Camera]:
     """Cameras on a circle around the ball."""
+    eyes = [(3 * np.cos(np.radians(each)), 3 * np.sin(np.radians(each)), 0.5) for each in degrees]
     return [
-        Camera.look_at(
-            np.array([3 * np.cos(np.radians(each)), 3 * np.sin(np.radians(each)), 0.5]),
-            np.zeros(3),
-            f"{each}.png",
-            64,
-            48,
-            60.0,
-        )
-        for each in degrees
+        Camera.look_at(eye, (0, 0, 0), f"{each}.png", 64, 48, 60.0)
+        for each, eye in zip(degrees, eyes, strict=True)
     ]
 
 

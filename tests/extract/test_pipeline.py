@@ -60,6 +60,19 @@ class Blocks:
         return result
 
 
+class Stops(Blocks):
+    """One that is interrupted at its third photograph, or another."""
+
+    def __init__(self, side: int = 8, after: int = 2) -> None:
+        super().__init__(side)
+        self.after = after
+
+    def segment(self, image: np.ndarray) -> dict[str, Masks]:
+        if self.calls == self.after:
+            raise KeyboardInterrupt
+        return super().segment(image)
+
+
 def scene(folder: Path, count: int = 4) -> tuple[Path, Cameras]:
     (folder / "images").mkdir(parents=True)
     cameras = []
@@ -108,13 +121,6 @@ def test_work_goes_on_where_it_stopped(tmp_path: Path) -> None:
     photographs = find_photographs(folder)
     whole = tmp_path / "whole"
     extract(photographs, whole, Blocks(), PlainColors())
-
-    class Stops(Blocks):
-        def segment(self, image: np.ndarray) -> dict[str, Masks]:
-            if self.calls == 2:
-                raise KeyboardInterrupt
-            return super().segment(image)
-
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         extract(photographs, out, Stops(), PlainColors())
@@ -127,29 +133,21 @@ def test_work_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert after == snapshot(whole)
 
 
-@pytest.mark.parametrize("kind", ["cut", "gone", "empty"])
-def test_damaged_views_are_made_again(tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("kind", ["cut", "gone", "empty", "changed photograph"])
+def test_damaged_views_and_changed_photographs_are_done_again(tmp_path: Path, kind: str) -> None:
     folder, _ = scene(tmp_path)
     out = tmp_path / "out"
     extract(find_photographs(folder), out, Blocks(), PlainColors())
-    whole = snapshot(out)
-    victim = out / "1.regions"
-    if kind == "gone":
+    whole, victim = snapshot(out), out / "1.regions"
+    if kind == "changed photograph":
+        Image.fromarray(smooth_image(24, 32, 99)).save(folder / "images" / "1.png")
+    elif kind == "gone":
         victim.unlink()
     else:
         victim.write_bytes(victim.read_bytes()[: 0 if kind == "empty" else 20])
     report = extract(find_photographs(folder), out, Blocks(), PlainColors())
     assert (report.made, report.kept) == (["1.png"], 3)
-    assert snapshot(out) == whole
-
-
-def test_a_changed_photograph_is_done_again(tmp_path: Path) -> None:
-    folder, _ = scene(tmp_path)
-    out = tmp_path / "out"
-    extract(find_photographs(folder), out, Blocks(), PlainColors())
-    Image.fromarray(smooth_image(24, 32, 99)).save(folder / "images" / "1.png")
-    report = extract(find_photographs(folder), out, Blocks(), PlainColors())
-    assert (report.made, report.kept) == (["1.png"], 3)
+    assert (snapshot(out) == whole) == (kind != "changed photograph")
 
 
 def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
@@ -162,16 +160,9 @@ def test_changed_settings_are_refused_with_a_choice(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"side: 16, not 8"):
         extract(photographs, out, Blocks(16), PlainColors())
     assert snapshot(out) == before
-
-    class Stops(Blocks):
-        def segment(self, image: np.ndarray) -> dict[str, Masks]:
-            if self.calls == 1:
-                raise KeyboardInterrupt
-            return super().segment(image)
-
     # Given up for other settings, and interrupted: what is left of the old ones does not count.
     with pytest.raises(KeyboardInterrupt):
-        extract(photographs, out, Stops(16), PlainColors(), overwrite=True)
+        extract(photographs, out, Stops(16, 1), PlainColors(), overwrite=True)
     with pytest.warns(ScoupWarning, match="skipped 3 of 4 cameras"):
         assert scoup.load_regions(out, cameras).view_names == ("0.png",)
     report = extract(photographs, out, Blocks(16), PlainColors())

@@ -12,49 +12,24 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from field.conftest import field_with_things
 from field_files import parts_of, write_whole
-from frozen_fields import small_field
 from scoup.base.errors import ScoupError
 from scoup.field.content import LEAST_GAUSSIANS, TENSORS
 from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
-from scoup.scene.names import NameTable
-from scoup.scene.things import NO_THING, ThingTable
-from support import examples, unit
+from support import altered, examples
 
 ODD = (float("nan"), float("inf"), -1.0, 0.0, 7.0, 255.0, 65534.0)
 
 
-def field_with_things() -> LanguageField:
-    """The small field with three things, two of them named, and without Gaussians in its file."""
-    field = small_field()
-    things = ThingTable(
-        owners=torch.arange(len(field) * 3).view(-1, 3).int() % 4 + NO_THING,
-        levels=torch.tensor([0, 1, 2], dtype=torch.uint8),
-        parents=torch.tensor([1, 2, NO_THING], dtype=torch.int32),
-        embeddings=unit(torch.randn(3, field.dim, generator=torch.Generator().manual_seed(0))).half(),
-        agreement=torch.tensor([0.9, 0.8, 0.7]),
-        n_regions=torch.tensor([3, 4, 5], dtype=torch.int32),
-        mass=torch.ones(3),
-        stability=torch.ones(3),
-        names=NameTable(
-            ("mug", "kettle"),
-            torch.tensor([0.9, 0.1]),
-            torch.tensor([0, 0], dtype=torch.int32),
-            torch.tensor([1, 2], dtype=torch.int32),
-            torch.tensor([0.5, 0.25]),
-        ),
-    )
-    codes = field.code_indices, field.code_weights, field.codebook
-    made = LanguageField(*codes, field.info, cameras=field.cameras, thing_table=things)
-    made.geometry_path = Path("gaussians.ply").absolute()
-    return made
-
-
 @pytest.fixture(scope="module", params=[8, 16])
 def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file without its Gaussians."""
     path = tmp_path_factory.mktemp("facts") / "f.scoup"
-    field_with_things().save(path, weight_bits=request.param)
+    field = altered(field_with_things(), gaussians=None)
+    field.geometry_path = Path("gaussians.ply").absolute()
+    field.save(path, weight_bits=request.param)
     return path
 
 
@@ -97,18 +72,6 @@ def test_they_are_those_of_the_loaded_field(path: Path) -> None:
     assert facts["cameras"] > 0
     assert facts["geometry"].endswith("gaussians.ply (not there)")
     assert read_facts(path)["bytes"] == path.stat().st_size
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file with all tensors that there may be."""
-    path = tmp_path_factory.mktemp("whole") / "f.scoup"
-    field = field_with_things()
-    field.attach(small_field().gaussians)
-    field.save(path, embed_geometry=True)
-    assert parts_of(path)[1].keys() == TENSORS.keys()
-    assert read_facts(path)["geometry"] == "embedded"
-    return path
 
 
 def refusal(path: Path, header: dict[str, Any], tensors: dict[str, Tensor]) -> str:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 import scoup
-from scoup.base.errors import (
-    FileFormatError,
-    GeometryMismatchError,
-    InputError,
-    OutputExistsError,
-)
+from scoup.base.errors import FileFormatError, GeometryMismatchError, InputError, OutputExistsError
 from scoup.field.language_field import LanguageField
-from scoup.scene.codes import SparseCodes
+from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from support import random_gaussians, small_scene, unit
+from support import altered, random_gaussians, small_scene, unit
+from uplift.edits import joined
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=1, solver="adam", epochs=20)
 
@@ -36,54 +33,27 @@ def test_unpainted_gaussians_have_empty_codes_and_render_as_nothing(scene):
     gaussians, cameras, regions = scene
     hidden = random_gaussians(5, 1, ("behind",))
     hidden.means[:, 2] -= 50
-    both = scoup.Gaussians(
-        *(
-            torch.cat([getattr(gaussians, n), getattr(hidden, n)])
-            for n in ("means", "quats", "scales", "opacities", "sh")
-        )
-    )
-    field = build(both, cameras, regions, settings=QUICK)
+    field = build(joined(gaussians, hidden), cameras, regions, settings=QUICK)
     assert not field.coded()[-5:].any()
     relevancy = field.gaussian_relevancy(unit(torch.randn(2, 16)), unit(torch.randn(3, 16)))
     assert (relevancy[:, :, -5:] == 0.5).all()
     assert field.render_codes(cameras[0]).shape == (3, 30, 40, 8)
 
 
-def test_relevancy_equals_decoding_to_d_dimensions(scene, field):
-    camera = scene[1][0]
+@pytest.mark.parametrize("n_atoms", [8, 300])
+def test_relevancy_equals_decoding_to_d_dimensions(scene, tmp_path, n_atoms):
+    gaussians, cameras, regions = scene
+    field = build(gaussians, cameras, regions, settings=BuildSettings(n_atoms=n_atoms, rounds=1))
+    assert field.code_indices.dtype == index_dtype(n_atoms)
+    field.save(tmp_path / "f.scoup")
+    back = LanguageField.load(tmp_path / "f.scoup", gaussians)
     queries, canonical = unit(torch.randn(3, 16)), unit(torch.randn(4, 16))
-    actual = field.relevancy(camera, queries, canonical)
-    for s, level in enumerate(field.levels):
-        features = field.render_features(camera, level)
-        cosine = features @ queries.T
+    actual = back.relevancy(cameras[0], queries, canonical)
+    for s, level in enumerate(back.levels):
+        features = back.render_features(cameras[0], level)
         against = (features @ canonical.T).amax(-1, keepdim=True)
-        expected = torch.sigmoid(10 * (cosine - against)).permute(2, 0, 1)
+        expected = torch.sigmoid(10 * (features @ queries.T - against)).permute(2, 0, 1)
         assert torch.allclose(actual[s], expected, atol=1e-4)
-
-
-def test_gaussian_relevancy_equals_decoding(field):
-    queries, canonical = unit(torch.randn(3, 16)), unit(torch.randn(4, 16))
-    actual = field.gaussian_relevancy(queries, canonical)
-    for s in range(3):
-        codes = SparseCodes(field.code_indices[:, s], field.code_weights[:, s].float(), 8)
-        features = unit(codes.to_dense() @ field.codebook[s])
-        best = (features @ canonical.T).amax(1, keepdim=True)
-        assert torch.allclose(actual[s].T, torch.sigmoid(10 * (features @ queries.T - best)), atol=1e-4)
-
-
-def test_file_round_trip(scene, field, tmp_path):
-    path = tmp_path / "f.scoup"
-    field.save(path, embed_geometry=True)
-    back = LanguageField.load(path)
-    for name in ("code_indices", "code_weights", "codebook"):
-        assert torch.equal(getattr(back, name), getattr(field, name))
-    assert back.info == field.info
-    assert back.cameras is not None
-    assert back.cameras.names == scene[1].names
-    assert torch.equal(back.cameras[1].viewmat, scene[1][1].viewmat)
-    assert back.gaussians.fingerprint() == scene[0].fingerprint()
-    camera, queries = scene[1][0], unit(torch.randn(1, 16))
-    assert torch.equal(back.relevancy(camera, queries, queries), field.relevancy(camera, queries, queries))
 
 
 def test_eight_bit_weights_are_close(field, tmp_path):
@@ -126,24 +96,9 @@ def test_eight_bits_take_no_code_away(scene, tmp_path):
     wide = BuildSettings(n_atoms=600, k=4, keep=0, epochs=2, rounds=1, solver="adam")
     field = build(*scene, settings=wide)
     assert field.code_indices.dtype == torch.uint16
-    even = LanguageField(
-        field.code_indices, torch.full_like(field.code_weights, 1 / 600), field.codebook, field.info, scene[0]
-    )
+    even = altered(field, code_weights=torch.full_like(field.code_weights, 1 / 600))
     even.save(tmp_path / "f.scoup", weight_bits=8)
     assert LanguageField.load(tmp_path / "f.scoup").coded().all()
-
-
-def test_more_than_256_atoms_from_build_to_answers(scene, tmp_path):
-    gaussians, cameras, regions = scene
-    field = build(gaussians, cameras, regions, settings=BuildSettings(n_atoms=300, rounds=1))
-    field.save(tmp_path / "f.scoup")
-    back = LanguageField.load(tmp_path / "f.scoup", gaussians)
-    queries = unit(torch.randn(2, 16))
-    features = back.render_features(cameras[0], "m")
-    expected = (features @ queries.T).permute(2, 0, 1)
-    best = expected.amax(0, keepdim=True)
-    actual = back.relevancy(cameras[0], queries, queries)[1]
-    assert torch.allclose(actual, torch.sigmoid(10 * (expected - best)), atol=1e-4)
 
 
 def test_wrong_queries_are_refused(scene, field):
@@ -170,8 +125,6 @@ def test_parts_that_do_not_fit_are_refused(field):
 
 
 def test_other_files_are_named_for_what_they_are(tmp_path):
-    from safetensors.torch import save_file
-
     path = tmp_path / "x.scoup"
     with pytest.raises(FileFormatError, match="no such file"):
         LanguageField.load(path)

@@ -38,7 +38,7 @@ from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import view_file
 from scoup.uplift.vote import vote
 from scoup_lab.data.labelled_points import read_labelled_ply
 from scoup_lab.data.labels import read_labels

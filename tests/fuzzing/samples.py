@@ -27,6 +27,9 @@ from tests.io_samples import (
     some_cameras,
     some_gaussians,
     some_regions,
+    stored_view,
+    write_colmap_text,
+    write_inria_cameras,
 )
 from tests.support import small_scene
 
@@ -37,14 +40,12 @@ from scoup.io import (
     save_png,
     save_regions,
     write_colmap,
-    write_inria_cameras,
     write_spz,
     write_transforms,
 )
 from scoup.io.detections import new_store
 from scoup.io.regions import compact
 from scoup.io.regions.manifest import RegionManifest, write_manifest
-from scoup.io.regions.views import ViewRegions
 from scoup.io.splats.formats import FORMATS
 from scoup.io.splats.gltf import write_gltf
 from scoup.io.splats.gltf_features import GaussianFeatures
@@ -115,8 +116,7 @@ def _write_splats(folder: Path) -> None:
 def _write_alike(folder: Path) -> None:
     """Write Gaussians that are all alike: nothing shrinks further, so nothing grows more when it is read."""
     one = some_gaussians(1, degree=0)
-    alike = Gaussians(*(getattr(one, name).expand(200_000, *getattr(one, name).shape[1:])
-                        for name in ("means", "quats", "scales", "opacities", "sh")))  # fmt: skip
+    alike = Gaussians(*(part.expand(200_000, *part.shape[1:]) for part in one.tensors().values()))
     write_spz(alike, folder / "alike.spz")
     write_spz(alike, folder / "alike4.spz", version=4)
 
@@ -148,7 +148,7 @@ def _write_cameras(folder: Path) -> None:
     cameras, means = some_cameras(2), some_gaussians(3).means.numpy()
     points = (means.astype(float), (means > 0).astype("u1"))
     write_colmap(cameras, folder / "scene" / "sparse" / "0", points)
-    write_colmap(cameras, folder / "text" / "sparse", points, text=True)
+    write_colmap_text(cameras, folder / "text" / "sparse", points)
     save_images(cameras, folder / "scene" / "images")
     write_transforms(cameras, folder / "transforms.json")
     write_inria_cameras(cameras, folder / "cameras.json")
@@ -169,13 +169,7 @@ def _write_regions(folder: Path) -> None:
     regions = some_regions(some_cameras(1, *SIZE))
     save_regions(regions, folder / "features")
     name, packed = regions.view_names[0], folder / "packed"
-    maps = {level: regions.load(name, level) for level in regions.levels}
-    view = ViewRegions(
-        name,
-        {level: item.labels.numpy() for level, item in maps.items()},
-        {level: item.embeddings.half().numpy() for level, item in maps.items()},
-        "0" * 64,
-    )
+    view = stored_view(regions, name, "<f2", "0" * 64)
     manifest = RegionManifest.of("compact", "a/model", {"least": 0.5}, 16)
     write_manifest(packed, manifest)
     compact.write_view(packed, "view_00", view, manifest.fingerprint)
@@ -197,9 +191,8 @@ def _write_linked_field(field: LanguageField, folder: Path) -> None:
     save_gaussians(stored, folder / "linked.ply")
     info = replace(field.info, fingerprint=stored.fingerprint())
     codes = (field.code_indices, field.code_weights, field.codebook)
-    LanguageField(*codes, info, stored, folder / "linked.ply").save(
-        folder / "linked.scoup", embed_geometry=False
-    )
+    linked = LanguageField(*codes, info, stored, folder / "linked.ply")
+    linked.save(folder / "linked.scoup", embed_geometry=False)
 
 
 def _write_words_and_labels(folder: Path) -> None:
@@ -209,14 +202,12 @@ def _write_words_and_labels(folder: Path) -> None:
     names = ["cup", "chair", "table"]
     save_table(folder / "words.npz", names, vectors, model="a/model")
     np.savez_compressed(folder / "single.npz", **dict(zip(names, vectors.numpy(), strict=True)))  # pyright: ignore[reportArgumentType]
-    np.savez_compressed(
-        folder / "alike.npz", names=np.array(names), vectors=np.ones((3, 500_000), np.float32)
-    )
+    alike = np.ones((3, 500_000), np.float32)
+    np.savez_compressed(folder / "alike.npz", names=np.array(names), vectors=alike)
     rows = dict(zip(names, vectors.tolist(), strict=True))
     (folder / "words.json").write_text(json.dumps({"model": "a/model", **rows}))
-    save_file(
-        dict(zip(names, vectors.clone(), strict=True)), folder / "words.safetensors", {"model": "a/model"}
-    )
+    each = dict(zip(names, vectors.clone(), strict=True))
+    save_file(each, folder / "words.safetensors", {"model": "a/model"})
     save_file({"vectors": vectors}, folder / "joined.safetensors", {"names": json.dumps(names)})
     things = [
         {"category": "cup", "segmentation": [[1, 1], [9, 2.5], [5, 8]], "bbox": [1, 1, 9, 8]},

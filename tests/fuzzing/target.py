@@ -28,12 +28,7 @@ from scoup.base.errors import ScoupError, ScoupWarning
 
 SECONDS = 10.0
 """Of the processor that one file may take."""
-_REFUSED_MEMORY = (
-    "can't allocate memory",
-    "not enough memory",
-    "Cannot allocate memory",
-    "failed to allocate",
-)
+_REFUSED_MEMORY = "can't allocate memory", "not enough memory", "Cannot allocate memory", "failed to allocate"
 
 
 class Misbehaviour(Exception):

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gltf_samples import spz_in_gltf
-from io_samples import same_gaussians, some_cameras, some_gaussians
+from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError
 from scoup.io import read_gltf
 from scoup.io.splats.axes import Axis, turned
@@ -17,14 +17,6 @@ from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
 from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.rotations import rotation_matrices
-
-
-def covariances(gaussians: Gaussians) -> torch.Tensor:
-    axes = rotation_matrices(gaussians.quats.double()) * gaussians.scales.double()[:, None]
-    return axes @ axes.transpose(1, 2)
-
 
 TURNS: dict[Axis, list[float]] = {"x": [1, -1, -1], "y": [-1, 1, -1], "z": [-1, -1, 1]}
 

@@ -13,7 +13,15 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import camera_difference, same_gaussians, save_images, some_cameras, some_gaussians
+from io_samples import (
+    camera_difference,
+    same_gaussians,
+    save_images,
+    some_cameras,
+    some_gaussians,
+    write_colmap_text,
+    write_inria_cameras,
+)
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.extract import find_photographs
 from scoup.io import (
@@ -22,7 +30,6 @@ from scoup.io import (
     load_gaussians,
     save_gaussians,
     write_colmap,
-    write_inria_cameras,
     write_transforms,
 )
 from scoup.io.cameras.colmap import read_tracks
@@ -78,7 +85,7 @@ def test_encodings_of_text(tmp_path: Path, encoding: str, recwarn: pytest.Warnin
 
 @pytest.mark.parametrize("binary", [True, False])
 def test_image_names_of_another_code_page(tmp_path: Path, binary: bool) -> None:
-    write_colmap(some_cameras(1), tmp_path / "sparse/0", text=not binary)
+    (write_colmap if binary else write_colmap_text)(some_cameras(1), tmp_path / "sparse/0")
     path = tmp_path / "sparse/0" / ("images.bin" if binary else "images.txt")
     path.write_bytes(path.read_bytes().replace(b"view_00.png", b"K\xfcche.png"))
     with pytest.warns(ScoupWarning, match="is not in UTF-8"):
@@ -93,7 +100,7 @@ def test_lenses_of_colmap_4(tmp_path: Path, number: int, model: str, parameters:
     remedy = "panorama_sfm" if model == "EQUIRECTANGULAR" else "colmap image_undistorter"
     for text in (False, True):
         folder = tmp_path / str(text) / "sparse/0"
-        write_colmap(some_cameras(1), folder, text=text)
+        (write_colmap_text if text else write_colmap)(some_cameras(1), folder)
         if text:
             (folder / "cameras.txt").write_text(f"1 {model} 480 360 " + "433 " * parameters)
         else:
@@ -117,7 +124,7 @@ def test_image_undistorter_makes_pinholes_of_them(model: str) -> None:
 
 def test_one_line_per_image(tmp_path: Path) -> None:
     cameras = some_cameras(4)
-    write_colmap(cameras, tmp_path, text=True)
+    write_colmap_text(cameras, tmp_path)
     path = tmp_path / "images.txt"
     lines = [line for line in path.read_text().splitlines() if line]
     path.write_text("\n".join([*lines[:-1], "1.5 2.5 7 3 4 -1", lines[-1], ""]))
@@ -149,7 +156,7 @@ def test_a_nerf_synthetic_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("end", "gone", "has"), [(".bin", "images", "cameras"), (".txt", "images", "cameras"),
                                                   (".bin", "cameras", "images")])  # fmt: skip
 def test_half_a_colmap_model(tmp_path: Path, end: str, gone: str, has: str) -> None:
-    write_colmap(some_cameras(2), tmp_path / "sparse/0", text=end == ".txt")
+    (write_colmap_text if end == ".txt" else write_colmap)(some_cameras(2), tmp_path / "sparse/0")
     (tmp_path / "sparse/0" / f"{gone}{end}").unlink()
     for folder in (tmp_path, tmp_path / "sparse/0"):
         with pytest.raises(MissingFileError, match=f"sparse/0: has {has}{end} but not {gone}{end}"):
@@ -160,20 +167,14 @@ def test_names_that_inrias_code_has_cut(tmp_path: Path) -> None:
     write_inria_cameras(some_cameras(2), tmp_path / "cameras.json")
     path = tmp_path / "cameras.json"
     path.write_text(path.read_text().replace("view_01.png", "0000").replace("view_00.png", "0000"))
-    with pytest.raises(
-        FileFormatError, match=r"two cameras are named '0000'.*use the scene that the splat was trained on"
-    ):
+    said = r"two cameras are named '0000'.*use the scene that the splat was trained on"
+    with pytest.raises(FileFormatError, match=said):
         load_cameras(path)
 
 
 def test_cameras_are_found_by_names_of_any_form() -> None:
-    one, two, three = some_cameras(3)
-    cameras = Cameras(
-        replace(camera, name=name)
-        for camera, name in zip(
-            (one, two, three), ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png"), strict=True
-        )
-    )
+    names = ("cam1/0.png", "cam2/0.png", "K\u00fcche.a.png")
+    cameras = Cameras(replace(each, name=name) for each, name in zip(some_cameras(3), names, strict=True))
     assert cameras["cam1/0"] is cameras["cam1/0.png"] is cameras[0]
     for name in ("Ku\u0308che.a", "Ku\u0308che.a.png", "Ku\u0308che"):
         assert cameras[name] is cameras[2]
@@ -213,16 +214,13 @@ def test_splats_with_other_properties(tmp_path: Path, gone: str, added: Any, cha
         torch.testing.assert_close(tensor, expected[name], rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("gone", "added", "said"),
-    [
-        ("rot_.", (), "lacks rot_0, .*; export the trained splat again"),
-        ("f_dc_.", ("red",), "lacks f_dc_0"),
-        ("scale_0", (), "lacks scale_0"),
-        ("f_dc_.", ("f_anchor_feat_0", "scale_3"), "anchors of Scaffold-GS"),
-        ("(scale|rot|f_dc)_.|opacity", ("red", "green", "blue"), "not a point cloud or mesh"),
-    ],
-)
+@pytest.mark.parametrize(("gone", "added", "said"), [
+    ("rot_.", (), "lacks rot_0, .*; export the trained splat again"),
+    ("f_dc_.", ("red",), "lacks f_dc_0"),
+    ("scale_0", (), "lacks scale_0"),
+    ("f_dc_.", ("f_anchor_feat_0", "scale_3"), "anchors of Scaffold-GS"),
+    ("(scale|rot|f_dc)_.|opacity", ("red", "green", "blue"), "not a point cloud or mesh"),
+])  # fmt: skip
 def test_what_no_splat_lacks(tmp_path: Path, gone: str, added: tuple[str, ...], said: str) -> None:
     save_gaussians(some_gaussians(5, 0), tmp_path / "a.ply")
     changed_columns(tmp_path / "a.ply", gone, **dict.fromkeys(added, np.zeros(5, np.uint8)))

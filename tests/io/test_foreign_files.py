@@ -23,9 +23,8 @@ def test_checkpoints_are_read(tmp_path: Path, degree: int) -> None:
     given = some_gaussians(7, degree)
     logits, codebooks = save_langsplatv2(given, tmp_path / "chkpnt10000.pth")
     found = read_langsplat(tmp_path / "chkpnt10000.pth")
-    assert torch.allclose(found.gaussians.scales, given.scales, rtol=1e-5)
-    assert torch.allclose(found.gaussians.opacities, given.opacities, atol=1e-5)
-    assert torch.allclose(found.gaussians.quats, given.quats, atol=1e-6)
+    for name in ("scales", "opacities", "quats"):
+        torch.testing.assert_close(getattr(found.gaussians, name), getattr(given, name), rtol=1e-5, atol=1e-6)
     assert found.gaussians.sh.equal(given.sh)
     assert np.array_equal(found.values[:, 0], logits.numpy())
     assert found.codebooks is not None
@@ -50,20 +49,17 @@ def changed(place: int, value: Any) -> Callable[[list[Any]], list[Any]]:
     return lambda entries: [*entries[:place], value, *entries[place + 1 :]]
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda entries: entries[:7] + entries[9:], "without language features"),
-        (lambda entries: entries[:5], "no captured Gaussians"),
-        (changed(1, torch.zeros(6, 3)), "features_rest is"),
-        (changed(7, torch.zeros(7, 9)), "9 logits a Gaussian for 1 codebooks of 8"),
-        (changed(8, torch.zeros(8, 16)), "codebooks is"),
-        (changed(8, torch.full((1, 8, 16), torch.nan)), "not finite"),
-        (changed(1, torch.zeros(1, 1).expand(10**9, 3)), "xyz is"),
-        (changed(4, "scales"), "scaling is str"),
-        (changed(13, Runs()), "objects other than tensors"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda entries: entries[:7] + entries[9:], "without language features"),
+    (lambda entries: entries[:5], "no captured Gaussians"),
+    (changed(1, torch.zeros(6, 3)), "features_rest is"),
+    (changed(7, torch.zeros(7, 9)), "9 logits a Gaussian for 1 codebooks of 8"),
+    (changed(8, torch.zeros(8, 16)), "codebooks is"),
+    (changed(8, torch.full((1, 8, 16), torch.nan)), "not finite"),
+    (changed(1, torch.zeros(1, 1).expand(10**9, 3)), "xyz is"),
+    (changed(4, "scales"), "scaling is str"),
+    (changed(13, Runs()), "objects other than tensors"),
+])  # fmt: skip
 def test_other_checkpoints_are_refused(
     tmp_path: Path, change: Any, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

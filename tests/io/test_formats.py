@@ -17,12 +17,10 @@ from scoup.io import load_gaussians, save_gaussians, splat_source, written_forma
 from scoup.io.splats.formats import FORMATS, format_of
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+HAVE = importlib.util.find_spec("gaussforge") is not None
 ENDINGS = [
     pytest.param(
-        ending,
-        marks=pytest.mark.skipif(
-            kind.extra == "splats" and importlib.util.find_spec("gaussforge") is None, reason="not installed"
-        ),
+        ending, marks=pytest.mark.skipif(kind.extra == "splats" and not HAVE, reason="not installed")
     )
     for kind in FORMATS.values()
     if kind.read is not None and kind.write is not None
@@ -73,13 +71,9 @@ def test_damaged_files_are_refused_by_name(tmp_path: Path, ending: str) -> None:
 
 
 def test_names_decide() -> None:
-    for name, expected in {
-        "a.ply": "Inria PLY",
-        "a.compressed.PLY": "compressed PLY",
-        "step-000000009.ckpt": "nerfstudio checkpoint",
-        "other.ckpt": "gsplat checkpoint",
-        "a.usdz": "OpenUSD",
-    }.items():
+    kinds = {"a.ply": "Inria PLY", "a.compressed.PLY": "compressed PLY", "a.usdz": "OpenUSD"}
+    kinds |= {"step-000000009.ckpt": "nerfstudio checkpoint", "other.ckpt": "gsplat checkpoint"}
+    for name, expected in kinds.items():
         kind = format_of(name)
         assert kind is not None
         assert kind.name == expected
@@ -92,11 +86,7 @@ def test_a_training_decides_the_preset_of_what_it_exported(tmp_path: Path) -> No
     save_run(tmp_path, "data")
     save_gaussians(some_gaussians(), tmp_path / "splat.ply")
     source = splat_source(tmp_path)
-    assert (source.path, source.kind.name, source.preset) == (
-        tmp_path / "splat.ply",
-        "Inria PLY",
-        "gsplat",
-    )
+    assert (source.path.name, source.kind.name, source.preset) == ("splat.ply", "Inria PLY", "gsplat")
     assert splat_source(tmp_path / "splat.ply").preset == "inria"
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gltf_samples import SPLATS, columns_of, foreign, packed, read_in_its_axes
-from io_samples import same_gaussians, some_cameras, some_gaussians
+from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.splats.rotation import quat_from_rotation, rotated_sh, rotation_from_quat
 from scoup.raster import view_colors
@@ -64,11 +64,6 @@ def test_integers(tmp_path):
         read_in_its_axes(packed(tmp_path / "b.glb", root, binary))
 
 
-def covariances(gaussians: Gaussians) -> torch.Tensor:
-    axes = rotation_matrices(gaussians.quats.double()) * gaussians.scales.double()[:, None]
-    return axes @ axes.transpose(1, 2)
-
-
 QUAT = np.array([0.3, -0.5, 0.7, 0.2]) / np.linalg.norm([0.3, -0.5, 0.7, 0.2])  # w, x, y, z
 
 
@@ -82,14 +77,9 @@ def test_nodes_bring_gaussians_to_the_world(tmp_path, as_matrix):
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = scale * rotation, shift
     root, binary = foreign(columns_of(gaussians))
-    inner: dict[str, Any] = {
-        "mesh": 0,
-        "rotation": [*QUAT[1:].tolist(), float(QUAT[0])],
-        "scale": [scale] * 3,
-    }
-    inner["translation"] = shift.tolist()
-    if as_matrix:
-        inner = {"mesh": 0, "matrix": matrix.T.ravel().tolist()}
+    turned = [*QUAT[1:].tolist(), float(QUAT[0])]
+    inner: dict[str, Any] = {"rotation": turned, "scale": [scale] * 3, "translation": shift.tolist()}
+    inner = {"mesh": 0, **({"matrix": matrix.T.ravel().tolist()} if as_matrix else inner)}
     # The outer node turns y to z, so that the order of the two shows.
     outer = np.array([[1, 0, 0, 5], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
     root["nodes"] = [{"children": [1], "matrix": outer.T.ravel().tolist()}, inner]
@@ -155,28 +145,19 @@ def test_files_beside_and_below(tmp_path):
     assert same_gaussians(read_in_its_axes(write("data/a%20b.bin")), gaussians)
     (tmp_path / "secret.bin").write_bytes(binary)
     (place / "link.bin").symlink_to(tmp_path / "secret.bin")
-    for uri in [
-        "../secret.bin",
-        "data/../../secret.bin",
-        "%2E%2E/secret.bin",
-        "data/link.bin",
-        str(tmp_path / "secret.bin"),
-        "file://" + str(tmp_path / "secret.bin"),
-        "https://localhost/a.bin",
-        "data\\a.bin",
-        "",
-        "a%00b",
-    ]:
-        with pytest.raises(FileFormatError, match="not a file in its folder"):
+    secret = str(tmp_path / "secret.bin")
+    beside = ["../secret.bin", "data/../../secret.bin", "%2E%2E/secret.bin", "data/link.bin", secret]
+    beside += ["file://" + secret, "https://localhost/a.bin", "data\\a.bin", "", "a%00b"]
+    for uri, said in (
+        *((uri, "not a file in its folder") for uri in beside),
+        ("data/short.bin", "cut short"),
+        ("data:application/octet-stream;base64,????", "base64 is damaged"),
+        ("data:text/plain,hello", "not base64"),
+    ):
+        with pytest.raises(FileFormatError, match=said):
             read_in_its_axes(write(uri))
     with pytest.raises(MissingFileError, match="a buffer of"):
         read_in_its_axes(write("other.bin"))
-    with pytest.raises(FileFormatError, match="cut short"):
-        read_in_its_axes(write("data/short.bin"))
-    with pytest.raises(FileFormatError, match="base64 is damaged"):
-        read_in_its_axes(write("data:application/octet-stream;base64,????"))
-    with pytest.raises(FileFormatError, match="not base64"):
-        read_in_its_axes(write("data:text/plain,hello"))
 
 
 def test_warnings_of_other_kinds_of_gaussians(tmp_path):

@@ -29,46 +29,36 @@ def refusals() -> dict[str, tuple[Any, str]]:
     def view(**values: Any) -> Any:
         return lambda root: root["bufferViews"][2].update(values)
 
+    def without(name: str) -> tuple[Any, str]:
+        return lambda root: primitive(root)["attributes"].pop(f"{SPLATS}:{name}"), f"have no {SPLATS}:{name}"
+
+    def of_root(**values: Any) -> Any:
+        return lambda root: root.update(values)
+
     shear = [1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    overflow = [{"scale": [1e300] * 3, "children": [1]}, {"mesh": 0, "scale": [1e300] * 3}]
     return {
         "compressed": (compress, "are compressed"),
-        "required": (lambda root: root.update(extensionsRequired=["KHR_meshopt"]), "needs the extension"),
+        "required": (of_root(extensionsRequired=["KHR_meshopt"]), "needs the extension"),
         "mesh": (lambda root: primitive(root).update(extensions={}), "contains no Gaussians"),
-        "no node": (lambda root: root.update(scenes=[{"nodes": []}]), "no node of its scene contains"),
+        "no node": (of_root(scenes=[{"nodes": []}]), "no node of its scene contains"),
         "triangles": (lambda root: primitive(root).update(mode=4), "not points"),
-        "draft": (
-            lambda root: primitive(root)["attributes"].pop(f"{SPLATS}:SCALE"),
-            "have no KHR_gaussian_splatting:SCALE",
-        ),
-        "partial": (
-            lambda root: primitive(root)["attributes"].pop(f"{SPLATS}:SH_DEGREE_1_COEF_1"),
-            "have no KHR_gaussian_splatting:SH_DEGREE_1_COEF_1",
-        ),
+        "draft": without("SCALE"),
+        "partial": without("SH_DEGREE_1_COEF_1"),
         "stretch": (node(scale=[1, 1, 2]), "stretches, shears or flattens"),
         "flat": (node(scale=[0, 0, 0]), "stretches, shears or flattens"),
         "shear": (node(matrix=shear), "stretches, shears or flattens"),
         "mirror": (node(scale=[-1, 1, 1]), "mirrors"),
         "inverted": (node(scale=[-1, -1, -1]), "mirrors"),
         "huge": (node(matrix=[10**400] + [0] * 15), "finite number"),
-        "overflow": (
-            lambda root: root.update(
-                nodes=[{"scale": [1e300] * 3, "children": [1]}, {"mesh": 0, "scale": [1e300] * 3}]
-            ),
-            "not finite",
-        ),
+        "overflow": (of_root(nodes=overflow), "not finite"),
         "quaternion": (node(rotation=[0, 0, 0, 0]), "not a quaternion"),
         "perspective": (node(matrix=[1, 0, 0, 1] + [0] * 12), "does not end with"),
         "cycle": (node(children=[0]), "below itself"),
-        "two parents": (
-            lambda root: root.update(nodes=[{"mesh": 0, "children": [1, 1]}, {}]),
-            "several parents",
-        ),
+        "two parents": (of_root(nodes=[{"mesh": 0, "children": [1, 1]}, {}]), "several parents"),
         "child": (node(children=[5]), r"nodes\[5\], but nodes has 1"),
         "count": (accessor(count=2**40), "different counts"),
-        "counts": (
-            lambda root: [each.update(count=2**40) for each in root["accessors"]],
-            "beyond its buffer view",
-        ),
+        "counts": (lambda root: [a.update(count=2**40) for a in root["accessors"]], "beyond its buffer view"),
         "zero": (accessor(count=0), "whole number from 1"),
         "offset": (accessor(byteOffset=2**52), "beyond its buffer view"),
         "negative": (accessor(byteOffset=-4), "whole number from 0"),
@@ -79,9 +69,9 @@ def refusals() -> dict[str, tuple[Any, str]]:
         "stride": (view(byteStride=4), "rows of .* overlap"),
         "length": (view(byteLength=2**50), "beyond its buffer"),
         "buffer": (view(buffer=1), "but buffers has 1"),
-        "version": (lambda root: root.update(asset={"version": "1.0"}), "other than 2"),
-        "no version": (lambda root: root.update(asset=3), "not glTF 2"),
-        "list": (lambda root: root.update(nodes={}), "nodes is not a list"),
+        "version": (of_root(asset={"version": "1.0"}), "other than 2"),
+        "no version": (of_root(asset=3), "not glTF 2"),
+        "list": (of_root(nodes={}), "nodes is not a list"),
     }
 
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from io_samples import camera_difference, save_images, some_cameras
+from io_samples import camera_difference, save_images, some_cameras, write_inria_cameras
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
-from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras, write_inria_cameras
+from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
 from scoup.scene.cameras import Cameras
 
@@ -78,10 +78,8 @@ def test_lens_settings_that_change_nothing(tmp_path):
 def test_masks_of_photographs(tmp_path):
     save_images(some_cameras(1), tmp_path / "masks")
     (tmp_path / "a").mkdir()
-    frame = {"mask_path": "masks/view_00.png"}
-    assert (
-        read_transforms(transforms(tmp_path, frame=frame))[0].mask_path == tmp_path / "masks" / "view_00.png"
-    )
+    camera = read_transforms(transforms(tmp_path, frame={"mask_path": "masks/view_00.png"}))[0]
+    assert camera.mask_path == tmp_path / "masks" / "view_00.png"
     for name in ("masks/none.png", "../masks/view_00.png"):
         with pytest.warns(ScoupWarning, match=r"1 mask \(mask_path\) not found \(a\.png\)"):
             assert read_transforms(transforms(tmp_path / "a", frame={"mask_path": name}))[0].mask_path is None
@@ -165,12 +163,8 @@ def test_bad_json(tmp_path):
 def test_cfg_args(tmp_path):
     path = tmp_path / "cfg_args"
     path.write_text(r"Namespace(sh_degree=3, source_path='C:\\data', images='images', eval=False)")
-    assert read_cfg_args(path) == {
-        "sh_degree": 3,
-        "source_path": "C:\\data",
-        "images": "images",
-        "eval": False,
-    }
+    expected = {"sh_degree": 3, "source_path": "C:\\data", "images": "images", "eval": False}
+    assert read_cfg_args(path) == expected
     for text in ("", "Namespace(", "Namespace(a=open('x'))", "__import__('os')", "Other(a=1)", "(" * 5000):
         path.write_text(text)
         with pytest.raises(FileFormatError, match="Namespace"):

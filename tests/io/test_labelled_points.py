@@ -9,11 +9,7 @@ import pytest
 import torch
 
 from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
-from scoup_lab.data.labelled_points import (
-    LabelledPoints,
-    read_labelled_ply,
-    write_labelled_ply,
-)
+from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply, write_labelled_ply
 
 HEADER = """ply
 format {encoding} 1.0
@@ -62,23 +58,24 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         write_labelled_ply(points, tmp_path / "a.ply")
 
 
-def test_other_meshes_are_refused(tmp_path: Path) -> None:
+TEXT = HEADER.format(encoding="ascii", count=1)
+MANY = HEADER.format(encoding="binary_little_endian", count=1_000_000_000)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (TEXT.replace("property ushort label\n", "") + "1 2 3 0 0 0 255\n3 0 0 0\n",
+         r"no label \(but x, y, z, red.*_vh_clean_2.labels.ply"),
+        (TEXT.replace("ushort label", "float label") + "1 2 3 0 0 0 255 7.5\n3 0 0 0\n", "not whole numbers"),
+        (TEXT + "1 nan 3 0 0 0 255 7\n3 0 0 0\n", "not finite"),
+        (MANY + "\0" * 100, "cut short"),
+    ],
+    ids=["no label", "halves", "nan", "cut"],
+)  # fmt: skip
+def test_other_meshes_are_refused(tmp_path: Path, content: str, said: str) -> None:
     with pytest.raises(MissingFileError, match="labelled points was expected"):
         read_labelled_ply(tmp_path / "a.ply")
-    unlabelled = HEADER.format(encoding="ascii", count=1).replace("property ushort label\n", "")
-    (tmp_path / "a.ply").write_text(unlabelled + "1 2 3 0 0 0 255\n3 0 0 0\n")
-    with pytest.raises(FileFormatError, match=r"no label \(but x, y, z, red.*_vh_clean_2.labels.ply"):
-        read_labelled_ply(tmp_path / "a.ply")
-    halves = HEADER.format(encoding="ascii", count=1).replace("ushort label", "float label")
-    (tmp_path / "a.ply").write_text(halves + "1 2 3 0 0 0 255 7.5\n3 0 0 0\n")
-    with pytest.raises(FileFormatError, match="not whole numbers"):
-        read_labelled_ply(tmp_path / "a.ply")
-    (tmp_path / "a.ply").write_text(
-        HEADER.format(encoding="ascii", count=1) + "1 nan 3 0 0 0 255 7\n3 0 0 0\n"
-    )
-    with pytest.raises(FileFormatError, match="not finite"):
-        read_labelled_ply(tmp_path / "a.ply")
-    binary = HEADER.format(encoding="binary_little_endian", count=1_000_000_000).encode()
-    (tmp_path / "a.ply").write_bytes(binary + b"\0" * 100)
-    with pytest.raises(FileFormatError, match="cut short"):
+    (tmp_path / "a.ply").write_text(content)
+    with pytest.raises(FileFormatError, match=said):
         read_labelled_ply(tmp_path / "a.ply")

@@ -22,7 +22,6 @@ from scoup.io.splats.activation import (
     scales_from_logs,
 )
 from scoup.io.splats.ply import (
-    PlyTable,
     as_stored,
     gaussians_from_table,
     read_ply,
@@ -31,7 +30,6 @@ from scoup.io.splats.ply import (
     write_ply,
     write_ply_table,
 )
-from scoup.scene.gaussians import Gaussians
 from support import examples
 
 RAW = st.floats(width=32, allow_nan=False)
@@ -41,15 +39,13 @@ def file_of(path: Path, columns: dict[str, np.ndarray], encoding: str = "binary_
     """A PLY written by other means than those tested."""
     order = ">" if "big" in encoding else "<"
     names = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
-    rows = np.empty(
-        len(next(iter(columns.values()))), [(k, order + v.dtype.str[1:]) for k, v in columns.items()]
-    )
+    kinds = [(name, order + values.dtype.str[1:]) for name, values in columns.items()]
+    rows = np.empty(len(next(iter(columns.values()))), kinds)
     for key, values in columns.items():
         rows[key] = values
-    lines = [f"property {names[v.dtype.str[1:]]} {k}" for k, v in columns.items()]
-    header = "\n".join(
-        ["ply", f"format {encoding} 1.0", f"element vertex {len(rows)}", *lines, "end_header", ""]
-    )
+    lines = [f"property {names[values.dtype.str[1:]]} {name}" for name, values in columns.items()]
+    start = ["ply", f"format {encoding} 1.0", f"element vertex {len(rows)}"]
+    header = "\n".join([*start, *lines, "end_header", ""])
     if encoding == "ascii":
         body = "\n".join(" ".join(repr(float(value)) for value in row.tolist()) for row in rows) + "\n"
         path.write_bytes((header + body).encode())
@@ -60,17 +56,8 @@ def file_of(path: Path, columns: dict[str, np.ndarray], encoding: str = "binary_
 
 def raw_columns(count: int = 5, rest: int = 0, seed: int = 0) -> dict[str, np.ndarray]:
     generator = np.random.default_rng(seed)
-    names = [
-        "x",
-        "y",
-        "z",
-        "f_dc_0",
-        "f_dc_1",
-        "f_dc_2",
-        *(f"f_rest_{number}" for number in range(rest)),
-        "opacity",
-    ]
-    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    names = ["x", "y", "z", *(f"f_dc_{c}" for c in range(3)), *(f"f_rest_{number}" for number in range(rest))]
+    names += ["opacity", *(f"scale_{axis}" for axis in range(3)), *(f"rot_{part}" for part in range(4))]
     return {name: generator.normal(size=count).astype(np.float32) for name in names}
 
 
@@ -114,10 +101,7 @@ def test_any_finite_file_reads_writes_reads_the_same(data):
 
 
 def test_opacity_one_and_zero(tmp_path):
-    gaussians = some_gaussians(2)
-    gaussians = Gaussians(
-        gaussians.means, gaussians.quats, gaussians.scales, torch.tensor([1.0, 0.0]), gaussians.sh
-    )
+    gaussians = replace(some_gaussians(2), opacities=torch.tensor([1.0, 0.0]))
     write_ply(gaussians, tmp_path / "a.ply")
     assert read_ply_table(tmp_path / "a.ply").rows["opacity"].tolist() == [np.inf, -np.inf]
     assert read_ply(tmp_path / "a.ply").opacities.tolist() == [1.0, 0.0]
@@ -151,25 +135,19 @@ def test_the_filter_of_mip_splatting_is_applied(tmp_path):
     columns = raw_columns(5)
     columns["filter_3D"] = np.array([0, 0.05, 0.5, 1e-3, 7], np.float32)
     found = read_ply(file_of(tmp_path / "a.ply", columns))
-    raw = read_ply(
-        file_of(tmp_path / "b.ply", {name: columns[name] for name in columns if name != "filter_3D"})
-    )
+    filters = columns.pop("filter_3D")
+    raw = read_ply(file_of(tmp_path / "b.ply", columns))
     before = raw.scales.double() ** 2
-    after = before + torch.from_numpy(columns["filter_3D"]).double()[:, None] ** 2
+    after = before + torch.from_numpy(filters).double()[:, None] ** 2
     torch.testing.assert_close(found.scales, after.sqrt().float())
-    torch.testing.assert_close(
-        found.opacities, (raw.opacities * (before.prod(1) / after.prod(1)).sqrt()).float()
-    )
+    weaker = (before.prod(1) / after.prod(1)).sqrt()
+    torch.testing.assert_close(found.opacities, (raw.opacities * weaker).float())
     assert (found.antialiased, raw.antialiased) == (True, False)
 
 
 @pytest.mark.parametrize(
     ("comment", "antialiased"),
-    [
-        ("SplatRenderMode: mip", True),
-        ("SplatRenderMode: default", False),
-        ("antialiased 1", True),
-    ],
+    [("SplatRenderMode: mip", True), ("SplatRenderMode: default", False), ("antialiased 1", True)],
 )
 def test_antialiasing_is_kept_by_ply_and_spz(tmp_path, comment, antialiased):
     table = replace(table_from_gaussians(some_gaussians(3)), comments=(comment,))
@@ -199,9 +177,8 @@ def test_elements_before_and_after(tmp_path):
     plain = read_ply(path)
     header, body = path.read_bytes().split(b"end_header\n", 1)
     before = header.replace(b"element vertex", b"element chunk 2\nproperty double a\nelement vertex")
-    path.write_bytes(
-        before + b"element face 1\nproperty list uchar int i\nend_header\n" + bytes(16) + body + b"\0"
-    )
+    after = b"element face 1\nproperty list uchar int i\nend_header\n"
+    path.write_bytes(before + after + bytes(16) + body + b"\0")
     assert same_gaussians(plain, read_ply(path))
 
 
@@ -261,68 +238,55 @@ def test_empty_tables(tmp_path):
     assert same_gaussians(gaussians, read_ply(tmp_path / "a.ply"))
 
 
-def test_errors_name_the_problem(tmp_path):
-    with pytest.raises(MissingFileError, match="no such file"):
-        read_ply(tmp_path / "none.ply")
-    with pytest.raises(MissingFileError, match="is a folder"):
-        read_ply(tmp_path)
+NAMED = {
+    "cut": (lambda whole: whole[:-1], r"cut short: its header says 5 rows of 'vertex', there is room for 4"),
+    "long": (lambda whole: whole.replace(b"vertex 5", b"vertex 1000000000000"), "cut short"),
+    "empty": (lambda _: b"", "is empty"),
+    "no end": (lambda whole: whole.replace(b"end_header", b"end_huader"), "no end_header"),
+    "list": (
+        lambda whole: whole.replace(b"property float x", b"property list uchar float x"),
+        "list property",
+    ),
+    "twice": (lambda whole: whole.replace(b"property float y", b"property float x"), "twice"),
+}
+
+
+@pytest.mark.parametrize("damage", NAMED)
+def test_damage_is_named(tmp_path, damage):
     path = file_of(tmp_path / "a.ply", raw_columns(5))
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-1])
-    with pytest.raises(
-        FileFormatError, match=r"cut short: its header says 5 rows of 'vertex', there is room for 4"
-    ):
+    change, said = NAMED[damage]
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(FileFormatError, match=said):
         read_ply(path)
-    path.write_bytes(whole.replace(b"vertex 5", b"vertex 1000000000000"))
-    with pytest.raises(FileFormatError, match="cut short"):
-        read_ply(path)
-    path.write_bytes(b"")
-    with pytest.raises(FileFormatError, match="is empty"):
-        read_ply(path)
-    path.write_bytes(whole.replace(b"end_header", b"end_huader"))
-    with pytest.raises(FileFormatError, match="no end_header"):
-        read_ply(path)
-    with pytest.raises(FileFormatError, match="lacks opacity"):
-        read_ply(file_of(path, {key: value for key, value in raw_columns().items() if key != "opacity"}))
-    with pytest.raises(FileFormatError, match=r"has 5 f_rest"):
-        read_ply(file_of(path, raw_columns(rest=5)))
-    path.write_bytes(whole.replace(b"property float x", b"property list uchar float x"))
-    with pytest.raises(FileFormatError, match="list property"):
-        read_ply(path)
-    path.write_bytes(whole.replace(b"property float y", b"property float x"))
-    with pytest.raises(FileFormatError, match="twice"):
-        read_ply(path)
+
+
+def test_files_without_a_splat_are_named(tmp_path):
+    for path, said in ((tmp_path / "none.ply", "no such file"), (tmp_path, "is a folder")):
+        with pytest.raises(MissingFileError, match=said):
+            read_ply(path)
+    columns = raw_columns()
+    cloud = {name: columns[name] for name in ("x", "y", "z")}
+    del columns["opacity"]
+    files = ((columns, "lacks opacity"), (raw_columns(rest=5), "has 5 f_rest"), (cloud, "not a point cloud"))
+    for wrong, said in files:
+        with pytest.raises(FileFormatError, match=said):
+            read_ply(file_of(tmp_path / "a.ply", wrong))
 
 
 def test_text_that_does_not_fit_its_header(tmp_path):
     path = file_of(tmp_path / "a.ply", raw_columns(5), "ascii")
     whole = path.read_bytes()
-    path.write_bytes(b"\n".join(whole.splitlines()[:-1]))
-    with pytest.raises(FileFormatError, match="has 4 rows of 14 numbers, but its header says 5 of 14"):
-        read_ply(path)
-    path.write_bytes(whole[:-9] + b"kettle\n")
-    with pytest.raises(FileFormatError, match="kettle' in place of a number"):
-        read_ply(path)
-
-
-def test_point_clouds_and_compressed_files_are_named(tmp_path):
-    cloud = {name: np.zeros(2, dtype=np.float32) for name in ("x", "y", "z")}
-    with pytest.raises(FileFormatError, match="not a point cloud"):
-        read_ply(file_of(tmp_path / "a.ply", cloud))
+    for content, said in (
+        (b"\n".join(whole.splitlines()[:-1]), "has 4 rows of 14 numbers, but its header says 5 of 14"),
+        (whole[:-9] + b"kettle\n", "kettle' in place of a number"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError, match=said):
+            read_ply(path)
 
 
 def test_table_from_memory_has_the_inria_layout():
-    table = table_from_gaussians(some_gaussians(2, degree=3))
-    assert isinstance(table, PlyTable)
-    assert len(table.names) == 62
-    assert table.names[:10] == ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "f_rest_0")
-    assert table.names[-8:] == (
-        "opacity",
-        "scale_0",
-        "scale_1",
-        "scale_2",
-        "rot_0",
-        "rot_1",
-        "rot_2",
-        "rot_3",
-    )
+    names = table_from_gaussians(some_gaussians(2, degree=3)).names
+    assert len(names) == 62
+    assert names[:10] == ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "f_rest_0")
+    assert " ".join(names[-8:]) == "opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"

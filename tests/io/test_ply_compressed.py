@@ -11,7 +11,7 @@ from hypothesis import given as given_any
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from io_samples import save_compressed_ply, some_gaussians
+from io_samples import angles, save_compressed_ply, some_gaussians
 from scoup.base.errors import FileFormatError, InputError
 from scoup.io import save_gaussians
 from scoup.io.splats.ply import gaussians_from_table, read_ply, read_ply_table
@@ -29,19 +29,19 @@ def test_compressed_files(tmp_path):
     assert gaussians.sh[:, 1:].abs().max() == 4
     raw = np.frombuffer((tmp_path / "a.ply").read_bytes()[-300 * 9 :], np.uint8).reshape(300, 9)
     inner = (raw[:, 4] > 0) & (raw[:, 4] < 255)
-    np.testing.assert_allclose(
-        gaussians.sh[:, 2, 1].numpy()[inner], (raw[inner, 4] + 0.5) / 32 - 4, atol=1e-6
-    )
-    assert set(gaussians.sh[:, 2, 1].numpy()[~inner].tolist()) <= {-4.0, 4.0}
+    green = gaussians.sh[:, 2, 1].numpy()
+    np.testing.assert_allclose(green[inner], (raw[inner, 4] + 0.5) / 32 - 4, atol=1e-6)
+    assert set(green[~inner].tolist()) <= {-4.0, 4.0}
     with pytest.raises(FileFormatError, match=r"compressed PLY.*scoup convert"):
         gaussians_from_table(read_ply_table(tmp_path / "a.ply"))
     whole = (tmp_path / "a.ply").read_bytes()
-    (tmp_path / "a.ply").write_bytes(whole.replace(b"element chunk 2", b"element chunk 1"))
-    with pytest.raises(FileFormatError, match="has 1 chunks for 300 vertices"):
-        read_ply(tmp_path / "a.ply")
-    (tmp_path / "a.ply").write_bytes(whole.replace(b"min_scale_y", b"min_scale_q"))
-    with pytest.raises(FileFormatError, match="lacks min_scale_x or a similar property"):
-        read_ply(tmp_path / "a.ply")
+    for there, other, said in (
+        (b"element chunk 2", b"element chunk 1", "has 1 chunks for 300 vertices"),
+        (b"min_scale_y", b"min_scale_q", "lacks min_scale_x or a similar property"),
+    ):
+        (tmp_path / "a.ply").write_bytes(whole.replace(there, other))
+        with pytest.raises(FileFormatError, match=said):
+            read_ply(tmp_path / "a.ply")
 
 
 def spread(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
@@ -50,9 +50,8 @@ def spread(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
     extents = []
     for values in (gaussians.means, gaussians.scales.log(), gaussians.sh[:, 0] * SH_C0 + 0.5):
         rows = values.double().numpy()
-        extents.append(
-            np.stack([np.ptp(rows[block == number], axis=0) for number in range(block[-1] + 1)])[block]
-        )
+        ranges = [np.ptp(rows[block == number], axis=0) for number in range(block[-1] + 1)]
+        extents.append(np.stack(ranges)[block])
     return tuple(extents)
 
 
@@ -66,19 +65,15 @@ def test_round_trips_round_as_stated(tmp_path_factory, count, degree, seed):
     found = read_ply(path)
     places, sizes, colors = spread(given)
     steps = np.array([2047, 1023, 2047])
-    assert (np.abs((found.means - given.means).double().numpy()) <= 0.5 / steps * places + 1e-5).all()
-    assert (
-        np.abs((found.scales.log() - given.scales.log()).double().numpy()) <= 0.5 / steps * sizes + 1e-5
-    ).all()
+    moved, grown = (found.means - given.means).double(), (found.scales.log() - given.scales.log()).double()
+    for change, extent in ((moved, places), (grown, sizes)):
+        assert (np.abs(change.numpy()) <= 0.5 / steps * extent + 1e-5).all()
     difference = np.abs((found.sh[:, 0] - given.sh[:, 0]).double().numpy()) * SH_C0
     assert (difference <= 0.5 / 255 * colors + 1e-5).all()
     assert float((found.opacities - given.opacities).abs().max()) <= 0.5 / 255 + 1e-6
     if degree:
         assert float((found.sh[:, 1:] - given.sh[:, 1:]).abs().max()) <= 1 / 32 + 1e-5
-    angle = torch.rad2deg(
-        2 * torch.acos((found.quats.double() * given.quats.double()).sum(1).abs().clamp(max=1))
-    )
-    assert float(angle.max()) <= 0.25
+    assert float(angles(found.quats, given.quats).max()) <= 0.25
     write_compressed_ply(found, path, overwrite=True)
     again = read_ply(path)
     assert torch.allclose(again.means, found.means, atol=1e-5)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from children import finished
-from io_samples import camera_difference, same_gaussians
+from io_samples import angles, camera_difference, same_gaussians
 from scoup.base.errors import ScoupWarning
 from scoup.io import (
     load_cameras,
@@ -70,10 +70,7 @@ def test_real_splats_in_other_formats(data_folder, tmp_path, name, suffix):
     extent = given.means.amax(0) - given.means.amin(0)
     assert bool(((found.means - given.means).abs() <= 0.5 / 1023 * extent + 1e-4).all())
     assert float((found.opacities - given.opacities).abs().max()) <= 0.5 / 255 + 1e-6
-    angles = torch.rad2deg(
-        2 * torch.acos((found.quats.double() * given.quats.double()).sum(1).abs().clamp(max=1))
-    )
-    assert float(angles.max()) <= 0.25
+    assert float(angles(found.quats, given.quats).max()) <= 0.25
     if suffix == ".compressed.ply" and name == "guitar/guitar.compressed.ply":
         # Blocks are as they were, so nothing is rounded a second time.
         assert float((found.means - given.means).abs().max()) < 1e-5

@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from cli_support import snapshot
-from io_samples import some_cameras, some_regions
+from io_samples import some_cameras, some_regions, stored_view
 from scoup.base.errors import InputError, MissingFileError, OutputExistsError
 from scoup.io import load_regions, save_regions
 from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest
 from scoup.io.regions.store import RegionStore
 from scoup.io.regions.views import ViewRegions, match_stems
-from scoup.scene.regions import LEVELS
+from scoup.scene.regions import LEVELS, resize_labels
 
 LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
 
@@ -35,6 +36,34 @@ def view(name: str, seed: int = 0, photograph: str = "digest") -> ViewRegions:
 
 def manifest_of(layout: Layout, **settings: object) -> RegionManifest:
     return RegionManifest.of(layout, "some/model", settings, 32)
+
+
+@pytest.mark.parametrize(("layout", "bits"), [("compact", 16), ("compact", 32), ("langsplat", 32)])
+def test_regions_come_back(tmp_path: Path, layout: Layout, bits: int) -> None:
+    cameras, folder = some_cameras(3), tmp_path / "language_features"
+    regions = some_regions(cameras)
+    if layout == "langsplat":
+        save_regions(regions, folder)
+    else:
+        store = RegionStore.create(folder, RegionManifest.of(layout, "some/model", {}, bits))
+        store.begin()
+        for name in cameras.names:
+            store.write(stored_view(regions, name, f"f{bits // 8}"))
+    for place in (tmp_path, folder):
+        again = load_regions(place, cameras)
+        assert (again.levels, again.view_names) == (LEVELS, cameras.names)
+        for name in cameras.names:
+            for level in LEVELS:
+                one, other = regions.load(name, level), again.load(name, level)
+                assert torch.equal(one.labels, other.labels)
+                tolerance = 1e-7 if bits == 32 else 1e-3
+                torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=tolerance)
+                assert torch.equal(again.load_embeddings(name, level), other.embeddings)
+                torch.testing.assert_close(other.embeddings.norm(dim=1), torch.ones(len(other.embeddings)))
+            each = torch.stack([regions.load(name, level).labels for level in LEVELS])
+            labels, embeddings = again.load_view(name, 9, 5)
+            assert torch.equal(labels, resize_labels(each, 9, 5))
+            assert torch.equal(embeddings[1], again.load_embeddings(name, "m"))
 
 
 @pytest.mark.parametrize(("layout", "stems"), [("compact", ["a.0001", "left/b"]), ("langsplat", ["a", "b"])])
@@ -92,10 +121,7 @@ def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
         store = RegionStore.create(tmp_path, manifest_of(layout))
         store.begin()
         for camera in cameras:
-            maps = {level: some_regions(cameras).load(camera.name, level) for level in LEVELS}
-            labels = {level: item.labels.numpy() for level, item in maps.items()}
-            rows = {level: item.embeddings.numpy() for level, item in maps.items()}
-            store.write(ViewRegions(camera.name, labels, rows))
+            store.write(stored_view(some_regions(cameras), camera.name))
         (tmp_path / MANIFEST).unlink()
     assert RegionStore.open(tmp_path).layout == layout
     assert load_regions(tmp_path, cameras).view_names == cameras.names

@@ -69,9 +69,8 @@ def test_an_exported_splat_serves_where_there_is_no_checkpoint(tmp_path: Path) -
     assert len(load_gaussians(run)) == 5
     assert splat_source(run).preset == "gsplat"
     (run / "nerfstudio_models").mkdir()
-    torch.save(
-        {"pipeline": {"_model.field.mlp": torch.zeros(3)}}, run / "nerfstudio_models/step-000000001.ckpt"
-    )
+    other = {"pipeline": {"_model.field.mlp": torch.zeros(3)}}
+    torch.save(other, run / "nerfstudio_models/step-000000001.ckpt")
     with pytest.raises(FileFormatError, match="another method of nerfstudio"):
         load_gaussians(run)
 
@@ -107,9 +106,8 @@ def test_cameras_of_a_run_fit_its_splat(tmp_path: Path, parser: str, absolute: b
 def test_what_a_run_lacks_is_named_with_the_remedy(tmp_path: Path) -> None:
     run = tmp_path / "run"
     save_run(run, "/nowhere/my-kitchen")
-    with pytest.raises(
-        MissingFileError, match=r"trained on /nowhere/my-kitchen, which .*`dataparser_transforms="
-    ):
+    said = r"trained on /nowhere/my-kitchen, which .*`dataparser_transforms="
+    with pytest.raises(MissingFileError, match=said):
         load_cameras(run)
     (run / "config.yml").write_text("method_name: splatfacto\n")
     with pytest.raises(MissingFileError, match="does not name the folder"):
@@ -161,26 +159,34 @@ def oracle(camtoworlds: np.ndarray, points: np.ndarray) -> np.ndarray:
     return transform
 
 
+def garden(
+    tmp_path: Path, cameras: Cameras, points: np.ndarray, turn: np.ndarray
+) -> tuple[Gaussians, Gaussians]:
+    """Gaussians at COLMAP's points, and where the trainer has them if it turns the normalised world."""
+    write_colmap(cameras, tmp_path / "garden/sparse/0", (points, np.zeros(points.shape, np.uint8)))
+    c2w = np.stack([np.linalg.inv(camera.viewmat.numpy()) for camera in cameras])
+    gaussians = replace(some_gaussians(len(points)), means=torch.from_numpy(points).float())
+    return gaussians, moved(gaussians, turn @ oracle(c2w, points.astype(np.float32).astype(float)))
+
+
+def check_results(results: Path, splat: Gaussians, expected: torch.Tensor, bound: float) -> None:
+    """The cameras of the results see the splat where the original ones saw the original."""
+    save_checkpoint(splat, results / "ckpts/ckpt_29999_rank0.pt")
+    cameras = load_cameras(results, missing_images="keep")
+    near = expected.abs() < 1e3
+    found = pixels(load_gaussians(results), cameras)
+    assert torch.allclose(found[near], expected[near], rtol=1e-3, atol=bound)
+    assert splat_source(results).preset == "gsplat"
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_cameras_of_gsplats_results_fit_its_splat(tmp_path: Path, seed: int) -> None:
     world = some_cameras(5, seed=seed)
-    generator = np.random.default_rng(seed)
-    points = generator.normal(size=(60, 3)) * [3, 1, 0.4] + 0.2
-    write_colmap(world, tmp_path / "garden/sparse/0", (points, np.zeros((60, 3), np.uint8)))
-    c2w = np.stack([np.linalg.inv(camera.viewmat.numpy()) for camera in world])
-    gaussians = replace(some_gaussians(60), means=torch.from_numpy(points).float())
-    trained = moved(gaussians, oracle(c2w, points.astype(np.float32).astype(float)))
+    points = np.random.default_rng(seed).normal(size=(60, 3)) * [3, 1, 0.4] + 0.2
+    gaussians, trained = garden(tmp_path, world, points, np.eye(4))
     for normalise, splat in (("true", trained), (None, trained), ("false", gaussians)):
-        results = tmp_path / f"results_{normalise}"
-        save_results(results, tmp_path / "garden", normalise)
-        save_checkpoint(splat, results / "ckpts/ckpt_29999_rank0.pt")
-        cameras = load_cameras(results, missing_images="keep")
-        expected = pixels(gaussians, world)
-        near = expected.abs() < 1e3
-        assert torch.allclose(
-            pixels(load_gaussians(results), cameras)[near], expected[near], rtol=1e-3, atol=5e-2
-        )
-        assert splat_source(results).preset == "gsplat"
+        save_results(tmp_path / f"results_{normalise}", tmp_path / "garden", normalise)
+        check_results(tmp_path / f"results_{normalise}", splat, pixels(gaussians, world), 5e-2)
 
 
 @pytest.mark.parametrize("turn", [(1.0, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
@@ -188,19 +194,9 @@ def test_the_splat_tells_which_side_of_the_axes_is_which(tmp_path: Path, turn: t
     """Another version of the trainer, or another machine, turns the world by half about an axis."""
     world, generator = some_cameras(5), np.random.default_rng(0)
     points = generator.normal(size=(400, 3)) * [3, 1, 0.4] + generator.exponential(size=(400, 3))
-    write_colmap(world, tmp_path / "garden/sparse/0", (points, np.zeros((400, 3), np.uint8)))
-    c2w = np.stack([np.linalg.inv(camera.viewmat.numpy()) for camera in world])
-    given = some_gaussians(400)
-    gaussians = Gaussians(
-        torch.from_numpy(points).float(), given.quats, given.scales, given.opacities, given.sh
-    )
-    trained = moved(gaussians, np.diag([*turn, 1.0]) @ oracle(c2w, points.astype(np.float32).astype(float)))
+    gaussians, trained = garden(tmp_path, world, points, np.diag([*turn, 1.0]))
     save_results(tmp_path / "results", tmp_path / "garden")
-    save_checkpoint(trained, tmp_path / "results/ckpts/ckpt_29999_rank0.pt")
-    cameras = load_cameras(tmp_path / "results", missing_images="keep")
-    expected = pixels(gaussians, world)
-    near = expected.abs() < 1e3
-    assert torch.allclose(pixels(trained, cameras)[near], expected[near], rtol=1e-3, atol=0.1)
+    check_results(tmp_path / "results", trained, pixels(gaussians, world), 0.1)
 
 
 def test_results_without_checkpoints_have_an_exported_splat(tmp_path: Path) -> None:
@@ -221,9 +217,8 @@ def test_results_without_checkpoints_have_an_exported_splat(tmp_path: Path) -> N
 
 
 def test_a_world_without_points_is_refused(tmp_path: Path) -> None:
-    write_colmap(
-        some_cameras(3), tmp_path / "garden/sparse/0", (np.zeros((2, 3)), np.zeros((2, 3), np.uint8))
-    )
+    points = np.zeros((2, 3)), np.zeros((2, 3), np.uint8)
+    write_colmap(some_cameras(3), tmp_path / "garden/sparse/0", points)
     save_results(tmp_path / "results", tmp_path / "garden")
     (tmp_path / "results/ckpts").mkdir()
     with pytest.raises(FileFormatError, match="too few to normalise"):

@@ -40,9 +40,7 @@ def attribute(prim: Any, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("degree", [0, 3])
-def test_values_keep_their_bits_in_the_axes_of_a_stage_with_y_up(
-    tmp_path: Path, suffix: str, degree: int
-) -> None:
+def test_values_keep_their_bits_in_a_stage_with_y_up(tmp_path: Path, suffix: str, degree: int) -> None:
     given = some_gaussians(40, degree)
     save_gaussians(given, tmp_path / f"a{suffix}")
     prim = read(tmp_path / f"a{suffix}")

@@ -142,9 +142,7 @@ def test_what_cannot_be_loaded_is_told(tmp_path: Path) -> None:
 
 def save_onnx_pair(folder: Path, side: int = 24, dim: int = 4) -> np.ndarray:
     """An image model with fixed boxes, rows that are means of the image times a map, and a text model of one table."""
-    onnx = pytest.importorskip("onnx")
-    pytest.importorskip("onnxruntime")
-    from onnx import TensorProto, helper, numpy_helper
+    from onnx_models import TensorProto, node, save_onnx, value
 
     rng = np.random.default_rng(2)
     rows = rng.normal(size=(1, 3, dim)).astype(np.float32)
@@ -153,29 +151,17 @@ def save_onnx_pair(folder: Path, side: int = 24, dim: int = 4) -> np.ndarray:
         "rows_": rows, "shift_": np.full((1, 3, 1), -0.1, np.float32), "scale_": np.full((1, 3, 1), 5, np.float32),
     }  # fmt: skip
     names = ("boxes", "rows", "shift", "scale")
-    nodes = [helper.make_node("ReduceMax", ["pixels"], ["most"], keepdims=0)]
-    nodes += [helper.make_node("Mul", [f"{name}_", "most"], [name]) for name in names]
-
-    def save(
-        name: str, nodes: list[Any], arrays: dict[str, np.ndarray], given: Any, outputs: tuple[str, ...]
-    ) -> None:
-        graph = helper.make_graph(
-            nodes, name, [given],
-            [helper.make_tensor_value_info(each, TensorProto.FLOAT, None) for each in outputs],
-            [numpy_helper.from_array(array, key) for key, array in arrays.items()],
-        )  # fmt: skip
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
-        onnx.save(model, folder / f"{name}.onnx")
-
-    pixels = helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, side, side])
-    save("image", nodes, constants, pixels, names)
+    nodes = [node("ReduceMax", ["pixels"], ["most"], keepdims=0)]
+    nodes += [node("Mul", [f"{name}_", "most"], [name]) for name in names]
+    pixels, outputs = value("pixels", [1, 3, side, side]), [value(name, None) for name in names]
+    save_onnx(folder / "image.onnx", nodes, [pixels], outputs, **constants)
     table = rng.normal(size=(7, dim)).astype(np.float32)
     sums = [
-        helper.make_node("Gather", ["table", "ids"], ["each"]),
-        helper.make_node("ReduceMean", ["each"], ["vectors"], axes=[1], keepdims=0),
+        node("Gather", ["table", "ids"], ["each"]),
+        node("ReduceMean", ["each"], ["vectors"], axes=[1], keepdims=0),
     ]
-    ids = helper.make_tensor_value_info("ids", TensorProto.INT64, ["Q", 5])
-    save("text", sums, {"table": table}, ids, ("vectors",))
+    ids = value("ids", ["Q", 5], TensorProto.INT64)
+    save_onnx(folder / "text.onnx", sums, [ids], [value("vectors", None)], table=table)
     tiny_tokenizer(folder, TINY_WORDS)
     vectors = [table[ids_of(text, 5, 0)[0]].mean(0) for text in TEXTS]
     cosines = np.array(

@@ -20,18 +20,12 @@ SIDE, PATCH, GRID = 32, 8, 4
 
 
 @pytest.fixture(scope="module")
-def clip(tmp_path_factory) -> DenseModel:
-    return open_dense_model(f"dense:{saved(tiny_clip(), tmp_path_factory.mktemp('clip'))}")
-
-
-@pytest.fixture(scope="module")
-def siglip(tmp_path_factory) -> DenseModel:
-    return open_dense_model(f"dense:{saved(tiny_siglip(), tmp_path_factory.mktemp('siglip'))}")
-
-
-@pytest.fixture(scope="module")
-def tips(tmp_path_factory) -> DenseModel:
-    return open_dense_model(f"dense:{saved(tiny_tips(), tmp_path_factory.mktemp('tips'))}")
+def opened(tmp_path_factory) -> dict[str, DenseModel]:
+    models = {"clip": tiny_clip, "siglip": tiny_siglip, "tips": tiny_tips}
+    return {
+        kind: open_dense_model(f"dense:{saved(build(), tmp_path_factory.mktemp(kind))}")
+        for kind, build in models.items()
+    }
 
 
 def photograph(height: int = SIDE, width: int = SIDE, seed: int = 0) -> Tensor:
@@ -39,7 +33,7 @@ def photograph(height: int = SIDE, width: int = SIDE, seed: int = 0) -> Tensor:
 
 
 @torch.inference_mode()
-def test_clip_is_the_value_path_of_its_last_layer(clip: DenseModel) -> None:
+def test_clip_is_the_value_path_of_its_last_layer(opened: dict[str, DenseModel]) -> None:
     model, image = tiny_clip(), photograph()
     states = model.vision_model(CLIP(image)[None], output_hidden_states=True).hidden_states
     last = model.vision_model.encoder.layers[-1]
@@ -49,18 +43,18 @@ def test_clip_is_the_value_path_of_its_last_layer(clip: DenseModel) -> None:
     out = last.self_attn.out_proj(values)
     wanted = model.visual_projection(model.vision_model.post_layernorm(out))[0, 1:]
     wanted = functional.normalize(wanted, dim=1).view(GRID, GRID, -1)
-    tokens = clip.tokens(image)
+    tokens = opened["clip"].tokens(image)
     torch.testing.assert_close(tokens, wanted, atol=1e-5, rtol=1e-5)
-    assert tokens.shape[2] == clip.dim == 12
+    assert tokens.shape[2] == opened["clip"].dim == 12
     shares = torch.zeros(2, GRID, GRID)
     shares[0, 1, 2], shares[1, 0, 0], shares[1, 3, 3] = 0.25, 0.5, 1.0
-    vectors = clip.pool(tokens, shares)
+    vectors = opened["clip"].pool(tokens, shares)
     mixed = functional.normalize(0.5 * tokens[0, 0] + tokens[3, 3], dim=0)
     torch.testing.assert_close(vectors, torch.stack([tokens[1, 2], mixed]), atol=1e-5, rtol=1e-5)
 
 
 @torch.inference_mode()
-def test_tips_is_the_last_layer_with_its_values_in_place_of_attention(tips: DenseModel) -> None:
+def test_tips_is_the_last_layer_with_its_values_in_place_of_attention(opened: dict[str, DenseModel]) -> None:
     vision, image, inputs = tiny_tips().vision_model, photograph(), []
     last = vision.encoder.layer[-1]
     last.register_forward_pre_hook(lambda module, given: inputs.append(given[0]))
@@ -74,12 +68,12 @@ def test_tips_is_the_last_layer_with_its_values_in_place_of_attention(tips: Dens
         hidden = functional.gelu(functional.linear(last.norm2(state), last.mlp.fc1.weight, last.mlp.fc1.bias))
         mixed.append(state + 0.7 * functional.linear(hidden, last.mlp.fc2.weight, last.mlp.fc2.bias))
     wanted = functional.normalize(vision.layernorm(torch.stack(mixed)), dim=1).view(GRID, GRID, -1)
-    tokens = tips.tokens(image)
+    tokens = opened["tips"].tokens(image)
     torch.testing.assert_close(tokens, wanted, atol=1e-5, rtol=1e-5)
     shares = torch.zeros(1, GRID, GRID)
     shares[0, 0, 0], shares[0, 3, 3] = 0.5, 1.0
     mean = functional.normalize(0.5 * wanted[0, 0] + wanted[3, 3], dim=0)
-    torch.testing.assert_close(tips.pool(tokens, shares)[0], mean, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(opened["tips"].pool(tokens, shares)[0], mean, atol=1e-5, rtol=1e-5)
 
 
 @torch.inference_mode()
@@ -108,33 +102,32 @@ def test_naflex_reads_patches_row_by_row(tmp_path: Path) -> None:
 
 
 @torch.inference_mode()
-def test_siglips_head_over_all_places_gives_the_vector_of_the_image(siglip: DenseModel) -> None:
+def test_siglips_head_over_all_places_gives_the_vector_of_the_image(opened: dict[str, DenseModel]) -> None:
     model, image = tiny_siglip(), photograph()
     features = model.get_image_features(pixel_values=HALF(image)[None])
     wanted = functional.normalize(getattr(features, "pooler_output", features), dim=1)
-    tokens = siglip.tokens(image)
+    tokens = opened["siglip"].tokens(image)
     for share in (1.0, 0.3):  # alike everywhere
-        found = siglip.pool(tokens, torch.full((1, GRID, GRID), share))
+        found = opened["siglip"].pool(tokens, torch.full((1, GRID, GRID), share))
         torch.testing.assert_close(found, wanted, atol=1e-5, rtol=1e-5)
 
 
 @torch.inference_mode()
-def test_siglips_head_attends_to_the_region_alone(siglip: DenseModel) -> None:
+def test_siglips_head_attends_to_the_region_alone(opened: dict[str, DenseModel]) -> None:
     head = tiny_siglip().vision_model.head
-    tokens = siglip.tokens(photograph())
+    tokens = opened["siglip"].tokens(photograph())
     shares = (torch.rand(5, GRID, GRID, generator=torch.Generator().manual_seed(1)) > 0.6).float()
     flat = tokens.flatten(0, 1)[None]
     for number, share in enumerate(shares):
         mixed = head.attention(head.probe, flat, flat, key_padding_mask=share.flatten()[None] == 0)[0]
         wanted = functional.normalize((mixed + head.mlp(head.layernorm(mixed)))[0, 0], dim=0)
-        found = siglip.pool(tokens, shares[number : number + 1])[0]
+        found = opened["siglip"].pool(tokens, shares[number : number + 1])[0]
         torch.testing.assert_close(found, wanted, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["clip", "siglip", "tips"])
-def test_windows_cover_a_photograph_and_are_averaged_where_they_overlap(kind: str, request) -> None:
-    model: DenseModel = request.getfixturevalue(kind)
-    image = photograph(SIDE, 48)  # windows begin at columns 0 and 2
+def test_windows_cover_a_photograph_and_are_averaged_where_they_overlap(kind: str, opened) -> None:
+    model, image = opened[kind], photograph(SIDE, 48)  # windows begin at columns 0 and 2
     tokens = model.tokens(image)
     assert tokens.shape[:2] == (4, 6)
     first, second = model.tokens(image[..., :32]), model.tokens(image[..., 16:])

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from scoup.base.errors import InputError, ScoupError
+from scoup.base.errors import FileFormatError, InputError, ScoupError
 from scoup.models import hub
 from scoup.models.hub import ModelRequest, Pretrained, load_open_clip, load_pretrained
 
 REQUEST = ModelRequest("embedder", "some/model", "do without", revision="abc")
+
+
+def failing(error: Exception) -> tuple[list[Pretrained], Callable[[Pretrained], None]]:
+    """What was tried, and a loader that fails."""
+    calls: list[Pretrained] = []
+
+    def load(files: Pretrained) -> None:
+        calls.append(files)
+        raise error
+
+    return calls, load
 
 
 def test_the_network_is_used_only_if_the_files_are_not_here(monkeypatch) -> None:
@@ -31,12 +43,7 @@ def test_the_network_is_used_only_if_the_files_are_not_here(monkeypatch) -> None
 
 
 def test_without_a_hub_nothing_is_tried_and_the_way_round_is_told(monkeypatch) -> None:
-    calls: list[Pretrained] = []
-
-    def load(files: Pretrained) -> None:
-        calls.append(files)
-        raise OSError("not here")
-
+    calls, load = failing(OSError("not here"))
     monkeypatch.setattr(hub, "_no_hub", lambda: "HUB cannot be reached")
     with pytest.raises(ScoupError) as caught:
         load_pretrained(REQUEST, load)
@@ -71,28 +78,21 @@ def test_whether_a_hub_answers_is_asked_unless_a_proxy_stands_between(
 
 
 def test_a_model_of_the_wrong_kind_is_not_tried_again() -> None:
-    calls: list[Pretrained] = []
-
-    def load(files: Pretrained) -> None:
-        calls.append(files)
-        raise ScoupError("it is a cat")
-
+    calls, load = failing(ScoupError("it is a cat"))
     with pytest.raises(ScoupError, match=r"^embedder 'some/model' cannot be loaded: it is a cat$"):
         load_pretrained(REQUEST, load)
     assert len(calls) == 1
 
 
 def test_a_folder_is_not_searched_on_the_hub(tmp_path: Path) -> None:
-    calls: list[Pretrained] = []
-
-    def load(files: Pretrained) -> None:
-        calls.append(files)
-        raise ValueError("damaged\nin many lines")
-
+    calls, load = failing(ValueError("damaged\nin many lines"))
     request = ModelRequest("segmenter", "short", "do without", str(tmp_path))
     with pytest.raises(ScoupError, match=r"'short' cannot be loaded \(damaged\); .* or do without$"):
         load_pretrained(request, load)
     assert [files.model_id for files in calls] == [str(tmp_path)]
+    (tmp_path / "model.safetensors").write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
+    with pytest.raises(FileFormatError, match=r"model\.safetensors: is a pointer of Git LFS"):
+        load_pretrained(request, load)
 
 
 def test_names_of_open_clip() -> None:

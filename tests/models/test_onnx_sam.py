@@ -9,41 +9,26 @@ import numpy as np
 import pytest
 import torch
 
+from onnx_models import node, save_onnx, value
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError
 from scoup.extract import mask_settings, open_segmenter
 from scoup.models.onnx_sam import open_onnx_sam
-
-onnx = pytest.importorskip("onnx")
-pytest.importorskip("onnxruntime")
-
-from onnx import TensorProto, helper  # noqa: E402 - after the check that it is there
 
 SIDE = 64
 GRID = SIDE // 4
 RADII = (99.0, 8.0, 16.0, 24.0)  # of the four masks; the first is for prompts without doubt
 
 
-def value(name: str, shape: list[Any], kind: int = TensorProto.FLOAT) -> Any:
-    return helper.make_tensor_value_info(name, kind, shape)
-
-
-def save(
-    folder: Path, name: str, nodes: list[Any], inputs: list[Any], outputs: list[Any], constants: dict
-) -> None:
-    tensors = [onnx.numpy_helper.from_array(np.asarray(array), key) for key, array in constants.items()]
-    graph = helper.make_graph(nodes, name, inputs, outputs, tensors)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 16)], ir_version=8)
-    onnx.save(model, folder / f"{name}.onnx")
-
-
 def save_encoder(folder: Path, second: bool) -> None:
     """The embedding is the mean of the image in every token: the points alone decide the masks."""
-    nodes = [helper.make_node("ReduceMean", ["image"], ["mean"], keepdims=0)]
+    nodes = [node("ReduceMean", ["image"], ["mean"], keepdims=0)]
     outputs = ["image_embed", "high_res_feats_0", "high_res_feats_1"] if second else ["image_embeddings"]
-    nodes += [helper.make_node("Expand", ["mean", "shape"], [name]) for name in outputs]
+    nodes += [node("Expand", ["mean", "shape"], [name]) for name in outputs]
     shape = [1, 3, SIDE, SIDE] if second else ["height", "width", 3]
     values = [value(name, [1, 1, 4, 4]) for name in outputs]
-    save(folder, "tiny_encoder", nodes, [value("image", shape)], values, {"shape": np.array([1, 1, 4, 4])})
+    save_onnx(
+        folder / "tiny_encoder.onnx", nodes, [value("image", shape)], values, shape=np.array([1, 1, 4, 4])
+    )
 
 
 def save_decoder(
@@ -62,15 +47,15 @@ def save_decoder(
     outputs = ["masks" if second else "low_res_masks", "iou_predictions"]
     embeddings = ["image_embed", "high_res_feats_0", "high_res_feats_1"] if second else ["image_embeddings"]
     nodes = [
-        helper.make_node("Slice", ["point_coords", "zero", "one", "one"], ["point"]),  # [B, 1, 2]
-        helper.make_node("Reshape", ["point", "shape5"], ["placed"]),
-        helper.make_node("Sub", ["grid", "placed"], ["offset"]),
-        helper.make_node("ReduceL2", ["offset"], ["distance"], axes=[2], keepdims=0),  # [B, 1, h, w]
-        helper.make_node("Sub", ["radii", "distance"], ["inside"]),
-        helper.make_node("Mul", ["inside", "steep"], [outputs[0]]),
+        node("Slice", ["point_coords", "zero", "one", "one"], ["point"]),  # [B, 1, 2]
+        node("Reshape", ["point", "shape5"], ["placed"]),
+        node("Sub", ["grid", "placed"], ["offset"]),
+        node("ReduceL2", ["offset"], ["distance"], axes=[2], keepdims=0),  # [B, 1, h, w]
+        node("Sub", ["radii", "distance"], ["inside"]),
+        node("Mul", ["inside", "steep"], [outputs[0]]),
         # Labels of first points are 1; what is added is 0, for every point.
-        helper.make_node("Slice", ["point_labels", "zero", "one", "one"], ["label"]),  # [B, 1]
-        helper.make_node("Mul", ["label", "scores"], [outputs[1]]),
+        node("Slice", ["point_labels", "zero", "one", "one"], ["label"]),  # [B, 1]
+        node("Mul", ["label", "scores"], [outputs[1]]),
     ]
 
     inputs = [
@@ -80,7 +65,7 @@ def save_decoder(
         *([] if second else [value("orig_im_size", [2])]),
     ]  # fmt: skip
     results = [value(outputs[0], [batch, masks, GRID, GRID]), value(outputs[1], [batch, masks])]
-    save(folder, name, nodes, inputs, results, constants)
+    save_onnx(folder / f"{name}.onnx", nodes, inputs, results, **constants)
 
 
 @pytest.fixture(autouse=True)
@@ -98,9 +83,7 @@ def test_masks_lie_around_their_points(tmp_path: Path, second: bool, masks: int,
     model = open_onnx_sam(f"onnx:{tmp_path}")
     image = np.zeros((*size, 3), np.uint8)
     height, width = size
-    points = torch.tensor(
-        [[width * 0.25, height * 0.5], [width * 0.6, height * 0.4], [2.0, 3.0]] * 2
-    ).double()
+    points = torch.tensor([[width / 4, height / 2], [width * 0.6, height * 0.4], [2.0, 3.0]] * 2).double()
     encoded = model.encode(image)
     logits, iou = encoded.predict(points)
     assert logits.shape == (6, 3, GRID, GRID)
@@ -134,25 +117,23 @@ def test_a_pair_segments_an_image_and_its_files_are_in_the_record(tmp_path: Path
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match="there is no such folder"):
-        open_onnx_sam(f"onnx:{tmp_path / 'none'}")
-    with pytest.raises(MissingFileError, match=r"contains 0 files named \*encoder\*"):
-        open_onnx_sam(f"onnx:{tmp_path}")
+    def refused(error: type[ScoupError], said: str, folder: str = "") -> None:
+        with pytest.raises(error, match=said):
+            open_onnx_sam(f"onnx:{tmp_path / folder}")
+
+    refused(MissingFileError, "there is no such folder", "none")
+    refused(MissingFileError, r"contains 0 files named \*encoder\*")
     save_encoder(tmp_path, second=True)
     (tmp_path / "a_decoder.onnx").write_bytes(b"no model")
-    with pytest.raises(FileFormatError, match=r"a_decoder.onnx: cannot be loaded"):
-        open_onnx_sam(f"onnx:{tmp_path}")
+    refused(FileFormatError, r"a_decoder.onnx: cannot be loaded")
     (tmp_path / "a_decoder.onnx").unlink()
     save_decoder(tmp_path, second=False)
-    with pytest.raises(FileFormatError, match="does not take its encoder"):
-        open_onnx_sam(f"onnx:{tmp_path}")
+    refused(FileFormatError, "does not take its encoder")
     save_encoder(tmp_path, second=False)
     save_decoder(tmp_path, second=False, masks=1)
-    with pytest.raises(FileFormatError, match="returns one mask per point"):
-        open_onnx_sam(f"onnx:{tmp_path}")
+    refused(FileFormatError, "returns one mask per point")
     save_decoder(tmp_path, second=False, name="other_decoder")
-    with pytest.raises(MissingFileError, match=r"contains 2 files named \*decoder\*"):
-        open_onnx_sam(f"onnx:{tmp_path}")
+    refused(MissingFileError, r"contains 2 files named \*decoder\*")
 
 
 def test_a_missing_runtime_is_named(tmp_path: Path, monkeypatch) -> None:

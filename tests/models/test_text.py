@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,7 +16,7 @@ from scoup.base.errors import (
     ScoupWarning,
 )
 from scoup.models.text import TextEncoder
-from tiny_models import TINY_TEXT, WORDS, save_text_clip, saved, tiny_tips, tiny_tokenizer
+from tiny_models import WORDS, save_text_clip, saved, tiny_siglip, tiny_tips, tiny_tokenizer
 
 
 @pytest.fixture(scope="module")
@@ -46,20 +48,13 @@ def test_clip_through_transformers(clip_folder: Path) -> None:
 
 
 def test_siglip_through_transformers(tmp_path: Path) -> None:
-    transformers = pytest.importorskip("transformers")
-    text = {**TINY_TEXT, "projection_size": 16}
-    vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
-              "image_size": 8, "patch_size": 4}  # fmt: skip
-    torch.manual_seed(0)
-    transformers.SiglipModel(
-        transformers.SiglipConfig(text_config=text, vision_config=vision)
-    ).save_pretrained(tmp_path)
+    model = tiny_siglip()
+    saved(model, tmp_path)
     tiny_tokenizer(tmp_path, WORDS)
     encoder = TextEncoder.open(str(tmp_path))
     assert encoder.dim == 16
-    model = transformers.SiglipModel.from_pretrained(tmp_path).eval()
     with torch.inference_mode():
-        features = model.get_text_features(input_ids=torch.tensor([[1, 4, 6, 6, 6, 6, 6, 6]]))
+        features = model.get_text_features(input_ids=torch.tensor([[1, 4, *[6] * 62]]))
     expected = torch.nn.functional.normalize(getattr(features, "pooler_output", features), dim=1)
     torch.testing.assert_close(encoder.encode(["apple"]), expected, atol=1e-6, rtol=1e-5)
 
@@ -77,8 +72,6 @@ def test_tips_is_the_mean_of_its_tokens(tmp_path: Path) -> None:
 
 
 def test_models_that_cannot_be_loaded(clip_folder: Path, tmp_path: Path) -> None:
-    import shutil
-
     for model in ("nobody/has-this-model", str(tmp_path), "not a model id", "a/b/c"):
         with pytest.raises(ScoupError, match="table file"):
             TextEncoder.open(model)
@@ -94,8 +87,6 @@ def test_models_that_cannot_be_loaded(clip_folder: Path, tmp_path: Path) -> None
 
 
 def test_incomplete_weights_are_not_made_up(clip_folder: Path, tmp_path: Path) -> None:
-    import shutil
-
     from safetensors.torch import load_file, save_file
 
     folder = tmp_path / "partial"
@@ -131,10 +122,7 @@ def test_absent_packages(monkeypatch: pytest.MonkeyPatch, model: str, package: s
 
 
 def test_open_clip(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stand-in for the package, which is optional: how it is called, and what is made of its
-    result.
-    """
-    from types import SimpleNamespace
+    """A stand-in for the package: how it is called, and what is made of its result."""
 
     class Model(torch.nn.Module):
         def encode_text(self, tokens: torch.Tensor) -> torch.Tensor:

@@ -71,6 +71,7 @@ def opened_everyday(folder: Path) -> Tensor:
 def test_words_are_encoded_once(clip_folder: Path, cache: Path, counted: list[str]) -> None:
     first = opened_everyday(clip_folder)
     assert counted == list(EVERYDAY_WORDS)
+    torch.testing.assert_close(first.norm(dim=1), torch.ones(len(first)))
     (path,) = cache.iterdir()
     assert path.name.startswith("clip-")
     written = path.read_bytes()
@@ -87,11 +88,9 @@ def test_words_are_encoded_once(clip_folder: Path, cache: Path, counted: list[st
 
 def test_vectors_are_those_of_the_model(clip_folder: Path) -> None:
     with TextEncoder.open(clip_folder) as encoder:
-        plain = encoder.encode(["chair", "apple"])
-        everyday = encoder.everyday()
+        plain, everyday = encoder.encode(["chair", "apple"]), encoder.everyday()
     rows = [EVERYDAY_WORDS.index("chair"), EVERYDAY_WORDS.index("apple")]
     torch.testing.assert_close(everyday[rows], plain, atol=5e-4, rtol=0)
-    torch.testing.assert_close(everyday.norm(dim=1), torch.ones(len(everyday)))
 
 
 def test_a_changed_model_is_encoded_again(clip_folder: Path, cache: Path, counted: list[str]) -> None:
@@ -139,17 +138,13 @@ def ask(
         (MODEL, NAMES, 1),  # other weights, of which nothing else tells
     ],
 )
-def test_what_the_key_depends_on(model: ModelIdentity, words: Sequence[str], seed: int) -> None:
-    ask()
-    assert ask()[1] == []
-    assert ask(model, words, seed)[1] == [len(words)]
-    assert ask(model, words, seed)[1] == []
-
-
-def test_the_name_of_the_file(cache: Path) -> None:
+def test_what_the_key_depends_on(cache: Path, model: ModelIdentity, words: Sequence[str], seed: int) -> None:
     ask()
     (path,) = cache.iterdir()
     assert path.name.startswith("a-model-c0ffee-")
+    assert ask()[1] == []
+    assert ask(model, words, seed)[1] == [len(words)]
+    assert ask(model, words, seed)[1] == []
 
 
 def damage(path: Path, kind: str) -> None:
@@ -174,12 +169,9 @@ def damage(path: Path, kind: str) -> None:
     return None
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "empty", "cut", "a bit", "text", "wrong names", "wrong dimension", "not finite", "zero", "texts", "too few",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("kind", [
+    "empty", "cut", "a bit", "text", "wrong names", "wrong dimension", "not finite", "zero", "texts", "too few",
+])  # fmt: skip
 def test_a_damaged_file_is_replaced(cache: Path, kind: str) -> None:
     expected, _ = ask()
     (path,) = cache.iterdir()

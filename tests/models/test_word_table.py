@@ -191,17 +191,6 @@ def test_dicts_that_are_no_table(vectors: dict[str, torch.Tensor], message: str)
         TextEncoder.open(vectors)
 
 
-@pytest.mark.data
-def test_real_clip_table(data_folder: Path) -> None:
-    path = data_folder / "clip" / "text_vit_b16_laion2b.npz"
-    if not path.is_file():
-        pytest.skip(f"no text vectors at {path}")
-    encoder = TextEncoder.open(path)
-    vectors = encoder.encode(["object", "things", "stuff", "texture", "STAINLESS steel pots"])
-    assert vectors.shape == (5, 512)
-    torch.testing.assert_close(torch.linalg.vector_norm(vectors, dim=1), torch.ones(5))
-
-
 def test_archives_that_unpack_to_no_end_are_refused(tmp_path: Path) -> None:
     for length in (1000, 3_000_000):
         vectors = np.ones((2, length), np.float32)

@@ -188,12 +188,9 @@ def test_mask_is_tinted_outlined_and_the_rest_darker():
 
 
 def test_sizes_that_disagree_are_refused():
-    with pytest.raises(InputError, match="does not fit"):
-        heat_map(np.zeros((3, 4)), photo(4, 3))
-    with pytest.raises(InputError, match="does not fit"):
-        mask_overlay(np.zeros((3, 4), bool), photo(4, 3))
-    with pytest.raises(InputError, match="does not fit"):
-        region_overlay(np.zeros((3, 4), int), photo(4, 3))
+    for draw, values in ((heat_map, float), (mask_overlay, bool), (region_overlay, int)):
+        with pytest.raises(InputError, match="does not fit"):
+            draw(np.zeros((3, 4), values), photo(4, 3))
     with pytest.raises(InputError, match="H, W, 3"):
         captioned(np.zeros((3, 4), np.uint8), "x")
     with pytest.raises(InputError, match="H, W, L"):

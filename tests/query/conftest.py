@@ -14,7 +14,7 @@ from scoup.query.question import Question
 from scoup.scene.cameras import Camera
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from support import small_scene, unit
+from support import altered, small_scene, unit
 
 
 def random_vectors(*shape: int, seed: int = 0) -> Tensor:
@@ -58,10 +58,7 @@ def field(queried: Queried, table: dict[str, Tensor]) -> LanguageField:
 
 def without_things(field: LanguageField) -> LanguageField:
     """The same field, answered by the votes of its Gaussians alone."""
-    gaussians = field.gaussians if field.has_geometry else None
-    bare = LanguageField(
-        field.code_indices, field.code_weights, field.codebook, field.info, gaussians, cameras=field.cameras
-    )
+    bare = altered(field, thing_table=None)
     bare.keep_encoder_of(field)
     return bare
 

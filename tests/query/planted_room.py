@@ -13,9 +13,7 @@ from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import NO_THING, ThingTable
-from support import unit
+from support import gaussians_at, things_of, unit
 
 DIM = 32
 CLUTTER = tuple(f"clutter {number}" for number in range(6))  # things like any other, far behind
@@ -81,29 +79,14 @@ def planted_room(
     if moved is not None:
         means = moved.scale * means @ moved.turn.T + moved.shift
         cameras = [moved.camera(camera) for camera in cameras]
-    gaussians = Gaussians(
-        means.float(),
-        torch.tensor([[1.0, 0, 0, 0]]).repeat(len(means), 1),
-        torch.full((len(means), 3), 0.01 * (moved.scale if moved else 1.0)),
-        torch.full((len(means),), 0.9),
-        torch.zeros(len(means), 1, 3),
-    )
+    gaussians = gaussians_at(means, 0.01 * (moved.scale if moved else 1.0))
     common = random_vectors(1, DIM, seed=5)
     words = [*names, ABSENT, *(f"word {number}" for number in range(30)), *CANONICAL_PHRASES]
     vectors = unit(common + random_vectors(len(words), DIM, seed=6))
     vectors[len(names)] = unit(common[0] - vectors[: len(names)].mean(0))  # like no word for what is there
     of_box = torch.tensor([names.index(box.name) for box in every])
     owner = torch.arange(len(every)).repeat_interleave(size)
-    things = ThingTable(
-        owner.int()[:, None],
-        torch.zeros(len(every), dtype=torch.uint8),
-        torch.full((len(every),), NO_THING, dtype=torch.int32),
-        vectors[of_box].half(),
-        torch.full((len(every),), 0.99),
-        torch.full((len(every),), 9, dtype=torch.int32),
-        torch.ones(len(every)),
-        torch.ones(len(every)),
-    )
+    things = things_of(owner[:, None], torch.zeros(len(every)), vectors[of_box])
     field = LanguageField(
         of_box[owner].to(torch.uint8)[:, None, None],
         torch.ones(len(means), 1, 1),
@@ -115,3 +98,31 @@ def planted_room(
     )
     field.text_encoder(dict(zip(words, vectors, strict=True)))
     return field
+
+
+def with_whole(parts: LanguageField, members: Sequence[int]) -> tuple[LanguageField, int]:
+    """Return a room with a second, coarser level, at which some things are one; and the number of that one."""
+    fine = parts.thing_table
+    assert fine is not None
+    whole, inside = len(fine), torch.tensor(members)
+    owners = torch.where(torch.isin(fine.owners, inside), whole, NO_THING).int()
+    more = {name: getattr(fine, name)[:1] for name in ("agreement", "n_regions", "mass", "stability")}
+    table = replace(
+        fine,
+        owners=torch.cat([fine.owners, owners], 1),
+        levels=torch.cat([fine.levels, torch.ones(1, dtype=torch.uint8)]),
+        parents=torch.where(torch.isin(torch.arange(whole + 1), inside), whole, NO_THING).int(),
+        embeddings=torch.cat([fine.embeddings, unit(fine.embeddings[inside].float().sum(0)).half()[None]]),
+        **{name: torch.cat([getattr(fine, name), column]) for name, column in more.items()},
+    )
+    field = LanguageField(
+        parts.code_indices.expand(-1, 2, -1).contiguous(),
+        parts.code_weights.expand(-1, 2, -1).contiguous(),
+        parts.codebook.expand(2, -1, -1).contiguous(),
+        replace(parts.info, levels=("s", "m")),
+        parts.gaussians,
+        cameras=parts.cameras,
+        thing_table=table,
+    )
+    field.keep_encoder_of(parts)
+    return field, whole

@@ -83,18 +83,10 @@ def test_records_contain_no_infinity() -> None:
     assert shown.remark() == "not visible from here"
 
 
-@pytest.mark.parametrize(
-    ("score", "presence", "said"),
-    [
-        (None, True, None),
-        (0.95, True, "sure"),
-        (0.9, True, "sure"),
-        (0.6, True, "likely"),
-        (0.59, True, "doubtful"),
-        (0.95, False, "not here"),
-        (0.0, False, "not here"),
-    ],
-)
+@pytest.mark.parametrize(("score", "presence", "said"), [
+    (None, True, None), (0.95, True, "sure"), (0.9, True, "sure"), (0.6, True, "likely"), (0.59, True, "doubtful"),
+    (0.95, False, "not here"), (0.0, False, "not here"),
+])  # fmt: skip
 def test_certainty(score: float | None, presence: bool, said: str | None) -> None:
     assert Answer("mug", torch.ones(1, dtype=torch.bool), "s", score, presence).certainty == said
 

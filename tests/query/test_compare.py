@@ -78,9 +78,7 @@ CUPS = tuple(Box("cup", (side, 0, 1), (0.3, 0.3, 0.3)) for side in (-1, 1))
 @pytest.mark.parametrize(("old", "new"), [([SOFA], HALVES), (CUPS, CUPS[::-1])])
 def test_what_is_cut_or_numbered_in_another_way_did_not_change(old, new) -> None:
     for one, other in ((old, new), (new, old)):
-        assert not compare(
-            planted_room(one), planted_room(other), ["sofa", "cup"][len(old) - 1 :][:1]
-        ).changes
+        assert not compare(planted_room(one), planted_room(other), [old[0].name]).changes
 
 
 def test_captures_that_cannot_be_compared() -> None:

@@ -7,7 +7,7 @@ import weakref
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -57,6 +57,8 @@ def count_first(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.parametrize("backend", BACKENDS)
 @settings(max_examples=examples(25), deadline=None)
 @given(scene=scenes(25), seed=st.integers(0, 999), n_queries=st.integers(1, 4))
+@example((random_gaussians(60, 3, KINDS), make_camera(seed=2)), 5, 2)
+@example((random_gaussians(0, 3), make_camera(seed=2)), 5, 2)
 def test_further_queries_are_those_of_a_fresh_projection(backend, scene, seed, n_queries) -> None:
     gaussians, camera = scene
     field = field_of(gaussians, seed)
@@ -74,20 +76,9 @@ def test_further_queries_are_those_of_a_fresh_projection(backend, scene, seed, n
         expected = field.at(camera, backend=backend).relevancy(queries, phrases)
         assert found.shape == expected.shape == (3, len(queries), camera.height, camera.width)
         assert found.is_contiguous()
+        assert torch.isfinite(found).all()
+        assert len(gaussians) or (found == 0.5).all()
         assert_close(found, expected)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_every_ugly_kind_and_a_scene_of_nothing(backend) -> None:
-    gaussians, camera = random_gaussians(60, 3, KINDS), make_camera(seed=2)
-    queries, canonical = vectors(2, 0), vectors(4, 1)
-    for scene in (gaussians, gaussians.select(torch.zeros(60, dtype=torch.bool))):
-        field = field_of(scene, 5)
-        view = field.at(camera, backend=backend)
-        first, again = (view.relevancy(queries, canonical) for _ in range(2))
-        assert_close(again, first)
-        assert torch.isfinite(again).all()
-    assert (again == 0.5).all()
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -105,7 +96,7 @@ def test_what_is_known_is_rendered_once(backend, monkeypatch) -> None:
     assert len(calls) == 2
 
 
-def test_changed_codes() -> None:
+def test_codes_and_phrases_that_change_are_noticed() -> None:
     gaussians, camera = random_gaussians(40, 1), make_camera()
     field, other = (field_of(gaussians, seed) for seed in (1, 2))
     view, canonical, queries = field.at(camera), vectors(4, 1), vectors(2, 2)
@@ -122,17 +113,10 @@ def test_changed_codes() -> None:
     changed = check()
     field.code_indices = other.code_indices  # put in its place
     assert not before.equal(changed)
-    assert not changed.equal(check())
-
-
-def test_phrases_written_to_are_other_phrases() -> None:
-    gaussians, camera = random_gaussians(40, 1), make_camera()
-    field, canonical, queries = field_of(gaussians, 1), vectors(4, 1), vectors(2, 2)
-    view = field.at(camera)
-    view.relevancy(queries, canonical)
+    changed_again = check()
+    assert not changed.equal(changed_again)
     canonical[:] = vectors(4, 5)
-    found = view.relevancy(queries, canonical)
-    assert_close(found, field.relevancy(camera, queries, canonical))
+    assert not changed_again.equal(check())
 
 
 def test_a_field_keeps_no_view_alive() -> None:

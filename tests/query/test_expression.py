@@ -21,6 +21,8 @@ NAMES = ("mug", "wooden table", "cup")
         (["Power plugs and sockets"], ("Power plugs and sockets",)),
         (["power plugs and sockets", "mug"], ("power plugs and sockets", "mug")),
         (["power plugs and mug"], ("power plugs", "mug")),
+        (["the Power  plugs and sockets on the desk"], ("Power plugs and sockets", "desk")),
+        (['mug and "plugs" and (power plugs and sockets)'], ("mug", "plugs", "power plugs and sockets")),
     ],
 )
 def test_names_of_a_table_are_taken_whole(words: list[str], texts: tuple[str, ...]) -> None:

@@ -17,11 +17,8 @@ from scoup.scene.cameras import Camera
 from scoup.scene.up import estimate_up
 from support import examples
 
-DOWN = (
-    (1.0, 0, 0),
-    (0, -1.0, 0),
-    (0, 0, -1.0),
-)  # right, down and forward of a camera that looks at the floor
+# Right, down and forward of a camera that looks at the floor.
+DOWN = ((1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0))
 
 
 def rolled(camera: Camera, degrees: float) -> Camera:

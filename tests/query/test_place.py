@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -22,7 +22,7 @@ from scoup.query.question import Question
 from scoup.query.things import MOST_LINKED, rough_parts
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.neighbours import connected_parts
-from support import examples
+from support import examples, gaussians_at
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
@@ -44,17 +44,12 @@ class Placed:
         return self.relevancy[None, None]
 
 
-def gaussians_at(means: Tensor, opacities: Tensor | None = None) -> Gaussians:
-    count = len(means)
-    quats = torch.zeros(count, 4)
-    quats[:, 0] = 1
-    opacities = torch.full((count,), 0.8) if opacities is None else opacities
-    return Gaussians(means.float(), quats, torch.full((count, 3), 0.01), opacities, torch.zeros(count, 1, 3))
-
-
 def located(means: Tensor, relevancy: Tensor | None = None, opacities: Tensor | None = None) -> Place:
     relevancy = torch.full((len(means),), 0.8) if relevancy is None else relevancy
-    field: Any = Placed(gaussians_at(means, opacities), relevancy)
+    gaussians = gaussians_at(means, opacity=0.8)
+    if opacities is not None:
+        gaussians = replace(gaussians, opacities=opacities)
+    field: Any = Placed(gaussians, relevancy)
     mask = torch.ones(len(means), dtype=torch.bool)
     return place_of(field, Answer("thing", mask, "m", None, asked=(ASKED,), field=field))
 
@@ -133,24 +128,21 @@ def test_strays_do_not_move_it() -> None:
     assert int((found.thing.gaussians < 60).sum()) <= 1
 
 
-def test_of_two_things_the_heavier_is_meant() -> None:
-    few, many = block(200, [1.0] * 3), block(300, [1.0] * 3, seed=1) + 10
-    found = located(torch.cat([few, many]))
-    assert found.position is not None
-    assert float(found.position[0]) == pytest.approx(10, abs=0.2)
-    faint = torch.cat([torch.full((200,), 0.9), torch.full((300,), 0.1)])
-    found = located(torch.cat([few, many]), opacities=faint)
-    assert found.position is not None
-    assert float(found.position[0]) == pytest.approx(0, abs=0.2)
-
-
-def test_a_gaussian_weighs_its_opacity_times_its_relevancy() -> None:
+@pytest.mark.parametrize(
+    ("relevancies", "opacities", "position"),
+    [((0.8, 0.8), (0.8, 0.8), 10), ((0.8, 0.8), (0.9, 0.1), 0), ((0.8, 0.5), (0.8, 0.8), 0),
+     ((0.6, 0.5), (0.8, 0.8), 10)],
+    ids=["more", "more opaque", "more relevant, 80 against 75", "60 against 75"],
+)  # fmt: skip
+def test_the_thing_is_meant_that_weighs_most_by_opacity_times_relevancy(
+    relevancies: tuple[float, float], opacities: tuple[float, float], position: float
+) -> None:
+    counts = torch.tensor([100, 150])
     few, many = block(100, [1.0] * 3), block(150, [1.0] * 3, seed=1) + 10
-    means = torch.cat([few, many])
-    for of_few, position in ((0.8, 0.0), (0.6, 10.0)):  # 80 or 60 against 150 times 0.5
-        found = located(means, torch.cat([torch.full((100,), of_few), torch.full((150,), 0.5)]))
-        assert found.position is not None
-        assert float(found.position[0]) == pytest.approx(position, abs=0.3)
+    each = (torch.tensor(values).repeat_interleave(counts) for values in (relevancies, opacities))
+    found = located(torch.cat([few, many]), *each)
+    assert found.position is not None
+    assert float(found.position[0]) == pytest.approx(position, abs=0.3)
 
 
 def test_what_has_no_place() -> None:
@@ -183,19 +175,6 @@ def test_boxes_hold_their_points(count: int, seed: int, scale: float) -> None:
     torch.testing.assert_close(box.axes @ box.axes.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
     along = ((points - box.centre) @ box.axes.T).abs()
     assert (along <= box.extent / 2 + 1e-9 * scale).all()  # fewer than 50 points: none may be cut off
-
-
-@settings(max_examples=examples(60))
-@given(st.integers(1, 30), st.integers(0, 2**31))
-def test_quantiles_are_those_of_repeated_values(count: int, seed: int) -> None:
-    random = torch.Generator().manual_seed(seed)
-    values = torch.randint(0, 9, (count,), generator=random).double()
-    weights = torch.randint(0, 4, (count,), generator=random)
-    weights[0] += 1
-    repeated = torch.repeat_interleave(values, weights).sort().values
-    for share in (0.01, 0.5, 0.99):
-        found = PointSets.of_one_thing(values[:, None], weights.double()).quantiles([share]).item()
-        assert found == float(repeated[math.ceil(share * len(repeated) - 1e-9) - 1])
 
 
 def test_parts_are_numbered_by_place() -> None:

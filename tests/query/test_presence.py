@@ -48,6 +48,11 @@ def test_other_names_of_a_text_are_no_words_to_compare_it_with() -> None:
     assert found == literal_others(query[0], table) == [True] * 200 + [False] * 16
 
 
+def share_below(fit: float, best: list[float], counts: list[bool]) -> float:
+    """Of the values that count, those below."""
+    return sum(value < fit for value, one in zip(best, counts, strict=True) if one) / sum(counts)
+
+
 def literal_scores(field: LanguageField, question: Question) -> list[float]:
     """The best fit of each word with a thing that it does not name, then the share below each text's."""
     known = compare_things(field, question)
@@ -65,12 +70,7 @@ def literal_scores(field: LanguageField, question: Question) -> list[float]:
     scores = []
     for answer, query in zip(answer_scene(field, question), question.queries, strict=True):
         fit = max(float(known.fits(query[None])[thing]) for thing in answer.things)
-        counted = [
-            value
-            for value, counts in zip(best, literal_others(query, question.everyday), strict=True)
-            if counts
-        ]
-        scores.append(sum(value < fit for value in counted) / len(counted))
+        scores.append(share_below(fit, best, literal_others(query, question.everyday)))
     return scores
 
 
@@ -98,12 +98,8 @@ def test_scores_of_votes(voted: Queried) -> None:
     words = [fit(word) for word in texts.everyday]
     assert SampledVotes(field, texts).best_fits.tolist() == pytest.approx(words, abs=1e-6)
     for answer, query in zip(answer_scene(field, texts), texts.queries, strict=True):
-        counted = [
-            value
-            for value, counts in zip(words, literal_others(query, texts.everyday), strict=True)
-            if counts
-        ]
-        assert answer.score == pytest.approx(sum(value < fit(query) for value in counted) / len(counted))
+        expected = share_below(fit(query), words, literal_others(query, texts.everyday))
+        assert answer.score == pytest.approx(expected)
 
 
 def test_votes_compared_with_other_phrases_are_other_votes(voted: Queried) -> None:
@@ -121,6 +117,7 @@ def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Querie
     for field in (queried.field, voted.field):
         for answer in answer_scene(field, few):
             assert (answer.score, answer.certainty, answer.presence) == (None, None, True)
+            assert answer.runner_up is None or answer.runner_up.score is None
             assert "presence not judged" in repr(answer)
     assert presence_threshold(LEAST_WORDS - 1, "words.npz") is None
     with pytest.raises(InputError, match=r"words\.npz: has \d+ words, but presence is judged against"):

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
+from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room, with_whole
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.field.language_field import LanguageField
 from support import examples
@@ -184,3 +184,13 @@ def test_directions_are_found_once() -> None:
     field = planted_room()
     assert field.frame() is field.frame()
     assert field.frame("back.png") is not field.frame()
+
+
+@pytest.mark.parametrize(("phrase", "found"), [("ball on the bowl", {1}), ("bowl on the ball", set())])
+def test_what_a_level_takes_for_one_thing_is_told_apart(phrase: str, found: set[int]) -> None:
+    """At level m a ball and its bowl are one thing, which answers both words; so their parts do."""
+    boxes = [Box("bowl", (0, 0, 0.02), (0.4, 0.4, 0.04)), Box("ball", (0, 0, 0.14), (0.2, 0.2, 0.2))]
+    field, both = with_whole(planted_room(boxes), [0, 1])
+    for word in ("ball", "bowl"):
+        assert [thing.number for thing in field.things(field.question(word, level="m"))] == [both]
+    assert {thing.number for thing in field.things(field.question(phrase, level="m"))} == found

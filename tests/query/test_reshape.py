@@ -12,15 +12,7 @@ from scoup.base.errors import InputError
 from scoup.query.select import Reshaping, reshaped
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS
-from support import examples, random_gaussians
-
-
-def at(means: torch.Tensor) -> Gaussians:
-    count = len(means)
-    quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1)
-    return Gaussians(
-        means, quats, torch.full((count, 3), 0.01), torch.full((count,), 0.5), torch.zeros(count, 1, 3)
-    )
+from support import examples, gaussians_at, random_gaussians
 
 
 def literal(points: np.ndarray, inside: list[bool], wanted: Reshaping) -> list[bool]:
@@ -53,14 +45,14 @@ def test_reshaped_equals_loops(count: int, shrink: int, grow: int, within: float
     means = torch.randn(count, 3, generator=generator)
     mask = torch.rand(count, generator=generator) < 0.6
     wanted = Reshaping(shrink=shrink, grow=grow, within=within)
-    found = reshaped(at(means), mask, torch.ones(count), wanted)
+    found = reshaped(gaussians_at(means), mask, torch.ones(count), wanted)
     assert found.tolist() == literal(means.double().numpy(), mask.tolist(), wanted)
 
 
 def test_the_largest_part_is_the_one_that_weighs_most() -> None:
     generator = torch.Generator().manual_seed(0)
     clumps = [torch.rand(40, 3, generator=generator), torch.rand(30, 3, generator=generator) + 20]
-    gaussians = at(torch.cat(clumps))
+    gaussians = gaussians_at(torch.cat(clumps))
     mask, first = torch.ones(70, dtype=torch.bool), torch.arange(70) < 40
     assert reshaped(gaussians, mask, torch.ones(70), Reshaping(largest=True)).equal(first)
     heavier = torch.where(first, 0.5, 1.0)
@@ -73,7 +65,7 @@ def test_growing_does_not_leap() -> None:
         [torch.rand(50, 3, generator=torch.Generator().manual_seed(1)), torch.full((1, 3), 40.0)]
     )
     mask = torch.arange(51) < 25
-    grown = reshaped(at(means), mask, torch.ones(51), Reshaping(grow=5))
+    grown = reshaped(gaussians_at(means), mask, torch.ones(51), Reshaping(grow=5))
     assert grown[:50].all()
     assert not grown[50]
 

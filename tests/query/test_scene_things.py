@@ -105,11 +105,6 @@ def test_without_a_table_connected_parts_answer_and_strays_do_not() -> None:
     assert len(bright.things("mug")) == 3
 
 
-def test_a_threshold_of_choice_asks_the_votes(room) -> None:
-    found = room.things(room.question("mug", threshold=0.6, always=True))
-    assert [thing.number for thing in found] == [None, None]
-
-
 def test_a_table_of_no_things_leaves_the_votes(room) -> None:
     table = room.thing_table
     nothing = ThingTable(

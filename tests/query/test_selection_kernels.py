@@ -9,8 +9,8 @@ from torch import Tensor
 
 from raster.parity import needs_native
 from scoup.query import votes
-from scoup.query.votes import STABILITY, above_thresholds, stretched_counts
-from support import examples
+from scoup.query.votes import LOWEST_SHARE, above_thresholds, stretched_counts
+from support import examples, threads_of_torch
 
 
 @st.composite
@@ -30,7 +30,7 @@ def some_values(draw: st.DrawFn) -> tuple[Tensor, Tensor | None]:
 
 @needs_native
 @settings(max_examples=examples(100))
-@given(some_values(), st.sampled_from([STABILITY.lowest_share, 0.0]), st.floats(0, 1, width=32))
+@given(some_values(), st.sampled_from([LOWEST_SHARE, 0.0]), st.floats(0, 1, width=32))
 def test_they_are_those_of_torch(some: tuple[Tensor, Tensor | None], share: float, threshold: float) -> None:
     spans, counts = stretched_counts(*some, share)
     expected = votes.plain_stretched_counts(*some, share)
@@ -49,13 +49,10 @@ def test_they_are_those_of_torch(some: tuple[Tensor, Tensor | None], share: floa
 @given(st.integers(0, 99))
 def test_rows_alike_have_equal_sums_for_any_number_of_threads(seed: int) -> None:
     row = torch.rand(50_000, generator=torch.Generator().manual_seed(seed))
-    values, threads, found = torch.stack([row, row, row]), torch.get_num_threads(), []
-    try:
-        for count in (1, 3):
-            torch.set_num_threads(count)
+    values, found = torch.stack([row, row, row]), []
+    for count in (1, 3):
+        with threads_of_torch(count):
             spans, counts = stretched_counts(values, None, 0.0)
             found.append((counts, *above_thresholds(values, None, spans, torch.full((3,), 0.3))))
-    finally:
-        torch.set_num_threads(threads)
     assert all(one.equal(other) for one, other in zip(*found, strict=True))
     assert len(set(found[0][3].tolist())) == 1

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.query.votes import STABILITY, level_thresholds
+from scoup.query.votes import CENTRE, HIGHEST, LOWEST, PULL, WINDOW, level_thresholds
 from support import examples
 
 STEPS = range(44, 85)
@@ -22,7 +22,7 @@ hundredth."""
 
 def stable_thresholds(values: Tensor) -> Tensor:
     """Of rows in which all values count."""
-    return level_thresholds(values, torch.ones_like(values, dtype=torch.bool))
+    return level_thresholds(values, torch.ones_like(values, dtype=torch.bool))[0]
 
 
 def areas_around(rescaled: list[float], step: int) -> tuple[int, int]:
@@ -56,8 +56,8 @@ def grid_values(draw: st.DrawFn) -> list[int]:
 
 
 def test_the_constants_are_those_of_the_rule_read_here() -> None:
-    assert (round(100 * STABILITY.lowest), round(100 * STABILITY.highest)) == (STEPS[0], STEPS[-1])
-    assert (STABILITY.window, STABILITY.centre, STABILITY.pull) == (0.1, 0.64, 0.05)
+    assert (round(100 * LOWEST), round(100 * HIGHEST)) == (STEPS[0], STEPS[-1])
+    assert (WINDOW, CENTRE, PULL) == (0.1, 0.64, 0.05)
 
 
 @settings(max_examples=examples(240))
@@ -90,7 +90,7 @@ def test_the_first_and_the_last_window_count(start: int, expected: float) -> Non
 def test_the_centre_wins_where_all_are_alike() -> None:
     step = torch.tensor([0.0] * 9 + [1.0])
     for row in (torch.full((7,), 0.5), torch.tensor([0.4]), torch.zeros(5), step):
-        assert stable_thresholds(row[None]).tolist() == pytest.approx([STABILITY.centre])
+        assert stable_thresholds(row[None]).tolist() == pytest.approx([CENTRE])
 
 
 def no_values() -> list[Tensor]:
@@ -100,7 +100,7 @@ def no_values() -> list[Tensor]:
 
 @pytest.mark.parametrize("values", no_values(), ids=["empty", "nan", "inf", "-inf"])
 def test_rows_without_meaning_have_the_centre(values: Tensor) -> None:
-    assert stable_thresholds(values).tolist() == pytest.approx([STABILITY.centre] * len(values))
+    assert stable_thresholds(values).tolist() == pytest.approx([CENTRE] * len(values))
 
 
 def test_rows_are_judged_each_for_itself_and_always_alike() -> None:
@@ -112,5 +112,5 @@ def test_rows_are_judged_each_for_itself_and_always_alike() -> None:
     assert torch.cat([stable_thresholds(row[None]) for row in values]).equal(thresholds)
     included = torch.rand(4, 300, generator=generator) < 0.6  # others do not count
     alone = [stable_thresholds(row[own][None]) for row, own in zip(values, included, strict=True)]
-    assert level_thresholds(values, included).equal(torch.cat(alone))
+    assert level_thresholds(values, included)[0].equal(torch.cat(alone))
     assert len(stable_thresholds(values[:0])) == 0

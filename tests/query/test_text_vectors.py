@@ -10,11 +10,11 @@ import torch
 
 from query.conftest import Queried, random_vectors
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.question import TextVectors, encode_texts
+from support import altered
 
 WORDS = ("kettle", "mug")
 
@@ -61,25 +61,13 @@ def test_everyday_words_are_one_more_phrase() -> None:
 @pytest.mark.parametrize(
     ("named", "other", "said"),
     [
-        (
-            "words.npz",
-            "",
-            "the field was built for the table words.npz: pass that, or a word table of 16",
-        ),
-        (
-            "colors",
-            "",
-            "embedded by their colours, without a model, and cannot be queried in words; extract them with",
-        ),
+        ("words.npz", "", "the field was built for the table words.npz: pass that, or a word table of 16"),
+        ("colors", "", "embedded by their colours, without a model, and cannot be queried in words; extract them with"),
         ("", "", "the field does not name its model: pass a word table of 16 dimensions"),
-        (
-            "some/clip",
-            "some/clip",
-            "so some/clip, which the field names, did not embed its regions: pass a word table",
-        ),
+        ("some/clip", "some/clip", "so some/clip, which the field names, did not embed its regions: pass a word table"),
         ("some/clip", "", "the field names the model some/clip: pass that, or a table made with it"),
     ],
-)
+)  # fmt: skip
 def test_vectors_of_another_size_are_told_from_what_the_field_names(
     queried: Queried, tmp_path: Path, named: str, other: str, said: str
 ) -> None:
@@ -88,7 +76,7 @@ def test_vectors_of_another_size_are_told_from_what_the_field_names(
         info = replace(field.info, embedding_model="", words=Path(named))
     else:
         info = replace(field.info, embedding_model=named)
-    built = LanguageField(field.code_indices, field.code_weights, field.codebook, info)
+    built = altered(field, info=info)
     names = (*WORDS, *CANONICAL_PHRASES)
     save_table(tmp_path / "wide.npz", names, random_vectors(len(names), 24).numpy(), model=other)
     with pytest.raises(InputError) as refusal:
@@ -110,9 +98,7 @@ def test_vectors_of_another_model_are_warned_of(
     queried: Queried, given: str, named: str, warned: bool
 ) -> None:
     field = queried.field
-    other = LanguageField(
-        field.code_indices, field.code_weights, field.codebook, replace(field.info, embedding_model=named)
-    )
+    other = altered(field, info=replace(field.info, embedding_model=named))
     encoder = TextEncoder(given, 16, lambda phrases: torch.ones(len(phrases), 16))
     if warned:
         with pytest.warns(ScoupWarning, match="mean nothing unless"):

@@ -19,13 +19,14 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.matching import (
-    CHOICE_RULE,
+    AGREEMENT,
     FEW_REGIONS,
     HUB_QUANTILE,
     HUB_SHARE,
     LEAST_STABILITY,
     MOST_GAP,
     MOST_TOGETHER,
+    RIVAL,
     SAME,
     TEXTS_AT_A_TIME,
     UNSTABLE,
@@ -33,27 +34,17 @@ from scoup.query.matching import (
     choose_things,
     compare_things,
 )
-from scoup.query.question import Question
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
-from support import examples, unit
+from support import altered, examples, things_of, unit
 
 # The choice.
 
 
 def planted_table(owners: Tensor, levels: Tensor, mass: Tensor | None = None) -> ThingTable:
     """Things [T] of Gaussians [N, S], seen equally well."""
-    count = len(levels)
-    return ThingTable(
-        owners.int(),
-        levels.to(torch.uint8),
-        torch.full((count,), NO_THING, dtype=torch.int32),
-        random_vectors(count, 8).half(),
-        torch.ones(count),
-        torch.full((count,), 5, dtype=torch.int32),
-        torch.ones(count) if mass is None else mass.float(),
-        torch.ones(count),
-    )
+    mass = torch.ones(len(levels)) if mass is None else mass.float()
+    return things_of(owners, levels, random_vectors(len(levels), 8), mass=mass)
 
 
 def compared(things: ThingTable) -> ComparedTable:
@@ -93,9 +84,7 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     rivals[thing] = fits[thing]
             rival = max(rivals, key=lambda thing: rivals[thing], default=None)
             lead = 0.0 if rival is None else max(0.0, rivals[rival] - mean)
-            alone[-1].append(
-                (min(last - behind, MOST_GAP) - (top - mean) - CHOICE_RULE.rival * lead, chosen, rival)
-            )
+            alone[-1].append((min(last - behind, MOST_GAP) - (top - mean) - RIVAL * lead, chosen, rival))
     found = []
     for each, sets in enumerate(alone):
         for score, chosen, rival in sets if level in (None, each) else ():
@@ -107,7 +96,7 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                     if len(whole & them) > SAME * len(whole | them):
                         best = max(best, their_score + MOST_GAP)
                 added += best
-            found.append((score + CHOICE_RULE.agreement * added, chosen, rival))
+            found.append((score + AGREEMENT * added, chosen, rival))
     return found
 
 
@@ -397,11 +386,7 @@ def test_a_thing_out_of_sight_is_there_but_not_visible(asked: Asked) -> None:
 
 
 def with_owners(asked: Asked, owners: Tensor) -> LanguageField:
-    field = asked.field
-    return LanguageField(
-        field.code_indices, field.code_weights, field.codebook, field.info, asked.wall.gaussians,
-        cameras=field.cameras, thing_table=replace(asked.things, owners=owners),
-    )  # fmt: skip
+    return altered(asked.field, thing_table=replace(asked.things, owners=owners))
 
 
 def test_the_point_is_in_the_mask_where_something_else_is_more_relevant(asked: Asked) -> None:
@@ -434,13 +419,3 @@ def test_gaussians_of_no_thing_do_not_count(asked: Asked) -> None:
     beside = answer.mask & (wall.shows(wall.cameras[2]) == 1)
     beside[:, : int((wall.shows(wall.cameras[2])[14] == 0).nonzero()[-1]) + 2] = False  # the border
     assert beside.any()
-
-
-def test_without_words_to_judge_by_the_fits_are_of_canonical_phrases(asked: Asked) -> None:
-    texts = asked.wall.texts
-    few = Question(texts.texts, texts.queries, texts.canonical, texts.everyday[:3])
-    for number, answer in enumerate(answer_scene(asked.field, few)):
-        assert sorted(answer.things) == asked.named(number, LEVELS.index(answer.level)).tolist()
-        assert answer.score is None
-        assert answer.runner_up is not None
-        assert answer.runner_up.score is None

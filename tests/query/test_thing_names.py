@@ -7,10 +7,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from query.planted_room import ABSENT, ROOM, planted_room
+from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from scoup.query.boxes import OrientedBox
-from scoup.query.thing_names import LEAST_REGIONS, UNNAMED, find_objects, thing_names
+from scoup.query.thing_names import LEAST_REGIONS, STABLE, UNNAMED, best_of_trees, find_objects, thing_names
 from scoup.query.things import Thing
+from scoup.scene.things import NO_THING
+
+LAMP = 4  # of ROOM
 
 
 def test_a_word_names_only_what_it_finds() -> None:
@@ -43,9 +46,40 @@ def thing(number: int, parent: int | None, score: float | None, size: int, regio
     ],
 )
 def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], objects: list[int]) -> None:
-    assert find_objects([thing(*each) for each in tree]) == objects
+    assert [each.number for each in best_of_trees([thing(*each) for each in tree])] == objects
 
 
-def test_fragments_without_a_name_are_no_objects() -> None:
-    assert find_objects([thing(0, None, None, 9, LEAST_REGIONS - 1)]) == []
-    assert find_objects([replace(thing(0, None, 0.5, 9, 1), score=None)]) == [0]
+@pytest.mark.parametrize(
+    ("regions", "stability", "again", "name", "is_object"),
+    [
+        (9, STABLE, False, "", True),
+        (9, STABLE - 0.1, False, "", False),
+        (9, STABLE - 0.1, True, "", True),  # another level has it, too
+        (LEAST_REGIONS - 1, STABLE, True, "", False),
+        (1, 0.0, False, "lamp", True),
+    ],
+)
+def test_fragments_without_a_name_are_no_objects(
+    regions: int, stability: float, again: bool, name: str, is_object: bool
+) -> None:
+    room = planted_room()
+    assert room.thing_table is not None
+    count = len(room.thing_table)
+    room.thing_table = replace(
+        room.thing_table,
+        n_regions=torch.full((count,), regions).int(),
+        stability=torch.full((count,), stability),
+    )
+    field, whole = with_whole(room, [LAMP]) if again else (room, LAMP)
+    things = [replace(each, text=name) for each in field.things()]
+    assert (whole in {each.number for each in find_objects(field, things)}) == is_object
+
+
+def test_a_part_is_folded_into_a_whole_beyond_the_next_level() -> None:
+    field, whole = with_whole(planted_room(), [1, 2])
+    assert field.thing_table is not None
+    field.thing_table = replace(
+        field.thing_table, parents=torch.full_like(field.thing_table.parents, NO_THING)
+    )
+    objects = {thing.number for thing in find_objects(field, field.things())}
+    assert objects & {1, 2, whole} == {whole}

@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import torch
-from torch import Tensor
 
 from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import (
+    assert_channels_agree,
     assert_close,
+    assert_codes_agree,
     assert_same_sums,
-    explained_flips,
+    labels_at,
+    random_codes,
     same_bytes,
-    span_of,
     sure_pixels,
 )
 from scoup import raster
 from scoup.scene.cameras import Camera
-from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
-from support import KINDS, make_camera, random_gaussians, random_labels, small_scene, unit
+from support import KINDS, make_camera, random_gaussians, random_labels, small_scene
 
 if TYPE_CHECKING:
     from scoup.raster.triton.projection import TritonProjection
@@ -66,16 +66,10 @@ def projections_of(
 
 
 def check_channels(kind: str, seed: int, preset: str, channels: int, device: str) -> None:
-    gaussians, camera = scene_of(kind, seed, device == "cpu")
-    projection, reference = projections_of(gaussians, camera, preset, device)
-    values = torch.randn(len(gaussians), channels, generator=torch.Generator().manual_seed(seed))
-    image, alpha = raster.render_channels(projection, values.to(device))
-    expected, expected_alpha = raster.render_channels(reference, values)
-    actual = torch.cat([image, alpha[..., None]], 2).cpu()
-    expected = torch.cat([expected, expected_alpha[..., None]], 2)
-    span = max(1.0, span_of(values))
-    assert_close(actual, expected, span, sure_pixels(gaussians, camera, preset))
-    explained_flips(gaussians, camera, preset, actual, expected, span)
+    scene = scene_of(kind, seed, device == "cpu")
+    projections = projections_of(*scene, preset, device)
+    values = torch.randn(len(scene[0]), channels, generator=torch.Generator().manual_seed(seed))
+    actual = assert_channels_agree(projections, scene, preset, values, device)
     if kind not in ("empty", "behind", "opacity 0", "nan", "zero quat", "near"):
         assert bool((actual[..., -1] > 0).any()), "nothing is drawn: proves little"
 
@@ -88,14 +82,7 @@ def check_regions_of(
     gaussians: Gaussians, camera: Camera, seed: int, levels: int, n_regions: int, device: str
 ) -> None:
     projection, reference = projections_of(gaussians, camera, "inria", device)
-    if n_regions > camera.width * camera.height:  # every pixel its own
-        pixels = camera.width * camera.height
-        generator = torch.Generator().manual_seed(seed)
-        labels = torch.stack([torch.randperm(pixels, generator=generator) for _ in range(levels)])
-        labels = labels.view(levels, camera.height, camera.width).int()
-    else:
-        labels = random_labels(levels, camera.height, camera.width, n_regions, seed)
-    labels[:, ~sure_pixels(gaussians, camera)] = -1
+    labels = labels_at((gaussians, camera), "inria", levels, n_regions, seed)
     found = raster.region_sums(projection, labels.to(device))
     assert same_bytes(found, raster.region_sums(projection, labels.to(device)))
     assert_same_sums(found, raster.region_sums(reference, labels))
@@ -185,55 +172,17 @@ def check_split(device: str) -> None:
     assert bool((error <= (2.0**-22 * values.double()).clamp(min=2.0**-40)).all())
 
 
-def check_codes(
-    kind: str,
-    seed: int,
-    levels: int,
-    n_atoms: int,
-    k: int,
-    halves: bool,
-    device: str,
-) -> None:
-    """Coefficients, cosines and features of the same codes."""
+def check_codes(kind: str, seed: int, levels: int, n_atoms: int, k: int, halves: bool, device: str) -> None:
+    """Coefficients, cosines, norms and features of the same codes."""
     gaussians, camera = scene_of(kind, seed, device == "cpu")
     if device == "cpu" and n_atoms > 128:  # many programs a tile
         gaussians, camera = gaussians.select(torch.arange(min(len(gaussians), 60))), camera.resized(12, 9)
-    projection, reference = projections_of(gaussians, camera, "gsplat", device)
-    generator = torch.Generator().manual_seed(seed)
-    dtype = torch.float16 if halves else torch.float32
-    indices, weights = random_codes(len(gaussians), levels, k, n_atoms, seed, dtype)
-    there = indices.to(device), weights.to(device)
-    sure = sure_pixels(gaussians, camera, "gsplat")
-    painted = raster.render_codes(reference, indices, weights, n_atoms)
+    projections = projections_of(gaussians, camera, "gsplat", device)
+    indices, weights, *vectors = random_codes(len(gaussians), levels, k, n_atoms, seed)
+    codes = indices, weights.half() if halves else weights, *vectors
+    painted = assert_codes_agree(projections, sure_pixels(gaussians, camera, "gsplat"), codes, device)
     if kind not in ("empty", "behind", "opacity 0", "nan", "zero quat"):
         assert bool(painted.any()), "nothing is drawn: proves little"
-    found = raster.render_codes(projection, *there, n_atoms).cpu()
-    assert_close(found.movedim(0, 2), painted.movedim(0, 2), max(1, k / 4), sure)
-
-    codebook = torch.randn(levels, n_atoms, 24, generator=generator) * 3
-    queries = unit(torch.randn(5, 24, generator=generator))
-    expected = raster.render_cosines(reference, indices, weights, codebook, queries)
-    found = raster.render_cosines(projection, *there, codebook.to(device), queries.to(device)).cpu()
-    # Where atoms cancel, so do digits: a feature is known to the share that is left of its terms.
-    terms = (painted * codebook.norm(dim=2)[:, None, None]).sum(3)
-    left = torch.einsum("shwl,sld->shwd", painted, codebook).norm(dim=3) / terms.clamp(min=1e-30)
-    whole = (left > 0.1).all(0) & sure
-    assert_close(found.permute(2, 3, 0, 1), expected.permute(2, 3, 0, 1), 5.0, whole)
-    assert bool(torch.isfinite(found).all())
-    assert bool((found.abs() <= 1 + 1e-3).all())
-    unpainted = (painted == 0).all(3) & sure
-    assert not bool(found.movedim(1, 3)[unpainted].any())
-    given = *there, codebook.to(device), queries.to(device)
-    again, norms = (part.cpu() for part in raster.render_cosines_and_norms(projection, *given))
-    assert_close(again.permute(2, 3, 0, 1), found.permute(2, 3, 0, 1), 1.0, whole)
-    _, known = raster.render_cosines_and_norms(reference, indices, weights, codebook, queries)
-    assert_close(norms.movedim(0, 2), known.movedim(0, 2), 5 * max(1.0, float(terms.max())), whole)
-    assert not bool(norms[unpainted].any())
-
-    expected = raster.render_features(reference, indices, weights, codebook)
-    found = raster.render_features(projection, *there, codebook.to(device)).cpu()
-    assert_close(found.movedim(0, 2), expected.movedim(0, 2), 5.0, whole)
-    assert not bool(found[unpainted].any())
 
 
 def check_repeated_atoms(device: str) -> None:
@@ -275,15 +224,6 @@ def check_build(rounds: int, device: str) -> None:
     assert float(close.float().mean()) > 0.95
 
 
-def random_codes(
-    count: int, levels: int, k: int, n_atoms: int, seed: int, dtype: torch.dtype = torch.float32
-) -> tuple[Tensor, Tensor]:
-    """(indices, weights) [N, S, K] as fields have them, a third of the Gaussians without a code."""
-    generator = torch.Generator().manual_seed(seed)
-    indices = torch.rand(count, levels, n_atoms, generator=generator).argsort(2)[..., :k]
-    if n_atoms < k:
-        indices = torch.nn.functional.pad(indices, (0, k - n_atoms))
-    weights = torch.rand(count, levels, k, generator=generator).sort(dim=2, descending=True).values
-    weights[..., n_atoms:] = 0
-    weights[torch.rand(count, generator=generator) < 0.3] = 0
-    return indices.to(index_dtype(n_atoms)), weights.to(dtype)
+SMALL_CHECKS = (
+    check_kinds_of_labels, check_few_sums_at_a_time, check_nothing_painted, check_split, check_repeated_atoms,
+)  # fmt: skip

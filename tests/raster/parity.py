@@ -19,7 +19,11 @@ from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project_gaussians
 from scoup.raster.view_sums import ViewSums
 from scoup.scene.cameras import Camera
+from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
+from support import random_labels, unit
+
+Pair = tuple[raster.Projection, raster.Projection]
 
 RELATIVE = 1e-5
 # Of a sum of float32 terms, in units of what the values span.
@@ -43,9 +47,7 @@ BACKENDS = [
 ]
 
 
-def both(
-    gaussians: Gaussians, camera: Camera, preset: str = "inria"
-) -> tuple[raster.Projection, raster.Projection]:
+def both(gaussians: Gaussians, camera: Camera, preset: str = "inria") -> Pair:
     """(native, reference) projections of a scene."""
     native, reference = (raster.project(gaussians, camera, preset, name) for name in ("native", "reference"))
     return native, reference
@@ -126,6 +128,96 @@ def explained_flips(
     )
     assert (sizes <= FLIP_SIZE * calls).all(), f"a flip changes a pixel by {float(sizes.max()):.3g}"
     return Flips(pixels, float(sizes.max()) if len(sizes) else 0.0)
+
+
+def painted(projection: raster.Projection, values: Tensor) -> Tensor:
+    """[H, W, C + 1], on the CPU: what is painted of values [N, C], and alpha."""
+    image, alpha = raster.render_channels(projection, values)
+    return torch.cat([image, alpha[..., None]], 2).cpu()
+
+
+def assert_channels_agree(
+    projections: Pair, scene: tuple[Gaussians, Camera], preset: str, values: Tensor, device: str = "cpu"
+) -> Tensor:
+    """What is painted agrees with the reference, the second, where pixels are sure; flips explain the rest. Returns
+    what the first paints."""
+    actual, expected = painted(projections[0], values.to(device)), painted(projections[1], values)
+    span = max(1.0, span_of(values))
+    assert_close(actual, expected, span, sure_pixels(*scene, preset))
+    explained_flips(*scene, preset, actual, expected, span)
+    assert not actual[actual[..., -1] == 0].any()
+    return actual
+
+
+def labels_at(scene: tuple[Gaussians, Camera], preset: str, levels: int, n_regions: int, seed: int) -> Tensor:
+    """[S, H, W] int32: labels of the sure pixels; with more regions than pixels each has its own, of an even seed with
+    holes between them."""
+    height, width = scene[1].height, scene[1].width
+    if n_regions > height * width:
+        generator = torch.Generator().manual_seed(seed)
+        labels = torch.rand(levels, height * width, generator=generator).argsort(1).int()
+        holes = torch.rand(labels.shape, generator=generator) < 0.5
+        labels = labels.masked_fill(holes & (seed % 2 == 0), -1).view(levels, height, width)
+    else:
+        labels = random_labels(levels, height, width, n_regions, seed)
+    labels[:, ~sure_pixels(*scene, preset)] = -1
+    return labels
+
+
+def random_codes(
+    count: int, levels: int, k: int, n_atoms: int, seed: int, repeated: bool = False
+) -> tuple[Tensor, ...]:
+    """indices, weights [N, S, K], codebook [S, L, 24], queries [Q, 24]. A third of the Gaussians have no code; a code
+    may have an atom ``repeated``."""
+    generator = torch.Generator().manual_seed(seed)
+    weights = torch.rand(count, levels, k, generator=generator).sort(dim=2, descending=True).values
+    weights[torch.rand(count, generator=generator) < 0.3] = 0
+    if repeated:
+        indices = torch.randint(n_atoms, (count, levels, k), generator=generator)
+    else:
+        indices = torch.rand(count, levels, n_atoms, generator=generator).argsort(2)[..., :k]
+        indices = torch.nn.functional.pad(indices, (0, max(0, k - n_atoms)))
+        weights[..., n_atoms:] = 0
+    codebook = (
+        torch.randn(levels, n_atoms, 24, generator=generator) * 3 + seed % 2 * 3
+    )  # of an odd seed alike
+    queries = unit(torch.randn(1 + seed % 20, 24, generator=generator))
+    return indices.to(index_dtype(n_atoms)), weights, codebook, queries
+
+
+def assert_codes_agree(
+    projections: Pair, sure: Tensor, codes: tuple[Tensor, ...], device: str = "cpu"
+) -> Tensor:
+    """Coefficients, cosines, norms and features agree with the reference's, the second, at ``sure`` [H, W] pixels.
+    Returns the coefficients of the reference."""
+    (levels, n_atoms, _), codebook, k = codes[2].shape, codes[2].float(), codes[0].shape[2]
+    there, (projection, reference) = [part.to(device) for part in codes], projections
+    terms = raster.render_codes(reference, codes[0], codes[1], n_atoms)
+    found = raster.render_codes(projection, there[0], there[1], n_atoms).cpu()
+    assert found.shape == (levels, *sure.shape, n_atoms)
+    assert_close(found.movedim(0, 2), terms.movedim(0, 2), max(1, k / 4), sure)
+    # Where atoms cancel, so do digits: a feature is known to the share that is left of its terms.
+    most = (terms * codebook.norm(dim=2)[:, None, None]).sum(3)
+    left = torch.einsum("shwl,sld->shwd", terms, codebook).norm(dim=3) / most.clamp(min=1e-30)
+    whole, unpainted = (left > 0.1).all(0) & sure, (terms == 0).all(3) & sure
+
+    cosines = raster.render_cosines(projection, *there)
+    assert cosines.shape == (levels, len(codes[3]), *sure.shape)
+    assert torch.isfinite(cosines).all()
+    assert (cosines.abs() <= 1 + 1e-3).all()
+    again, norms = raster.render_cosines_and_norms(projection, *there)
+    features = raster.render_features(projection, *there[:3])
+    expected, known = raster.render_cosines_and_norms(reference, *codes)
+    decoded = raster.render_features(reference, *codes[:3])
+    last = max(1.0, float(most.amax()))
+    for actual, wanted, span in (
+        (cosines.movedim(1, 3), expected.movedim(1, 3), 5.0), (again.movedim(1, 3), expected.movedim(1, 3), 5.0),
+        (norms, known, 5 * last), (features, decoded, 5.0),
+    ):  # fmt: skip
+        actual = actual.cpu()
+        assert_close(actual.movedim(0, 2), wanted.movedim(0, 2), span, whole)
+        assert not actual[unpainted].any()
+    return terms
 
 
 def assert_same_sums(actual: ViewSums, expected: ViewSums, span: float = 1.0) -> None:

@@ -173,8 +173,9 @@ def test_stop_rule_leaves_out_the_gaussian_that_would_cross_it(backend):
     assert torch.allclose(alpha, torch.full_like(alpha, 1 - 0.05**3), atol=1e-6)
 
 
-def test_empty_scene_and_empty_view(backend):
+def test_empty_scenes_views_and_maps(backend):
     camera = make_camera(7, 5)
+    labels = torch.zeros(3, 5, 7, dtype=torch.int32)
     for gaussians in (random_gaussians(0, 0), random_gaussians(5, 0, ("behind",))):
         count = len(gaussians)
         projection = raster.project(gaussians, camera, backend=backend)
@@ -182,16 +183,26 @@ def test_empty_scene_and_empty_view(backend):
         assert image.shape == (5, 7, 2)
         assert not image.any()
         assert not alpha.any()
-        sums = raster.region_sums(projection, torch.zeros(3, 5, 7, dtype=torch.int32))
+        indices, weights = torch.zeros(count, 3, 2, dtype=torch.uint8), torch.ones(count, 3, 2)
+        assert not raster.render_codes(projection, indices, weights, 4).any()
+        sums = raster.region_sums(projection, labels)
         assert len(sums.gaussian) == len(sums.combination) == len(sums.weight) == 0
         assert sums.table.tolist() == [[0, 0, 0]]
-
-
-def test_no_region_anywhere(backend):
-    projection = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
-    sums = raster.region_sums(projection, torch.full((2, 30, 40), -1, dtype=torch.int32))
-    assert len(sums.gaussian) == 0
-    assert sums.table.shape == (0, 2)
+    projection = raster.project(random_gaussians(9, 1), camera, backend=backend)
+    for none, levels in ((labels - 1, 3), (labels[:0], 0)):
+        sums = raster.region_sums(projection, none)
+        assert len(sums.gaussian) == 0
+        assert sums.table.shape[1] == levels
+    assert raster.render_channels(projection, torch.zeros(9, 0))[0].shape == (5, 7, 0)
+    indices, weights = torch.zeros(9, 3, 2, dtype=torch.uint8), torch.ones(9, 3, 2)
+    assert not raster.render_codes(projection, indices[..., :0], weights[..., :0], 4).any()
+    queries = torch.zeros(0, 6)
+    assert raster.render_cosines(projection, indices, weights, torch.ones(3, 4, 6), queries).shape == (
+        3,
+        0,
+        5,
+        7,
+    )
 
 
 def test_same_bytes_twice(backend):
@@ -204,18 +215,43 @@ def test_same_bytes_twice(backend):
     assert same_bytes(first, second)
 
 
-def test_wrong_shapes_are_refused(backend):
+def test_what_does_not_fit_is_refused(backend):
     projection = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
-    with pytest.raises(InputError, match="labels"):
-        raster.region_sums(projection, torch.zeros(3, 31, 40, dtype=torch.int32))
-    with pytest.raises(InputError, match="integers"):
-        raster.region_sums(projection, torch.zeros(3, 30, 40))
-    with pytest.raises(InputError, match="integers"):
-        raster.region_sums(projection, torch.zeros(30, 40, dtype=torch.int32))
+    for labels, said in (
+        (torch.zeros(3, 31, 40, dtype=torch.int32), "labels"), (torch.zeros(3, 30, 40), "integers"),
+        (torch.zeros(30, 40, dtype=torch.int32), "integers"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            raster.region_sums(projection, labels)
     with pytest.raises(InputError, match="values"):
         raster.render_channels(projection, torch.zeros(8, 3))
-    with pytest.raises(InputError, match="differ"):
-        raster.render_codes(projection, torch.zeros(9, 3, 4, dtype=torch.uint8), torch.zeros(9, 3, 5), 8)
+    indices, weights = torch.zeros(9, 3, 4, dtype=torch.uint8), torch.zeros(9, 3, 4)
+    for codes, said in (
+        ((indices, torch.zeros(9, 3, 5)), "differ"), ((indices[..., 1:], weights), "differ"),
+        ((indices[1:], weights[1:]), "code weights"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            raster.render_codes(projection, *codes, 8)
+    codebook, queries = torch.ones(3, 8, 6), torch.ones(2, 6)
+    for bad in (
+        (codebook[:2], queries),
+        (codebook, queries[:, 1:]),
+        (codebook[0], queries),
+        (codebook, queries[0]),
+    ):
+        with pytest.raises(InputError, match="do not fit"):
+            raster.render_cosines(projection, indices, weights, *bad)
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.int64])
+def test_an_atom_beyond_the_codebook_is_refused(backend, dtype):
+    projection = raster.project(random_gaussians(9, 1), make_camera(), backend=backend)
+    indices, weights = torch.zeros(9, 3, 4, dtype=dtype), torch.ones(9, 3, 4)
+    indices[7, 0, 0] = 8  # of the first level: it must not pass for atom 0 of the second
+    with pytest.raises(InputError, match=r"atom|indices"):
+        raster.render_codes(projection, indices, weights, 8)
+    with pytest.raises(InputError, match=r"atom|indices"):
+        raster.render_cosines(projection, indices, weights, torch.ones(3, 8, 6), torch.ones(2, 6))
 
 
 def test_unknown_names(backend):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -12,12 +14,9 @@ if not torch.cuda.is_available():
     pytest.skip("needs a CUDA device", allow_module_level=True)
 
 
-def test_small_things_on_a_gpu() -> None:
-    gpu_checks.check_nothing_painted("cuda")
-    gpu_checks.check_split("cuda")
-    gpu_checks.check_repeated_atoms("cuda")
-    gpu_checks.check_kinds_of_labels("cuda")
-    gpu_checks.check_few_sums_at_a_time("cuda")
+@pytest.mark.parametrize("check", gpu_checks.SMALL_CHECKS)
+def test_small_things_on_a_gpu(check: Callable[[str], None]) -> None:
+    check("cuda")
 
 
 # What is asked of the same scenes is asked in tests of its own: one that fails hides no other.

@@ -12,28 +12,10 @@ from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import assert_close, assert_same_sums, both, needs_native, same_bytes, sure_pixels
 from scoup import raster
 from scoup.base.native import require_core
-from support import make_camera, random_gaussians, random_labels, unit
+from support import make_camera, random_gaussians, random_labels, threads_of_torch, unit
 
 pytestmark = needs_native
 LEVELS, ATOMS, REGIONS = 3, 48, 15
-
-
-@pytest.fixture(params=["baseline", "v3", "v4"])
-def instruction_set(request):
-    core, asked = require_core(), os.environ.get("SCOUP_NATIVE", "")
-    if asked not in ("", request.param):
-        pytest.skip(f"SCOUP_NATIVE asks for {asked}")
-    if not core.use_isa(request.param):
-        pytest.skip(f"this CPU does not run {request.param}")
-    yield request.param
-    core.use_isa(asked or "best")
-
-
-@pytest.fixture
-def restore_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def _resident_bytes() -> int:
@@ -92,7 +74,7 @@ def test_every_instruction_set_agrees_with_the_reference(instruction_set, kind, 
     assert_same_sums(native["regions"], reference["regions"])
 
 
-def test_same_bytes_on_any_number_of_threads(restore_threads):
+def test_same_bytes_on_any_number_of_threads():
     """Enough Gaussians, ties in depth among them, that every stage is shared out."""
     gaussians = random_gaussians(60_000, 8, ("plain", "needle", "tiny", "huge", "nan"))
     gaussians.scales.mul_(0.2)
@@ -102,16 +84,16 @@ def test_same_bytes_on_any_number_of_threads(restore_threads):
     labels = random_labels(LEVELS, 190, 230, REGIONS, 1)
     found = []
     for threads in (1, 2, 3, 5):
-        torch.set_num_threads(threads)
-        projection = raster.project(gaussians, camera, backend="native")
-        found.append(everything(projection, len(gaussians), labels, 512))
+        with threads_of_torch(threads):
+            projection = raster.project(gaussians, camera, backend="native")
+            found.append(everything(projection, len(gaussians), labels, 512))
     assert found[0]["alpha"].max() > 0.99
     for answers in found[1:]:
         assert same_bytes(answers.pop("regions"), found[0]["regions"])
         assert all(torch.equal(answer, found[0][name]) for name, answer in answers.items())
 
 
-def test_cosines_of_a_large_codebook_do_not_depend_on_threads(restore_threads):
+def test_cosines_of_a_large_codebook_do_not_depend_on_threads():
     """Its Gram matrices are products large enough to be shared out among threads."""
     gaussians, camera = random_gaussians(300, 8), make_camera(40, 30)
     generator = torch.Generator().manual_seed(0)
@@ -121,7 +103,7 @@ def test_cosines_of_a_large_codebook_do_not_depend_on_threads(restore_threads):
     queries = unit(torch.randn(40, 512, generator=generator))
     found = []
     for threads in (1, 2, 3, 5):
-        torch.set_num_threads(threads)
-        projection = raster.project(gaussians, camera, backend="native")
-        found.append(raster.render_cosines(projection, indices, weights, codebook, queries))
+        with threads_of_torch(threads):
+            projection = raster.project(gaussians, camera, backend="native")
+            found.append(raster.render_cosines(projection, indices, weights, codebook, queries))
     assert all(torch.equal(cosines, found[0]) for cosines in found)

@@ -1,24 +1,23 @@
-"""What the compiled core is handed: other forms of tensors, and what it must refuse."""
+"""Other forms of tensors that the compiled core is handed, and labels that it must refuse."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from raster.parity import BACKENDS, assert_close, assert_same_sums, needs_native
+from raster.parity import assert_close, assert_same_sums, needs_native
 from scoup import raster
 from scoup.base.errors import InputError
 from scoup.scene.gaussians import Gaussians
 from support import make_camera, random_gaussians, random_labels, unit
 
+pytestmark = needs_native
 COUNT, LEVELS, ATOMS, REGIONS = 50, 3, 8, 5
 CAMERA = make_camera()
-with_native = needs_native
-on_every_backend = pytest.mark.parametrize("backend", BACKENDS)
 
 
-def a_view(backend: str = "native") -> raster.Projection:
-    return raster.project(random_gaussians(COUNT, 1), CAMERA, backend=backend)
+def a_view() -> raster.Projection:
+    return raster.project(random_gaussians(COUNT, 1), CAMERA, backend="native")
 
 
 def inputs() -> dict:
@@ -49,7 +48,6 @@ FORMS = {
 }
 
 
-@with_native
 @pytest.mark.parametrize("form", FORMS)
 def test_other_forms_of_the_same_numbers(form):
     change, projection, given = FORMS[form], a_view(), inputs()
@@ -72,7 +70,6 @@ def test_other_forms_of_the_same_numbers(form):
     assert not cosines[1].requires_grad
 
 
-@with_native
 @pytest.mark.parametrize("form", ["apart", "requires_grad"])
 def test_other_forms_of_the_scene(form):
     plain = random_gaussians(COUNT, 1)
@@ -85,55 +82,6 @@ def test_other_forms_of_the_scene(form):
     assert torch.equal(found[0], expected[0])
 
 
-@with_native
-def test_nothing_to_do():
-    projection, given = a_view(), inputs()
-    labels = given["labels"]
-    assert raster.render_channels(projection, torch.zeros(COUNT, 0))[0].shape == (30, 40, 0)
-    assert len(raster.region_sums(projection, labels[:0]).gaussian) == 0
-    none = given["weights"][..., :0]
-    assert not raster.render_codes(projection, given["indices"][..., :0], none, ATOMS).any()
-    cosines = raster.render_cosines(
-        projection, given["indices"], given["weights"], given["codebook"], given["queries"][:0]
-    )
-    assert cosines.shape == (LEVELS, 0, 30, 40)
-    empty = raster.project(random_gaussians(0, 0), CAMERA, backend="native")
-    assert len(raster.region_sums(empty, labels).gaussian) == 0
-    assert raster.render_codes(empty, given["indices"][:0], given["weights"][:0], ATOMS).sum() == 0
-
-
-@on_every_backend
-def test_codes_and_queries_that_do_not_fit_are_refused(backend):
-    projection, given = a_view(backend), inputs()
-    indices, weights = given["indices"], given["weights"]
-    codebook, queries = given["codebook"], given["queries"]
-    with pytest.raises(InputError, match="code weights"):
-        raster.render_codes(projection, indices[1:], weights[1:], ATOMS)
-    with pytest.raises(InputError, match="differ"):
-        raster.render_codes(projection, indices[..., 1:], weights, ATOMS)
-    for bad_codebook, bad_queries in (
-        (codebook[:2], queries),
-        (codebook, queries[:, 1:]),
-        (codebook[0], queries),
-        (codebook, queries[0]),
-    ):
-        with pytest.raises(InputError, match="do not fit"):
-            raster.render_cosines(projection, indices, weights, bad_codebook, bad_queries)
-
-
-@on_every_backend
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.int64])
-def test_an_atom_beyond_the_codebook_is_refused(backend, dtype):
-    projection, given = a_view(backend), inputs()
-    indices = given["indices"].to(dtype)
-    indices[7, 0, 0] = ATOMS  # of the first level: it must not pass for atom 0 of the second
-    with pytest.raises(InputError, match=r"atom|indices"):
-        raster.render_codes(projection, indices, given["weights"], ATOMS)
-    with pytest.raises(InputError, match=r"atom|indices"):
-        raster.render_cosines(projection, indices, given["weights"], given["codebook"], given["queries"])
-
-
-@with_native
 @pytest.mark.parametrize("offset", [2**31, 2**32, 2**40])
 def test_labels_beyond_32_bits_are_refused(offset):
     labels = inputs()["labels"].long()
@@ -141,14 +89,12 @@ def test_labels_beyond_32_bits_are_refused(offset):
         raster.region_sums(a_view(), torch.where(labels >= 0, labels + offset, -1))
 
 
-@with_native
 def test_any_negative_label_is_no_region():
     labels = inputs()["labels"].long()
     found = raster.region_sums(a_view(), torch.where(labels >= 0, labels, -(2**32)))
     assert_same_sums(found, raster.region_sums(a_view(), labels))
 
 
-@with_native
 def test_scales_count_by_their_size():
     """A covariance holds squares of scales, so their sign means nothing."""
     plain = random_gaussians(COUNT, 1)
@@ -160,6 +106,5 @@ def test_scales_count_by_their_size():
     assert torch.equal(*alphas)
 
 
-@with_native
 def test_the_core_serves_by_default():
     assert raster.project(random_gaussians(COUNT, 1), CAMERA).backend == "native"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +18,11 @@ from raster.parity import (
     explained_flips,
     few,
     needs_native,
+    painted,
     span_of,
 )
+from raster.real_scenes import load_camera, load_scene
 from scoup import raster
-from scoup.io import load_cameras, load_gaussians
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from support import unit
@@ -39,40 +39,6 @@ MORE_VIEWS = [
     ("guitar 2", "inria", 1),
     ("garden 2", "inria", 2),
 ]
-
-
-def load_scene(data_folder: Path, name: str) -> Gaussians:
-    """kitchen, guitar as they are; garden has centres only, and gets the rest made up."""
-    files = {"kitchen": "scene/model.splat", "guitar": "guitar.ply", "garden": "test_garden.npz"}
-    path = data_folder / name / files[name]
-    if not path.exists():
-        pytest.skip(f"no {name} in {data_folder}")
-    if name != "garden":
-        return load_gaussians(path)
-    means = torch.from_numpy(np.load(path)["means3d"]).float()
-    generator, count = torch.Generator().manual_seed(0), len(means)
-    quats = unit(torch.randn(count, 4, generator=generator))
-    scales = torch.exp(torch.randn(count, 3, generator=generator) * 0.7 - 4)
-    return Gaussians(means, quats, scales, torch.rand(count, generator=generator), torch.zeros(count, 1, 3))
-
-
-def load_camera(data_folder: Path, name: str, number: int, downscale: int, gaussians: Gaussians) -> Camera:
-    """A camera of the scene; guitar has none and is looked at from around."""
-    if name == "kitchen":
-        camera = load_cameras(data_folder / name)[number]
-    elif name == "garden":
-        file = np.load(data_folder / name / "test_garden.npz")
-        viewmat, K = (torch.from_numpy(file[key][number]) for key in ("viewmats", "Ks"))
-        camera = Camera("garden", viewmat, K, int(file["width"]), int(file["height"]))
-    else:
-        centre, turn = gaussians.means.double().median(0).values, 0.4 + number * 2.1
-        viewmat = torch.eye(4, dtype=torch.float64)
-        viewmat[0, 0] = viewmat[2, 2] = math.cos(turn)
-        viewmat[0, 2], viewmat[2, 0] = math.sin(turn), -math.sin(turn)
-        viewmat[:3, 3] = torch.tensor([0.1, 0.2, 3.0 - number]) - viewmat[:3, :3] @ centre
-        K = torch.tensor([[500.0, 0, 300], [0, 500, 220], [0, 0, 1]])  # off centre
-        camera = Camera("guitar", viewmat, K, 640, 480)
-    return camera.resized(camera.width // downscale, camera.height // downscale)
 
 
 @functools.cache
@@ -118,12 +84,9 @@ def test_flips_are_few_small_and_explained(data_folder, view, preset, downscale)
     gaussians, camera, views = seen(data_folder, view, preset, downscale)
 
     values = torch.rand(len(gaussians), 3, generator=torch.Generator().manual_seed(number))
-    images = []
-    for looked in views:
-        image, alpha = raster.render_channels(looked, values)
-        images.append(torch.cat([image, alpha[..., None]], 2))
-    assert (images[1][..., 3] > 0).float().mean() > 0.05
-    flips = explained_flips(gaussians, camera, preset, images[0], images[1], span_of(values))
+    found, expected = (painted(looked, values) for looked in views)
+    assert (expected[..., 3] > 0).float().mean() > 0.05
+    flips = explained_flips(gaussians, camera, preset, found, expected, span_of(values))
     assert few(flips.pixels)
 
     labels = load_labels(data_folder, scene, number, camera)

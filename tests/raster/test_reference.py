@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
+from raster.real_scenes import load_camera, load_scene
 from scoup import raster
 from scoup.raster import reference
 from scoup.raster.presets import raster_preset
@@ -19,11 +19,8 @@ from support import make_camera, random_gaussians
 
 @pytest.mark.parametrize("tile", [4, 8, 32])
 def test_answer_does_not_depend_on_tile_size(tile):
-    gaussians, camera = (
-        random_gaussians(400, 4, ("plain", "needle", "huge", "tiny")),
-        make_camera(75, 51, 60.0),
-    )
-    preset = raster_preset("inria")
+    gaussians = random_gaussians(400, 4, ("plain", "needle", "huge", "tiny"))
+    camera, preset = make_camera(75, 51, 60.0), raster_preset("inria")
     values = torch.rand(400, 3)
     expected, _ = reference.render_channels(reference.project(gaussians, camera, preset), values)
     actual, _ = reference.render_channels(reference.project(gaussians, camera, preset, tile), values)
@@ -67,25 +64,9 @@ def test_projection_equals_gsplats_on_random_scenes():
 
 @pytest.mark.data
 def test_projection_equals_gsplats_on_garden(data_folder: Path):
-    garden = np.load(data_folder / "garden" / "test_garden.npz")
-    means = torch.from_numpy(garden["means3d"]).float()
-    generator = torch.Generator().manual_seed(0)
-    count = len(means)
-    gaussians = Gaussians(
-        means,
-        torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1),
-        torch.exp(torch.randn(count, 3, generator=generator) - 4),
-        torch.rand(count, generator=generator),
-        torch.zeros(count, 1, 3),
-    )
-    for viewmat, K in zip(garden["viewmats"], garden["Ks"], strict=True):
-        camera = Camera(
-            "garden",
-            torch.from_numpy(viewmat),
-            torch.from_numpy(K),
-            int(garden["width"]),
-            int(garden["height"]),
-        )
+    gaussians = load_scene(data_folder, "garden")
+    for number in range(3):
+        camera = load_camera(data_folder, "garden", number, 1, gaussians)
         assert _compare_with_gsplat(gaussians, camera) > 1000
 
 

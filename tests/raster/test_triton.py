@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +24,6 @@ from support import examples, make_camera, random_gaussians, scenes
 # another.
 MOST_SPILLED = 2560
 MOST_SHARED = 99 << 10  # bytes a block may have on the smallest of the GPUs served
-
-
-@pytest.fixture(scope="session")
-def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
-    """Runs a check of ``gpu_checks`` with interpreted kernels."""
-    return lambda check, *arguments: triton_interpreter.submit(check, *arguments, "cpu").result()
 
 
 def every_third(first: int) -> list[Any]:
@@ -68,20 +60,9 @@ def test_region_sums_of_any_scene(interpreted, scene, seed, levels, n_regions):
     interpreted(gpu_checks.check_regions_of, *scene, seed, levels, n_regions)
 
 
-def test_labels_of_any_kind(interpreted):
-    interpreted(gpu_checks.check_kinds_of_labels)
-
-
-def test_sums_of_few_tiles_at_a_time(interpreted):
-    interpreted(gpu_checks.check_few_sums_at_a_time)
-
-
-def test_regions_that_nobody_paints(interpreted):
-    interpreted(gpu_checks.check_nothing_painted)
-
-
-def test_products_keep_the_digits_of_small_weights(interpreted):
-    interpreted(gpu_checks.check_split)
+@pytest.mark.parametrize("check", gpu_checks.SMALL_CHECKS)
+def test_small_checks(interpreted, check):
+    interpreted(check)
 
 
 @pytest.mark.parametrize(
@@ -98,10 +79,6 @@ def test_products_keep_the_digits_of_small_weights(interpreted):
 )
 def test_codes_agree_with_the_reference(interpreted, kind, levels, n_atoms, k, halves):
     interpreted(gpu_checks.check_codes, kind, 7, levels, n_atoms, k, halves)
-
-
-def test_atoms_that_a_code_has_twice(interpreted):
-    interpreted(gpu_checks.check_repeated_atoms)
 
 
 def test_a_build_agrees_with_the_reference(interpreted):

@@ -70,10 +70,8 @@ def test_scores_and_norms_are_those_of_torch(codes: Coded) -> None:
 @settings(max_examples=examples(60))
 @given(coded(least_columns=1), st.floats(0.1, 40))
 def test_relevancy_is_that_of_torch(codes: Coded, temperature: float) -> None:
-    arrays, norms = (
-        (codes.indices, codes.weights),
-        inverse_code_norms(codes.indices, codes.weights, codes.codebook),
-    )
+    arrays = codes.indices, codes.weights
+    norms = inverse_code_norms(*arrays, codes.codebook)
     best = best_code_cosines(*arrays, norms, codes.scores)
     expected = code_sums.plain_best_code_cosines(*arrays, norms, codes.scores)
     torch.testing.assert_close(best, expected, rtol=1e-4, atol=1e-5)
@@ -109,20 +107,13 @@ def test_the_same_bytes_for_any_number_of_threads(levels: int, seed: int) -> Non
     generator = torch.Generator().manual_seed(seed)
     indices = torch.randint(9, (40_000, levels, 4), generator=generator).to(torch.uint8)
     weights = torch.rand(40_000, levels, 4, generator=generator).half()
-    codebook, scores = (
-        torch.randn(levels, 9, 5, generator=generator),
-        torch.randn(levels, 9, 3, generator=generator),
-    )
+    codebook, scores = (torch.randn(levels, 9, count, generator=generator) for count in (5, 3))
 
     def all_sums() -> list[Tensor]:
         norms = inverse_code_norms(indices, weights, codebook)
         best = best_code_cosines(indices, weights, norms, scores)
-        return [
-            norms,
-            best,
-            code_relevancy(indices, weights, norms, best, scores, 10.0),
-            code_scores(indices, weights, scores),
-        ]
+        relevancy = code_relevancy(indices, weights, norms, best, scores, 10.0)
+        return [norms, best, relevancy, code_scores(indices, weights, scores)]
 
     threads, found = torch.get_num_threads(), []
     try:

@@ -52,17 +52,14 @@ def test_arrays_and_single_vectors() -> None:
         torch.testing.assert_close(found[0], one, atol=1e-3, rtol=0)
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        (torch.ones(4), r"queries \[4\] must be \[5\]"),
-        (torch.ones(0, 5), r"\[0, 5\]"),
-        (torch.ones(2, 2, 5), r"\[2, 2, 5\]"),
-        (torch.ones(2, 5, dtype=torch.int64), "int64"),
-        (torch.tensor([[1.0, 2, 3, 4, torch.nan]]), "1 of 1 queries have values that are not finite"),
-        (torch.tensor([[1.0, 2, 3, 4, 5], [0, 0, 0, 0, 0]]), "row 1 is zero"),
-    ],
-)
+@pytest.mark.parametrize(("bad", "message"), [
+    (torch.ones(4), r"queries \[4\] must be \[5\]"),
+    (torch.ones(0, 5), r"\[0, 5\]"),
+    (torch.ones(2, 2, 5), r"\[2, 2, 5\]"),
+    (torch.ones(2, 5, dtype=torch.int64), "int64"),
+    (torch.tensor([[1.0, 2, 3, 4, torch.nan]]), "1 of 1 queries have values that are not finite"),
+    (torch.tensor([[1.0, 2, 3, 4, 5], [0, 0, 0, 0, 0]]), "row 1 is zero"),
+])  # fmt: skip
 def test_what_is_no_direction(bad: torch.Tensor, message: str) -> None:
     with pytest.raises(InputError, match=message):
         query_vectors(bad, 5)
@@ -88,26 +85,14 @@ def test_scaled_embeddings_build_the_same_field() -> None:
     # With codes of all 8 atoms, learning a codebook would make much of the rounding of the last bit.
     settings_ = BuildSettings(n_atoms=8, k=4)
     expected = build(gaussians, cameras, regions, settings_)
-    scaled = Regions(
-        regions.levels,
-        regions.view_names,
-        regions.load,
-        lambda name, level: regions.load_embeddings(name, level) * 7,
-    )
+    sevenfold = lambda name, level: regions.load_embeddings(name, level) * 7  # noqa: E731
+    scaled = Regions(regions.levels, regions.view_names, regions.load, sevenfold)
     found = build(gaussians, cameras, scaled, settings_)
     random = torch.Generator().manual_seed(0)
-    queries, canonical = (
-        torch.nn.functional.normalize(torch.randn(count, expected.dim, generator=random), dim=1)
-        for count in (4, 2)
-    )
-    torch.testing.assert_close(
-        found.gaussian_relevancy(queries, canonical),
-        expected.gaussian_relevancy(queries, canonical),
-        atol=1e-3,
-        rtol=0,
-    )
-    broken = Regions(
-        regions.levels, regions.view_names, regions.load, lambda *_: torch.full((4, 16), torch.nan)
-    )
+    queries, canonical = (unit(torch.randn(count, expected.dim, generator=random)) for count in (4, 2))
+    relevancy = [each.gaussian_relevancy(queries, canonical) for each in (found, expected)]
+    torch.testing.assert_close(*relevancy, atol=1e-3, rtol=0)
+    endless = lambda *_: torch.full((4, 16), torch.nan)  # noqa: E731
+    broken = Regions(regions.levels, regions.view_names, regions.load, endless)
     with pytest.raises(InputError, match=r"view_00.*not finite"):
         build(gaussians, cameras, broken, settings_)

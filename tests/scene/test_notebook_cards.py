@@ -112,9 +112,7 @@ def test_cameras_are_drawn_where_they_are() -> None:
 
 
 def test_regions_have_colours_of_their_own() -> None:
-    labels = (
-        torch.tensor([[0, 1], [2, -1]], dtype=torch.int32).repeat_interleave(4, 0).repeat_interleave(4, 1)
-    )
+    labels = torch.tensor([[0, 1], [2, -1]], dtype=torch.int32).kron(torch.ones(4, 4, dtype=torch.int32))
     drawn = labels_preview(labels)
     assert drawn.shape == (8, 8, 3)
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) == 4

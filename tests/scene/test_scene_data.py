@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -42,19 +43,29 @@ def test_finite_rows():
     assert gaussians.finite().tolist() == [False, False, True, True]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"width": 0}, "size"),
-        ({"viewmat": torch.eye(3)}, "viewmat"),
-        ({"K": torch.diag(torch.tensor([-1.0, 1.0, 1.0]))}, "focal"),
-        ({"viewmat": torch.full((4, 4), torch.nan)}, "finite"),
-        ({"viewmat": torch.diag(torch.tensor([2.0, 2.0, 2.0, 1.0]))}, "determinant"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"width": 0}, "size"),
+    ({"viewmat": torch.eye(3)}, "viewmat"),
+    ({"K": torch.diag(torch.tensor([-1.0, 1.0, 1.0]))}, "focal"),
+    ({"viewmat": torch.full((4, 4), torch.nan)}, "finite"),
+    ({"viewmat": torch.diag(torch.tensor([2.0, 2.0, 2.0, 1.0]))}, "determinant"),
+])  # fmt: skip
 def test_cameras_refuse_what_is_no_camera(changes, message):
     with pytest.raises(InputError, match=message):
         dataclasses.replace(make_camera(), **changes)
+
+
+@pytest.mark.parametrize("width", [640, 640.0, np.int32(640), np.float32(640), torch.tensor(640)])
+def test_sizes_are_whole_numbers_of_any_type(width):
+    made = dataclasses.replace(make_camera(), width=width, height=width)
+    assert (made.width, type(made.width), type(made.height)) == (640, int, int)
+    assert made.fingerprint() == dataclasses.replace(make_camera(), width=640, height=640).fingerprint()
+
+
+@pytest.mark.parametrize("bad", [480.5, float("nan"), float("inf"), "480", None, [480]])
+def test_other_sizes_are_refused(bad):
+    with pytest.raises(InputError, match=r"view\.png': height .* is not a whole number of pixels"):
+        dataclasses.replace(make_camera(), height=bad)
 
 
 def test_cameras_are_found_by_position_name_and_stem():
@@ -126,16 +137,13 @@ def test_look_at_turns_up_to_the_top_of_the_image(up):
     assert torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("eye", "target", "up", "message"),
-    [
-        ([1, 2, 3], [1, 2, 3], [0, 0, 1], "direction"),
-        ([1, 2, 3], [1, 2, float("nan")], [0, 0, 1], "direction"),
-        ([1, 2, 3], [1, 2, 4], [0, 0, 0], "direction"),
-        ([1, 2, 3], [1, 2, 9], [0, 0, 1], "parallel"),
-        ([1, 2, 3], [1, 2, -9], [0, 0, 1], "parallel"),
-    ],
-)
+@pytest.mark.parametrize(("eye", "target", "up", "message"), [
+    ([1, 2, 3], [1, 2, 3], [0, 0, 1], "direction"),
+    ([1, 2, 3], [1, 2, float("nan")], [0, 0, 1], "direction"),
+    ([1, 2, 3], [1, 2, 4], [0, 0, 0], "direction"),
+    ([1, 2, 3], [1, 2, 9], [0, 0, 1], "parallel"),
+    ([1, 2, 3], [1, 2, -9], [0, 0, 1], "parallel"),
+])  # fmt: skip
 def test_look_at_refuses_degenerate_directions(eye, target, up, message):
     with pytest.raises(InputError, match=message):
         Camera.look_at(eye, target, "a.png", 40, 30, 35.0, up)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -84,16 +85,18 @@ def test_a_scene_for_each_seed(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
+    wrong: dict[str, dict[str, Any]] = {
+        "labelled views": {"size": DataSetSize(n_views=3, n_labelled=4)},
+        "at least one scene": {"seeds": ()},
+        "different names": {"layouts": (TABLE, TABLE)},
+    }
+    for said, given in wrong.items():
+        with pytest.raises(InputError, match=said):
+            write_data_set("lerf-ovs", tmp_path, **given)
     with pytest.raises(UnknownNameError, match="data set"):
         write_data_set("scanet", tmp_path)
     with pytest.raises(UnknownNameError, match="table"):
         find_layout("tabel")
-    with pytest.raises(InputError, match="labelled views"):
-        write_data_set("lerf-ovs", tmp_path, size=DataSetSize(n_views=3, n_labelled=4))
-    with pytest.raises(InputError, match="at least one scene"):
-        write_data_set("lerf-ovs", tmp_path, seeds=())
-    with pytest.raises(InputError, match="different names"):
-        write_data_set("lerf-ovs", tmp_path, (TABLE, TABLE))
     (tmp_path / "table").mkdir()
     with pytest.raises(OutputExistsError):
         write_data_set("lerf-ovs", tmp_path)

@@ -106,12 +106,9 @@ def test_every_pixel_shows_something(made: DemoScene):
 
 
 def test_no_camera_stands_in_a_thing(made: DemoScene):
-    things = [
-        thing
-        for thing in things_of(made.layout.name)
-        if thing.name not in {"wall", "floor", "lawn", "ceiling"}
-    ]
-    points = Surface.of(tuple(things), Parts.of(tuple(things))).mesh.vertices
+    surroundings = {"wall", "floor", "lawn", "ceiling"}
+    things = tuple(thing for thing in things_of(made.layout.name) if thing.name not in surroundings)
+    points = Surface.of(things, Parts.of(things)).mesh.vertices
     for camera in made.cameras:
         viewmat = camera.viewmat.numpy()
         eye = -viewmat[:3, :3].T @ viewmat[:3, 3]

@@ -51,12 +51,8 @@ def test_nearest_of_two_tilted_planes_is_seen():
 
 def test_neighbouring_triangles_leave_no_gap_and_do_not_overlap():
     rng = np.random.default_rng(3)
-    fan = np.concatenate(
-        [
-            [[50.0, 40.0]],
-            50 + 300 * np.stack([np.cos(a := np.sort(rng.uniform(0, 2 * np.pi, 40))), np.sin(a)], 1),
-        ]
-    )
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 40))
+    fan = np.concatenate([[[50.0, 40.0]], 50 + 300 * np.stack([np.cos(angles), np.sin(angles)], 1)])
     faces = np.array([[0, 1 + k, 1 + (k + 1) % 40] for k in range(40)])
     number, _ = draw(fan, np.ones(len(fan)), faces, 100, 80)
     assert (number >= 0).all()

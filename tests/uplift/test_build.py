@@ -22,8 +22,8 @@ from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 from scoup.uplift.rasterise import add_views, open_sums, region_sums
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.storage.paths import view_file
-from support import make_camera, random_gaussians, small_scene, unit
+from scoup.uplift.storage.array_file import view_file
+from support import changed_regions, make_camera, random_gaussians, small_scene, threads_of_torch, unit
 
 QUICK = BuildSettings(n_atoms=8, k=3, keep=3, rounds=2)
 
@@ -47,39 +47,20 @@ def whole(scene, tmp_path_factory) -> bytes:
 def flipped(regions: Regions, names: tuple[str, ...]) -> Regions:
     """The same regions, with the label maps of some views turned left to right."""
 
-    def load(name: str, level: str) -> RegionMap:
-        found = regions.load(name, level)
-        return RegionMap(found.labels.flip(1), found.embeddings) if name in names else found
+    def turned(name: str, _: str, known: RegionMap) -> RegionMap:
+        return RegionMap(known.labels.flip(1), known.embeddings) if name in names else known
 
-    return Regions(regions.levels, regions.view_names, load)
+    return changed_regions(regions, turned)
 
 
-def other_embeddings(regions: Regions, seed: int = 5) -> Regions:
+def other_embeddings(regions: Regions) -> Regions:
     """The same regions with embeddings of another model."""
 
-    def load(name: str, level: str) -> RegionMap:
-        found = regions.load(name, level)
-        generator = torch.Generator().manual_seed(seed + hash((name, level)) % 1000)
-        return RegionMap(found.labels, unit(torch.randn(len(found.embeddings), 24, generator=generator)))
+    def embedded(name: str, level: str, known: RegionMap) -> RegionMap:
+        generator = torch.Generator().manual_seed(int(name[5:7]) * 3 + regions.levels.index(level))
+        return RegionMap(known.labels, unit(torch.randn(len(known.embeddings), 24, generator=generator)))
 
-    maps = {name: {level: load(name, level) for level in regions.levels} for name in regions.view_names}
-    return Regions.from_maps(maps)
-
-
-class Stages:
-    """A progress that remembers, and presses Ctrl-C when told."""
-
-    def __init__(self, stop: tuple[str, int] | None = None) -> None:
-        self.stop = stop
-        self.seen: list[tuple[str, int]] = []
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        self.seen.append((stage, done))
-        if (stage, done) == self.stop:
-            raise KeyboardInterrupt
-
-    def names(self) -> set[str]:
-        return {stage for stage, _ in self.seen}
+    return changed_regions(regions, embedded)
 
 
 @pytest.mark.parametrize("at", [("region sums", 2), ("vote", 0), ("vote", 1), ("coding m", 0)])
@@ -87,8 +68,13 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, whole, tmp
     gaussians, _, regions = scene
     path = tmp_path / "sums"
     sums = open_sums(path, gaussians, regions)
+
+    def press_ctrl_c(stage: str, done: int, _: int) -> None:
+        if (stage, done) == at:
+            raise KeyboardInterrupt
+
     with pytest.raises(KeyboardInterrupt):
-        build(*scene, settings=QUICK, sums=sums, progress=Stages(at))
+        build(*scene, settings=QUICK, sums=sums, progress=press_ctrl_c)
     taken = {"region sums": 2, "vote": 4, "coding m": 0}[at[0]]
     sums = open_sums(path, gaussians, regions)
     assert len(sums) == taken
@@ -194,15 +180,11 @@ def test_views_that_a_codebook_explains_badly_are_named(scene):
     rows = unit(torch.randn(len(regions.levels), 1, 16, generator=torch.Generator().manual_seed(3)))
     alike = dict(zip(regions.levels, rows, strict=True))  # all regions of the early views are of one thing
 
-    def load(name: str, level: str) -> RegionMap:
-        known = regions.load(name, level)
-        return (
-            known
-            if name == "view_03.png"
-            else RegionMap(known.labels, alike[level].expand(len(known.embeddings), -1))
-        )
+    def early(name: str, level: str, known: RegionMap) -> RegionMap:
+        rows = known.embeddings if name == "view_03.png" else alike[level].expand(len(known.embeddings), -1)
+        return RegionMap(known.labels, rows)
 
-    changed = Regions(regions.levels, regions.view_names, load)
+    changed = changed_regions(regions, early)
     first = build(gaussians, cameras[:3], changed, settings=QUICK)
     with pytest.warns(ScoupWarning, match=r"more than 30% of the regions of view_03\.png badly"):
         build(gaussians, cameras, changed, settings=QUICK, codebook=first)
@@ -223,35 +205,19 @@ def test_a_codebook_of_other_regions_is_refused(scene):
 
 @pytest.mark.parametrize("change", [
     {"n_atoms": 5, "k": 2, "keep": 2, "seed": 4},
-    {"rounds": 1}, {"rounds": 3, "keep": 0}, {"solver": "adam", "epochs": 20},
+    {"rounds": 1}, {"rounds": 3, "keep": 0}, {"solver": "adam", "epochs": 20}, "embeddings", "views",
 ])  # fmt: skip
-def test_other_settings_from_kept_sums_equal_a_whole_build(scene, tmp_path, change):
+def test_from_kept_sums_other_settings_embeddings_and_views_equal_a_whole_build(scene, tmp_path, change):
     gaussians, cameras, regions = scene
     region_sums(gaussians, cameras, regions, path=tmp_path / "f.sums")
-    sums = RegionSums.open(tmp_path / "f.sums")
-    settings = dataclasses.replace(QUICK, **change)
-    kept = build(*scene, settings=settings, sums=sums)
-    assert saved(kept, tmp_path / "kept.scoup") == saved(
-        build(*scene, settings=settings), tmp_path / "w.scoup"
-    )
-
-
-def test_other_embeddings_from_kept_sums_equal_a_whole_build(scene, tmp_path):
-    gaussians, cameras, regions = scene
-    sums = region_sums(gaussians, cameras, regions)
-    others = other_embeddings(regions)
-    kept = build(gaussians, cameras, others, settings=QUICK, sums=sums)
-    assert kept.dim == 24
-    whole = build(gaussians, cameras, others, settings=QUICK)
-    assert saved(kept, tmp_path / "kept.scoup") == saved(whole, tmp_path / "whole.scoup")
-
-
-def test_fewer_views_from_kept_sums_equal_a_whole_build(scene, tmp_path):
-    gaussians, cameras, regions = scene
-    sums = region_sums(gaussians, cameras, regions)
-    kept = build(gaussians, cameras[1:3], regions, settings=QUICK, sums=sums)
-    whole = build(gaussians, cameras[1:3], regions, settings=QUICK)
-    assert saved(kept, tmp_path / "kept.scoup") == saved(whole, tmp_path / "whole.scoup")
+    given = {
+        "cameras": cameras[1:3] if change == "views" else cameras,
+        "regions": other_embeddings(regions) if change == "embeddings" else regions,
+        "settings": QUICK if isinstance(change, str) else dataclasses.replace(QUICK, **change),
+    }
+    kept = build(gaussians, sums=RegionSums.open(tmp_path / "f.sums"), **given)
+    assert kept.dim == (24 if change == "embeddings" else 16)
+    assert saved(kept, tmp_path / "kept.scoup") == saved(build(gaussians, **given), tmp_path / "whole.scoup")
 
 
 def test_more_views_than_kept_sums_have(scene, whole, tmp_path):
@@ -297,13 +263,9 @@ def test_region_sums_are_those_of_scaled_cameras(scene, tmp_path, monkeypatch, s
 
 @pytest.mark.parametrize("backend", ["native", "reference"])
 def test_the_same_bytes_for_any_number_of_threads(scene, tmp_path, backend):
-    before = torch.get_num_threads()
-    try:
-        for threads in (1, 3):
-            torch.set_num_threads(threads)
+    for threads in (1, 3):
+        with threads_of_torch(threads):
             build(*scene, settings=QUICK, backend=backend).save(tmp_path / f"{threads}.scoup")
-    finally:
-        torch.set_num_threads(before)
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
 
 
@@ -359,17 +321,11 @@ def test_presets():
         BuildSettings(rounds=0)
 
 
-def test_cameras_that_see_nothing(scene):
+def test_cameras_that_see_nothing_or_almost_nothing(scene):
     gaussians, cameras, regions = scene
-    away = scoup.Gaussians(
-        gaussians.means - 100, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh
-    )
+    away = dataclasses.replace(gaussians, means=gaussians.means - 100)
     with pytest.raises(InputError, match="see nothing"):
         build(away, cameras, regions, settings=QUICK)
-
-
-def test_almost_nothing_seen_is_reported(scene):
-    _, cameras, regions = scene
     many = random_gaussians(400, 3)
     many.means[1:] -= 100
     many.means[0] = torch.tensor([0.0, 0.0, 3.0])
@@ -384,23 +340,19 @@ def test_cameras_and_regions_of_different_scenes(scene):
         build(gaussians, Cameras([make_camera(name="other.png")]), regions, settings=QUICK)
 
 
-def test_embeddings_that_cannot_be_coded_are_refused(scene):
+def test_regions_that_cannot_be_coded_are_refused(scene):
     gaussians, cameras, _ = scene
-    labels = torch.zeros(30, 40, dtype=torch.int32)
-
-    def regions_of(**embeddings: torch.Tensor) -> Regions:
-        maps = {level: scoup.RegionMap(labels, rows) for level, rows in embeddings.items()}
-        return Regions.from_maps({camera.name: maps for camera in cameras})
-
-    with pytest.raises(InputError, match="zero embeddings"):
-        build(gaussians, cameras, regions_of(m=torch.zeros(1, 16)), settings=QUICK)
-    with pytest.raises(InputError, match="different sizes"):
-        build(gaussians, cameras, regions_of(s=torch.ones(1, 16), m=torch.ones(1, 8)), settings=QUICK)
-
-
-def test_a_level_without_regions_is_refused(scene):
-    gaussians, cameras, _ = scene
-    empty = scoup.RegionMap(torch.full((30, 40), -1, dtype=torch.int32), torch.zeros(0, 16))
-    regions = Regions.from_maps({camera.name: {"m": empty} for camera in cameras})
-    with pytest.raises(InputError, match="no regions"):
-        build(gaussians, cameras, regions, settings=QUICK)
+    for value, embeddings, said in (
+        (0, {"m": torch.zeros(1, 16)}, "zero embeddings"),
+        (0, {"s": torch.ones(1, 16), "m": torch.ones(1, 8)}, "different sizes"),
+        (-1, {"m": torch.zeros(0, 16)}, "no regions"),
+    ):
+        labels = torch.full((30, 40), value, dtype=torch.int32)
+        maps = {level: RegionMap(labels, rows) for level, rows in embeddings.items()}
+        with pytest.raises(InputError, match=said):
+            build(
+                gaussians,
+                cameras,
+                Regions.from_maps({camera.name: maps for camera in cameras}),
+                settings=QUICK,
+            )

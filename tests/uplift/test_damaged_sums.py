@@ -18,8 +18,7 @@ from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.storage.array_file import read_arrays, write_arrays
-from scoup.uplift.storage.paths import view_file
+from scoup.uplift.storage.array_file import read_arrays, view_file, write_arrays
 from scoup.uplift.vote import vote
 from support import small_scene
 
@@ -45,41 +44,34 @@ def changed(path: Path, change: Callable[[Arrays], None]) -> Path:
     return copy
 
 
-def beyond_combinations(arrays: Arrays) -> None:
-    arrays["combinations.0"][-1] = len(arrays["table.0"])
-
-
-def beyond_gaussians(arrays: Arrays) -> None:
-    arrays["places.0"][-1] = 300 - 256
-
-
-def billions_of_entries(arrays: Arrays) -> None:
-    arrays["starts.0"][1] = 2**32 - 1
-
-
-def backwards(arrays: Arrays) -> None:
-    arrays["starts.0"][1] = arrays["starts.0"][2] + 1
-
-
-def no_entries_at_the_end(arrays: Arrays) -> None:
-    arrays["starts.0"][-1] -= 1
+def assert_vote_refuses(sums: RegionSums, backend: str, said: str) -> None:
+    rows = [{name: slice(0, 16) for name in sums.views} for _ in sums.levels]
+    codes = [SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels]
+    with pytest.raises(InputError, match=f"region sums are damaged{said}"):
+        vote(sums.select(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
 
 
 @pytest.mark.parametrize(
-    "change",
-    [beyond_combinations, beyond_gaussians, billions_of_entries, backwards, no_entries_at_the_end],
+    ("name", "place", "value"),
+    [
+        ("combinations.0", -1, lambda arrays: len(arrays["table.0"])),
+        ("places.0", -1, lambda _: 300 - 256),
+        ("starts.0", 1, lambda _: 2**32 - 1),
+        ("starts.0", 1, lambda arrays: arrays["starts.0"][2] + 1),
+        ("starts.0", -1, lambda arrays: arrays["starts.0"][-1] - 1),
+    ],
+    ids=["no such combination", "no such Gaussian", "billions of entries", "backwards", "none at the end"],
 )
-def test_entries_that_point_outside_are_refused_where_they_are_used(path: Path, change) -> None:
+def test_entries_that_point_outside_are_refused_where_they_are_used(
+    path: Path, name: str, place: int, value: Callable[[Arrays], int]
+) -> None:
+    def change(arrays: Arrays) -> None:
+        arrays[name][place] = value(arrays)
+
     sums = RegionSums.open(changed(path, change))
-    name, count = next(iter(sums.views)), 16
     with pytest.raises(InputError, match="region sums are damaged"):
-        sums.triplets(name, 0)
-    rows = [{name: slice(0, count)} for _ in sums.levels]
-    codes = [
-        SparseCodes(torch.zeros(count, 1, dtype=torch.uint8), torch.ones(count, 1), 2) for _ in sums.levels
-    ]
-    with pytest.raises(InputError, match="region sums are damaged"):
-        vote(sums.select([name], rows), codes, torch.ones(3, 2, 4), keep=1, backend="reference")
+        sums.triplets("view_00.png", 0)
+    assert_vote_refuses(sums, "reference", "")
 
 
 @pytest.mark.parametrize(
@@ -124,11 +116,7 @@ def test_regions_that_have_no_code(path: Path, backend: str) -> None:
     def beyond(arrays: Arrays) -> None:
         arrays["table.0"][0, 0] = 2**31 - 1
 
-    sums = RegionSums.open(changed(path, beyond))
-    rows = [{name: slice(0, 16) for name in sums.views} for _ in sums.levels]
-    codes = [SparseCodes(torch.zeros(16, 1, dtype=torch.uint8), torch.ones(16, 1), 2) for _ in sums.levels]
-    with pytest.raises(InputError, match=r"region sums are damaged: region \d+ has no code"):
-        vote(sums.select(sums.views, rows), codes, torch.ones(3, 2, 4), keep=1, backend=backend)
+    assert_vote_refuses(RegionSums.open(changed(path, beyond)), backend, r": region \d+ has no code")
 
 
 @pytest.mark.parametrize(("old", "new"), [

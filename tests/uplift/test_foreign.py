@@ -31,13 +31,10 @@ def queries(dim: int) -> tuple[torch.Tensor, torch.Tensor]:
     return unit(torch.randn(5, dim, generator=random)), unit(torch.randn(4, dim, generator=random))
 
 
-def literal_features(logits: torch.Tensor, codebook: torch.Tensor, k: int) -> torch.Tensor:
-    """[N, D] as LangSplatV2 makes them: ``softmax_to_topk_soft_code`` times the codebook."""
-    soft = logits.softmax(1)
-    values, places = torch.topk(soft, k, dim=1)
-    kept = torch.zeros_like(soft).scatter_(1, places, values)
-    kept = kept / (kept.sum(1, keepdim=True) + 1e-10)
-    return unit(kept @ codebook)
+def literal_codes(logits: torch.Tensor, k: int) -> torch.Tensor:
+    """``softmax_to_topk_soft_code`` of LangSplatV2."""
+    values, places = torch.topk(logits.softmax(1), k, dim=1)
+    return torch.zeros_like(logits).scatter_(1, places, values / (values.sum(1, keepdim=True) + 1e-10))
 
 
 def test_langsplatv2_answers_as_its_own_features_do(tmp_path: Path) -> None:
@@ -47,7 +44,7 @@ def test_langsplatv2_answers_as_its_own_features_do(tmp_path: Path) -> None:
         path = tmp_path / f"teatime_{level}" / "chkpnt10000.pth"
         logits, books = save_langsplatv2(given, path, seed=level)
         paths.append(path)
-        features.append(literal_features(logits, books[0], 4))
+        features.append(unit(literal_codes(logits, 4) @ books[0]))
     assert langsplat_levels(paths[1]) == paths
     field = field_from_langsplat(paths)
     assert field.levels == ("s", "m", "l")
@@ -72,13 +69,8 @@ def test_one_level_and_several_codebooks(tmp_path: Path) -> None:
     field = field_from_langsplat([path], k=3)
     assert field.levels == ("m",)
     assert field.code_indices.shape == (12, 1, 6)
-    parts = [literal_soft(logits[:, 8 * n : 8 * n + 8], 3) @ books[n] for n in range(2)]
+    parts = [literal_codes(logits[:, 8 * n : 8 * n + 8], 3) @ books[n] for n in range(2)]
     assert torch.allclose(field.gaussian_features(0), unit(parts[0] + parts[1]), atol=2e-3)
-
-
-def literal_soft(logits: torch.Tensor, k: int) -> torch.Tensor:
-    values, places = torch.topk(logits.softmax(1), k, dim=1)
-    return torch.zeros_like(logits).scatter_(1, places, values / values.sum(1, keepdim=True))
 
 
 @pytest.mark.parametrize("layout", ["langsplat", "occam", "feature_3dgs"])
@@ -91,11 +83,8 @@ def test_checkpoints_with_a_feature_per_gaussian(tmp_path: Path, layout: str) ->
         expected = network.decode(codes) if layout == "langsplat" else unit(rows)
     feature = {"langsplat": codes * 3, "occam": rows, "feature_3dgs": rows[:, None]}[layout]
     entries = captured(given)[0]
-    entries = (
-        (*entries[:7], *entries[9:], feature)
-        if layout == "feature_3dgs"
-        else (*entries[:7], feature, *entries[9:])
-    )
+    rest = entries[9:]
+    entries = (*entries[:7], *((*rest, feature) if layout == "feature_3dgs" else (feature, *rest)))
     path = tmp_path / "chkpnt30000.pth"
     torch.save((entries, 30000), path)
     decode = read_autoencoder(tmp_path / "best_ckpt.pth") if layout == "langsplat" else None

@@ -16,7 +16,6 @@ from scoup.uplift.naming import (
     EVEN_SCORE,
     LEAST_OVERLAP,
     ThingsInView,
-    box_ious,
     count_votes,
     name_things,
     overlaps,
@@ -84,13 +83,6 @@ def test_votes_are_those_of_a_plain_reading(seed: int) -> None:
     alone = count_votes(("b",), [votes_in_view(view, found, 3).of_text(1) for view, found in views])
     torch.testing.assert_close(alone.votes_of(0, 4), names.votes_of(1, 4))
     torch.testing.assert_close(alone.presence[0], names.presence[1])
-
-
-def test_boxes_are_compared_as_one_by_one() -> None:
-    one, other = (torch.from_numpy(np.random.default_rng(seed).random((5, 4)) * 9).float() for seed in (1, 2))
-    one[:, 2:], other[:, 2:] = one[:, :2] + one[:, 2:], other[:, :2] + other[:, 2:]
-    wanted = [[literal_iou(a, b) for b in other.tolist()] for a in one.tolist()]
-    torch.testing.assert_close(box_ious(one, other), torch.tensor(wanted))
 
 
 def test_masks_are_compared_as_masks() -> None:

@@ -102,14 +102,15 @@ def test_what_does_not_fit_is_refused(backend):
     codebook = torch.eye(4)[None]
     codes = [codes_of(torch.eye(4), 1)]
     sums = sums_of([(0, 3, 1.0)], 1, 4)
-    with pytest.raises(InputError, match="at least one round"):
-        vote(sums, codes, codebook, 0, backend=backend)
-    with pytest.raises(InputError, match="at least one atom"):
-        vote(sums, codes, codebook, 1, 0, backend=backend)
-    with pytest.raises(InputError, match="do not fit sums of the levels"):
-        vote(sums, codes * 2, codebook, backend=backend)
-    with pytest.raises(InputError, match="do not fit sums of the levels"):
-        vote(sums, codes, torch.eye(5)[None], backend=backend)
+    for changes, said in (
+        ({"rounds": 0}, "at least one round"),
+        ({"keep": 0}, "at least one atom"),
+        ({"codes": codes * 2}, "do not fit sums of the levels"),
+        ({"codebook": torch.eye(5)[None]}, "do not fit sums of the levels"),
+    ):
+        given = {"codes": codes, "codebook": codebook, "rounds": 1, "keep": 1, **changes}
+        with pytest.raises(InputError, match=said):
+            vote(sums, backend=backend, **given)
     of_three = sums.select(["v"], [{"v": slice(0, 3)}])
     with pytest.raises(InputError, match=r"'v', level 'm': the label maps have 4 regions, .* codes of 3"):
         vote(of_three, [codes_of(torch.eye(4)[:3], 1)], codebook, backend=backend)

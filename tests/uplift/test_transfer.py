@@ -18,7 +18,7 @@ from scoup.scene.things import NO_THING
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.transfer import NEAREST, source_rows, transfer
-from support import random_gaussians, small_scene
+from support import altered, random_gaussians, small_scene
 from uplift.edits import joined
 
 
@@ -86,7 +86,7 @@ def test_rows_that_are_not_finite_are_nobody() -> None:
 def test_codes_of_many_atoms_are_carried(field: LanguageField) -> None:
     codebook = torch.nn.functional.pad(field.codebook, (0, 0, 0, 300))
     indices = field.code_indices.to(index_dtype(306))
-    wide = LanguageField(indices, field.code_weights, codebook, field.info, field.gaussians)
+    wide = altered(field, code_indices=indices, codebook=codebook, thing_table=None, cameras=None)
     found = transfer(wide, joined(moved(random_gaussians(2, 9), 100.0), field.gaussians))
     assert found.code_indices.dtype == torch.uint16
     assert found.code_indices[2:].equal(indices)

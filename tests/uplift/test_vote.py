@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,22 +12,14 @@ from hypothesis import strategies as st
 
 from raster.parity import assert_close, needs_native
 from scoup.base.errors import InputError
-from scoup.base.native import native_core
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.vote_backends.native import Vote as NativeVote
 from scoup.uplift.vote_backends.reference import Vote as ReferenceVote
-from support import examples
+from support import examples, threads_of_torch
 from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, earlier_of, random_vote
 
 CPU = torch.device("cpu")
-
-
-@pytest.fixture
-def restore_threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @needs_native
@@ -87,32 +78,27 @@ def test_the_reference_adds_codes_up_as_written():
 
 
 @needs_native
-def test_same_bytes_on_any_number_of_threads_and_share_of_the_buckets(restore_threads):
+def test_same_bytes_on_any_number_of_threads_and_share_of_the_buckets():
     arguments = random_vote(Sizes(5000, 6, 3, 48, 4, 20_000), 5)
     earlier, buckets = earlier_of(arguments, 4, 3), buckets_of(arguments)
     found = []
     for threads in (1, 2, 3, 5):
-        torch.set_num_threads(threads)
-        prepared = NativeVote(**arguments, device=CPU)
-        found.append((*prepared.round(4, earlier, False, buckets), *prepared.deviations(earlier, buckets)))
-        parts = [prepared.round(4, earlier, False, some) for some in (buckets[:3], buckets[3:4], buckets[4:])]
+        with threads_of_torch(threads):
+            prepared = NativeVote(**arguments, device=CPU)
+            found.append(
+                (*prepared.round(4, earlier, False, buckets), *prepared.deviations(earlier, buckets))
+            )
+            shares = buckets[:3], buckets[3:4], buckets[4:]
+            parts = [prepared.round(4, earlier, False, some) for some in shares]
         assert torch.equal(torch.cat([weights for _, weights in parts]), found[0][1])
     for others in found[1:]:
         assert all(torch.equal(one, other) for one, other in zip(others, found[0], strict=True))
 
 
 @needs_native
-@pytest.mark.parametrize("asked", ["baseline", "v3", "v4"])
-def test_every_instruction_set_agrees_with_the_reference(asked):
-    core = native_core()
-    assert core is not None
-    before = core.current_isa()
-    if not core.use_isa(asked):
-        pytest.skip(f"this CPU does not run {asked}")
-    try:
-        check_rounds(NativeVote, Sizes(), 4, 7)
-    finally:
-        core.use_isa(before)
+@pytest.mark.usefixtures("instruction_set")
+def test_every_instruction_set_agrees_with_the_reference():
+    check_rounds(NativeVote, Sizes(), 4, 7)
 
 
 @needs_native

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -24,7 +26,6 @@ def test_votes_on_a_gpu(seed: int) -> None:
         triton_checks.check_vote(sizes, keep, seed, "cuda")
 
 
-def test_small_votes_on_a_gpu() -> None:
-    triton_checks.check_few_at_a_time("cuda")
-    triton_checks.check_nothing_to_add("cuda")
-    triton_checks.check_damage("cuda")
+@pytest.mark.parametrize("check", triton_checks.SMALL_CHECKS)
+def test_small_votes_on_a_gpu(check: Callable[[str], None]) -> None:
+    check("cuda")

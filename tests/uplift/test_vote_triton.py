@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -12,12 +10,6 @@ from compiling import compile_kernel
 from launches import launches
 from uplift import triton_checks
 from uplift.random_votes import Sizes
-
-
-@pytest.fixture(scope="session")
-def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
-    """Runs a check of ``triton_checks`` with interpreted kernels."""
-    return lambda check, *arguments: triton_interpreter.submit(check, *arguments, "cpu").result()
 
 
 @pytest.mark.parametrize(
@@ -34,20 +26,9 @@ def test_agrees_with_the_reference(interpreted, sizes, keep):
     interpreted(triton_checks.check_vote, sizes, keep, 1)
 
 
-def test_what_deviates_as_usual_counts_exp_of_minus_three(interpreted):
-    interpreted(triton_checks.check_usual_deviation)
-
-
-def test_few_at_a_time(interpreted):
-    interpreted(triton_checks.check_few_at_a_time)
-
-
-def test_nothing_to_add(interpreted):
-    interpreted(triton_checks.check_nothing_to_add)
-
-
-def test_damaged_sums_are_refused(interpreted):
-    interpreted(triton_checks.check_damage)
+@pytest.mark.parametrize("check", [triton_checks.check_usual_deviation, *triton_checks.SMALL_CHECKS])
+def test_small_checks(interpreted, check):
+    interpreted(check)
 
 
 @pytest.mark.parametrize("capability", [pytest.param(80, marks=pytest.mark.slow), 90])

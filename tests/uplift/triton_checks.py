@@ -72,3 +72,6 @@ def check_damage(device: str) -> None:
     for arguments in damaged(random_vote(Sizes(n_gaussians=30, levels=1), 2)).values():
         with pytest.raises(InputError, match="damaged"):
             Vote(**arguments, device=torch.device(device)).round(4, None, False, buckets_of(arguments))
+
+
+SMALL_CHECKS = (check_few_at_a_time, check_nothing_to_add, check_damage)

@@ -20,8 +20,10 @@ from benchmarks.chromium import program
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup import raster
 from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
@@ -279,6 +281,25 @@ class Visit:
         self.page.get_by_role("slider", name=name, exact=True).fill(str(value))
         self.settle()
 
+    def tick(self, name: str, on: bool = True) -> None:
+        """Tick a box of the tab View, or not."""
+        self.tab("View")
+        self.page.get_by_label(name).set_checked(on)
+        self.settle()
+
+    def remove(self, text: str) -> None:
+        self.tab("Answers")
+        self.page.get_by_role("button", name=f"Remove {text}").click()
+        self.settle()
+
+    def saved(self, button: str, folder: Path) -> Path:
+        """The file that a button of the answers or of the card saves."""
+        with self.page.expect_download() as download:
+            self.page.get_by_role("button", name=button, exact=button == "Save").click()
+        path = folder / download.value.suggested_filename
+        download.value.save_as(path)
+        return path
+
     def state(self) -> dict[str, Any]:
         """What is on the screen."""
         return self.page.evaluate("window.scoupViewer.state()")
@@ -289,12 +310,16 @@ class Visit:
         rows = np.frombuffer(base64.b64decode(found["data"]), np.uint8)
         return rows.reshape(found["height"], found["width"], 4)[..., :3]
 
-    def click(self, place: tuple[float, float]) -> str:
-        """Click into the picture, at a share of its width and height; what the page says is there."""
+    def at(self, place: tuple[float, float]) -> tuple[float, float]:
+        """The point of the window at a share of the picture's width and height."""
         box = self.page.locator("#canvas").bounding_box()
         assert box is not None
+        return box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"]
+
+    def click(self, place: tuple[float, float]) -> str:
+        """Click into the picture, at a share of its width and height; what the page says is there."""
         self.page.evaluate("document.getElementById('place').hidden = true")  # what an earlier click found
-        self.page.mouse.click(box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"])
+        self.page.mouse.click(*self.at(place))
         panel = self.page.locator("#place")
         panel.wait_for()
         return panel.inner_text()
@@ -332,9 +357,9 @@ def visiting(
         context.close() if options else page.close()
 
 
-def places_in(camera: Camera) -> dict[str, tuple[float, float]]:
-    """Where the middle of each thing is seen, in shares of width and height."""
-    found = {}
+def places_in(camera: Camera | None = None) -> dict[str, tuple[float, float]]:
+    """Where the middle of each thing is seen, in shares of width and height; by default where the page opens."""
+    camera, found = camera or views()[0], {}
     for name, (place, _) in THINGS.items():
         point = torch.tensor([*place, 1.0], dtype=torch.float64)
         x, y, depth = (camera.K @ (camera.viewmat @ point)[:3]).tolist()
@@ -342,17 +367,39 @@ def places_in(camera: Camera) -> dict[str, tuple[float, float]]:
     return found
 
 
-def patches(picture: Picture, camera: Camera, side: int = 4) -> dict[str, NDArray[np.float64]]:
+def patches(picture: Picture, side: int = 4) -> dict[str, NDArray[np.float64]]:
     """The pixels in the middle of each thing, [P, 3]."""
     height, width = picture.shape[:2]
     found = {}
-    for name, (x, y) in places_in(camera).items():
+    for name, (x, y) in places_in().items():
         row, column = round(y * height), round(x * width)
         cut = picture[row - side : row + side + 1, column - side : column + side + 1]
         found[name] = cut.reshape(-1, 3).astype(np.float64)
     return found
 
 
+def render(viewed: ViewedField, mask: Tensor | None = None, camera: Camera | None = None) -> Picture:
+    """The picture of some of the Gaussians by our own rasteriser, by default from where the page opens."""
+    gaussians = viewed.gaussians if mask is None else viewed.gaussians.select(mask)
+    return as_picture(raster.render_colors(gaussians, camera or views()[0].resized(400, 300)))
+
+
+def selected_by_votes(
+    viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
+) -> Tensor:
+    """[N] what the page is to select, from the field's own relevancy of its Gaussians."""
+    answer = viewed.answers([text])[0]
+    level = answer.level if level is None else level
+    vectors = viewed.question([text])
+    relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[level, 0]
+    low, high = answer.spans[level].tolist()
+    return (relevancy - low) / (high - low) > (answer.thresholds[level] if threshold is None else threshold)
+
+
+ABSENT_TOO = "show texts that are not in the scene, too"
+AUTOMATIC = "automatic, for each text"
+both_pages = pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
+"""In every run; other tests visit the exported page in `make test-all` only: it shares all code but that of answers."""
 ALIKE = 0.06
 """Two pictures that differ by less show the same: what is left are the rounding of colours, scales and edges."""
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 from benchmarks.chromium import chromium
-from browser_support import need_browser, saved_field
+from browser_support import Visit, need_browser, opened, saved_field, visiting
 
 from scoup.field.language_field import LanguageField
 from scoup.scene.cameras import Camera
+from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 
 if TYPE_CHECKING:
@@ -54,7 +55,21 @@ def camera(viewed: ViewedField) -> Camera:
 @pytest.fixture(scope="module")
 def live(viewed: ViewedField) -> Iterator[str]:
     """Address of a server's page."""
-    from scoup.view.viewer import Viewer
-
-    with Viewer(viewed, port=0) as viewer:
+    with opened(viewed) as viewer:
         yield viewer.address
+
+
+@pytest.fixture(scope="module")
+def exported(viewed: ViewedField, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Address of a page that needs no server."""
+    page = tmp_path_factory.mktemp("exported") / "scene.html"
+    export_page(viewed, page)
+    return page.as_uri()
+
+
+@pytest.fixture(params=["live", pytest.param("exported", marks=pytest.mark.slow)])
+def visit(request: pytest.FixtureRequest, browser: Browser) -> Iterator[Visit]:
+    """A visitor of either page; of the exported one without a network."""
+    kind = request.param
+    with visiting(browser, request.getfixturevalue(kind), offline=kind == "exported") as opened:
+        yield opened

@@ -226,8 +226,7 @@ def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> No
             clean = visit.picture()
             assert difference(clean, whole) < ALIKE if stays else clean.max() < 20
             visit.page.get_by_label("clean up haze and needles of the selection").uncheck()
-            visit.tab("Answers")
-            visit.page.get_by_role("button", name=f"Remove {text}").click()
+            visit.remove(text)
 
 
 DRAWS = """() => {
@@ -323,4 +322,4 @@ def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, 
                 visit.settle()
                 found = visit.picture()[rows, columns].mean(1) / white[rows, columns].mean(1)
                 np.testing.assert_allclose(found, relevancy[level].numpy(), atol=0.01)
-            visit.page.get_by_role("button", name=f"Remove {text}").click()
+            visit.remove(text)

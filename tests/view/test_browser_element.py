@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from browser_support import PATIENCE, field_of_instances, places_in, table
+from browser_support import PATIENCE, field_of_instances, places_in, table, views
 
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
@@ -58,10 +58,8 @@ def test_it_says_what_is_asked_and_selected(page: Page) -> None:
     page.get_by_text("kettle: here, furniture: not here").wait_for()
     canvas = frame.locator("#canvas")
     box = canvas.bounding_box()
-    camera = field_of_instances().cameras
     assert box is not None
-    assert camera is not None
-    x, y = places_in(camera[0].resized(round(box["width"]), round(box["height"])))["mug"]
+    x, y = places_in(views()[0].resized(round(box["width"]), round(box["height"])))["mug"]
     canvas.click(position={"x": x * box["width"], "y": y * box["height"]})
     page.locator("#selected").filter(has_text="mug at ").wait_for()
     text.press("Escape")
@@ -72,9 +70,7 @@ def test_it_hears_its_own_page_only(page: Page) -> None:
     page.evaluate("window.heard = 0; window.addEventListener('message', () => { heard += 1 })")
     page.evaluate("forged => window.postMessage(forged, '*')", FORGED)  # of another window
     frame = 'document.querySelector("scoup-view").shadowRoot.querySelector("iframe").contentWindow'
-    page.evaluate(
-        f"{frame}.location = 'http://elsewhere.test/other.html'"
-    )  # the frame has gone to another site
+    page.evaluate(f"{frame}.location = 'http://elsewhere.test/other.html'")  # another site
     page.wait_for_function("heard >= 3")
     assert page.locator("#asked").inner_text() == "Ask for something."
     page.evaluate("document.querySelector('scoup-view').removeAttribute('src')")

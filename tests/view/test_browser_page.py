@@ -6,7 +6,6 @@ Everything that the page does by itself is tried with a server, and in an export
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,27 +14,28 @@ import pytest
 import torch
 from browser_support import (
     ABSENT,
+    ABSENT_TOO,
     ALIKE,
+    AUTOMATIC,
     CONTRASTS,
     DIM,
     MIXED,
     Visit,
+    both_pages,
     difference,
     patches,
     places_in,
+    render,
+    selected_by_votes,
     things_field,
+    views,
     visiting,
 )
 from PIL import Image
 
 import scoup
 from io_samples import some_regions
-from scoup import raster
-from scoup.pictures import as_picture
-from scoup.pictures.colors import Picture
-from scoup.scene.cameras import Camera
 from scoup.uplift.build import BuildSettings
-from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.viewer import Viewer
 
@@ -45,59 +45,17 @@ if TYPE_CHECKING:
 pytest.importorskip("uvicorn")
 pytestmark = pytest.mark.usefixtures("built_page")
 
-KINDS = ("live", "exported")
-
-
-@pytest.fixture(scope="module")
-def exported(viewed: ViewedField, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Address of a page that needs no server."""
-    page = tmp_path_factory.mktemp("exported") / "scene.html"
-    export_page(viewed, page)
-    return page.as_uri()
-
-
 LEVEL_WORDS = {"s": "fine", "m": "medium", "l": "coarse"}
-both_pages = pytest.mark.parametrize("visit", KINDS, indirect=True)
-"""In every run; other tests visit the exported page in `make test-all` only: it shares all code but that of answers."""
 
 
-@pytest.fixture(params=["live", pytest.param("exported", marks=pytest.mark.slow)])
-def visit(request: pytest.FixtureRequest, browser: Browser) -> Iterator[Visit]:
-    """A visitor of either page; of the exported one without a network."""
-    kind = request.param
-    with visiting(browser, request.getfixturevalue(kind), offline=kind == "exported") as opened:
-        yield opened
-
-
-def selected(
-    viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
-) -> torch.Tensor:
-    """[N] what the page is to select, from the field's own relevancy of its Gaussians."""
-    answer = viewed.answers([text])[0]
-    level = answer.level if level is None else level
-    vectors = viewed.question([text])
-    relevancy = viewed.field.gaussian_relevancy(vectors.queries, vectors.canonical)[level, 0]
-    low, high = answer.spans[level].tolist()
-    least = float(answer.thresholds[level]) if threshold is None else threshold
-    return (relevancy - low) / (high - low) > least
-
-
-def render(viewed: ViewedField, camera: Camera, mask: torch.Tensor | None = None) -> Picture:
-    """The picture of some of the Gaussians by our own rasteriser."""
-    gaussians = viewed.gaussians if mask is None else viewed.gaussians.select(mask)
-    return as_picture(raster.render_colors(gaussians, camera))
-
-
-def test_the_scene_is_seen_as_our_rasteriser_draws_it(visit: Visit, viewed: ViewedField, camera: Camera):
-    assert difference(visit.picture(), render(viewed, camera)) < ALIKE
+def test_the_scene_is_seen_as_our_rasteriser_draws_it(visit: Visit, viewed: ViewedField):
+    assert difference(visit.picture(), render(viewed)) < ALIKE
     visit.tab("View")
     visit.page.get_by_role("button", name="left.png").click()
     visit.until("window.scoupViewer.state().camera === 'left.png'")
     visit.settle()
-    assert viewed.field.cameras is not None
-    left = viewed.field.cameras[1].resized(400, 300)
-    assert difference(visit.picture(), render(viewed, left)) < ALIKE
-    assert difference(visit.picture(), render(viewed, camera)) > 3 * ALIKE
+    assert difference(visit.picture(), render(viewed, camera=views()[1].resized(400, 300))) < ALIKE
+    assert difference(visit.picture(), render(viewed)) > 3 * ALIKE
 
 
 def test_a_high_picture_shows_all_that_the_camera_sees(browser: Browser, live: str, viewed: ViewedField):
@@ -108,16 +66,15 @@ def test_a_high_picture_shows_all_that_the_camera_sees(browser: Browser, live: s
         height, width = picture.shape[:2]
         assert height > width
         visit.page.get_by_role("tab", name="View").wait_for(state="hidden")
-        assert viewed.field.cameras is not None
-        seen = viewed.field.cameras[0].resized(width, width * 3 // 4)
+        seen = views()[0].resized(width, width * 3 // 4)
         above = (height - seen.height) // 2
         middle = picture[above : above + seen.height]
-        assert difference(middle, render(viewed, seen)) < 2 * ALIKE  # up to half a pixel
+        assert difference(middle, render(viewed, camera=seen)) < 2 * ALIKE  # up to half a pixel
 
 
-def test_a_text_lights_up_its_thing_and_nothing_else(visit: Visit, camera: Camera):
+def test_a_text_lights_up_its_thing_and_nothing_else(visit: Visit):
     plain = visit.picture()
-    before = patches(plain, camera)
+    before = patches(plain)
     visit.ask("kettle")
     visit.choose("Colour")
     assert difference(visit.picture(), plain) > 3 * ALIKE
@@ -125,20 +82,20 @@ def test_a_text_lights_up_its_thing_and_nothing_else(visit: Visit, camera: Camer
     assert difference(visit.picture(), plain) < ALIKE
     visit.slide("Opacity of the colouring", 1)
     visit.choose("Heat")
-    after = patches(visit.picture(), camera)
+    after = patches(visit.picture())
     for name, pixels in after.items():
         is_grey = np.ptp(pixels, 1).max() < 10
         assert is_grey == (name != "kettle"), name
     assert after["kettle"].max(1).min() > 200  # the light end of the colours
     visit.choose("All but the selection")
-    rest = patches(visit.picture(), camera)
+    rest = patches(visit.picture())
     assert rest.pop("kettle").max() < 10
     for name, pixels in rest.items():
         np.testing.assert_allclose(pixels, before[name], atol=2)
 
 
 @both_pages
-def test_several_texts_have_a_colour_each(visit: Visit, camera: Camera):
+def test_several_texts_have_a_colour_each(visit: Visit):
     visit.ask("kettle", "lamp")
     visit.slide("Opacity of the colouring", 1)
     visit.tab("Answers")
@@ -148,7 +105,7 @@ def test_several_texts_have_a_colour_each(visit: Visit, camera: Camera):
 
     def share_of(name: str, color: np.ndarray) -> float:
         """Cosine of the pixels of a thing with a colour."""
-        mean = patches(visit.picture(), camera)[name].mean(0)
+        mean = patches(visit.picture())[name].mean(0)
         return float(mean @ color / np.linalg.norm(mean) / np.linalg.norm(color))
 
     for text, color in colors.items():
@@ -156,13 +113,13 @@ def test_several_texts_have_a_colour_each(visit: Visit, camera: Camera):
         swatch = visit.row(text).locator(".swatch")
         shown = swatch.evaluate("element => getComputedStyle(element).backgroundColor")
         np.testing.assert_allclose([int(part) for part in shown[4:-1].split(",")], color * 255, atol=1)
-    assert np.ptp(patches(visit.picture(), camera)["mug"], 1).max() < 10
+    assert np.ptp(patches(visit.picture())["mug"], 1).max() < 10
     visit.page.get_by_role("button", name="Hide kettle").click()
     visit.settle()
-    pixels = patches(visit.picture(), camera)
+    pixels = patches(visit.picture())
     assert np.ptp(pixels["kettle"], 1).max() < 10
     assert np.ptp(pixels["lamp"], 1).max() > 50
-    visit.page.get_by_role("button", name="Remove lamp").click()
+    visit.remove("lamp")
     assert [query["text"] for query in visit.state()["queries"]] == ["kettle"]
 
 
@@ -203,7 +160,7 @@ def test_the_legend_says_what_the_library_says(visit: Visit, viewed: ViewedField
 
 
 @both_pages
-def test_something_absent_lights_up_only_if_wanted(visit: Visit, viewed: ViewedField, camera: Camera):
+def test_something_absent_lights_up_only_if_wanted(visit: Visit, viewed: ViewedField):
     plain = visit.picture()
     visit.ask(ABSENT)
     assert difference(visit.picture(), plain) < ALIKE
@@ -212,54 +169,48 @@ def test_something_absent_lights_up_only_if_wanted(visit: Visit, viewed: ViewedF
     assert swatch.evaluate("each => getComputedStyle(each).backgroundColor") == "rgba(0, 0, 0, 0)"
     visit.choose("Only the selection")
     assert difference(visit.picture(), plain) < ALIKE
-    visit.tab("View")
-    visit.page.get_by_label("show texts that are not in the scene, too").check()
-    visit.settle()
-    assert difference(visit.picture(), render(viewed, camera, selected(viewed, ABSENT))) < ALIKE
+    visit.tick(ABSENT_TOO)
+    assert difference(visit.picture(), render(viewed, selected_by_votes(viewed, ABSENT))) < ALIKE
 
 
-def test_levels_and_thresholds_select_as_the_library_does(visit: Visit, viewed: ViewedField, camera: Camera):
+def test_levels_and_thresholds_select_as_the_library_does(visit: Visit, viewed: ViewedField):
     visit.ask("dishes")  # a group, which the coarse level knows
     visit.choose("Only the selection")
-    pixels = patches(visit.picture(), camera)
+    pixels = patches(visit.picture())
     assert {name for name, patch in pixels.items() if patch.mean() > 40} == {"kettle", "mug"}
-    visit.page.get_by_role("button", name="Remove dishes").click()
+    visit.remove("dishes")
     visit.ask(MIXED)
     sizes = set()
     names = {None: "automatic", 0: "s (fine)", 1: "m (medium)", 2: "l (coarse)"}
     for level, threshold in itertools.product(names, (None, 0.3, 0.99)):
         visit.choose(names[level])
         if threshold is None:
-            visit.tab("View")
-            visit.page.get_by_label("automatic, for each text").check()
+            visit.tick(AUTOMATIC)
         else:
             visit.slide("Threshold", threshold)
         visit.settle()
-        mask = selected(viewed, MIXED, level, threshold)
+        mask = selected_by_votes(viewed, MIXED, level, threshold)
         sizes.add(int(mask.sum()))
-        assert difference(visit.picture(), render(viewed, camera, mask)) < ALIKE, (level, threshold)
+        assert difference(visit.picture(), render(viewed, mask)) < ALIKE, (level, threshold)
     assert len(sizes) >= 5  # they did not all mean the same
 
 
-def test_codes_and_confidence_are_seen_and_saved(visit: Visit, camera: Camera, tmp_path: Path):
-    pixels = plain = patches(visit.picture(), camera)
+def test_codes_and_confidence_are_seen_and_saved(visit: Visit, tmp_path: Path):
+    pixels = plain = patches(visit.picture())
     for mode in ("Confidence", "Codes"):
         visit.choose(mode)
-        pixels = patches(visit.picture(), camera)
+        pixels = patches(visit.picture())
         for name, patch in pixels.items():
             assert np.abs(patch - plain[name]).mean() > 10
     means = [patch.mean(0) for patch in pixels.values()]  # unlike things have codes of unlike colours
     assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(means, 2)) > 20
-    with visit.page.expect_download() as download:
-        visit.page.get_by_role("button", name="Save picture").click()
-    download.value.save_as(tmp_path / "picture.png")
-    saved = np.asarray(Image.open(tmp_path / "picture.png").convert("RGB"))
+    saved = np.asarray(Image.open(visit.saved("Save picture", tmp_path)).convert("RGB"))
     assert difference(saved, visit.picture()) < ALIKE
     assert saved.max() > 100
 
 
-def test_a_click_reads_what_is_there(visit: Visit, camera: Camera):
-    for name, place in places_in(camera).items():
+def test_a_click_reads_what_is_there(visit: Visit):
+    for name, place in places_in().items():
         said = visit.click(place)
         group = "dishes" if name in ("kettle", "mug") else "furniture"
         first = [
@@ -275,13 +226,10 @@ def test_a_click_reads_what_is_there(visit: Visit, camera: Camera):
 
 def test_a_selection_is_saved_and_loaded_back(visit: Visit, viewed: ViewedField, tmp_path: Path):
     visit.ask("kettle", "lamp")
-    mask = selected(viewed, "kettle") | selected(viewed, "lamp")
+    mask = selected_by_votes(viewed, "kettle") | selected_by_votes(viewed, "lamp")
     for mode, wanted in (("Heat", mask), ("All but the selection", ~mask)):
         visit.choose(mode)
-        with visit.page.expect_download() as download:
-            visit.page.get_by_role("button", name="Save selection").click()
-        path = tmp_path / download.value.suggested_filename
-        download.value.save_as(path)
+        path = visit.saved("Save selection", tmp_path)
         saved = scoup.load_gaussians(path)
         own = viewed.gaussians.select(wanted)
         order, own_order = (torch.argsort(means[:, 0]) for means in (saved.means, own.means))
@@ -312,7 +260,7 @@ def test_what_cannot_be_asked_or_saved_is_said(visit: Visit):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_text_can_be_read(browser: Browser, live: str, camera: Camera, scheme: str):
+def test_every_text_can_be_read(browser: Browser, live: str, scheme: str):
     with visiting(browser, live, (900, 1400), color_scheme=scheme) as visit:
         page = visit.page
         assert page.evaluate("document.documentElement.dataset.theme") == scheme
@@ -358,5 +306,5 @@ def test_cameras_that_were_chosen_for_a_splat_are_bookmarks(
         visit.page.get_by_role("button", name="own_002.png").click()
         visit.until("window.scoupViewer.state().camera === 'own_002.png'")
         visit.settle()
-        assert difference(visit.picture(), render(viewed, cameras[2])) < ALIKE
-        assert difference(visit.picture(), render(viewed, cameras[0])) > 3 * ALIKE
+        assert difference(visit.picture(), render(viewed, camera=cameras[2])) < ALIKE
+        assert difference(visit.picture(), render(viewed, camera=cameras[0])) > 3 * ALIKE

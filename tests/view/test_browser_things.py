@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,15 +12,20 @@ import numpy as np
 import pytest
 import torch
 from browser_support import (
+    ABSENT_TOO,
     ALIKE,
+    AUTOMATIC,
     CONTRASTS,
     FILLERS,
     Visit,
+    both_pages,
     difference,
     field_of_instances,
     opened,
     places_in,
+    render,
     table,
+    views,
     visiting,
 )
 from numpy.typing import NDArray
@@ -30,10 +34,7 @@ from scipy.ndimage import binary_dilation
 
 import scoup
 from scoup import raster
-from scoup.pictures import as_picture
-from scoup.pictures.colors import Picture
 from scoup.query.answer_scene import answer_scene
-from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 
 if TYPE_CHECKING:
@@ -67,36 +68,19 @@ def viewed() -> ViewedField:
     return ViewedField(field_of_instances(), table())
 
 
-@pytest.fixture(params=["live", pytest.param("exported", marks=pytest.mark.slow)])
-def visit(
-    request: pytest.FixtureRequest, browser: Browser, viewed: ViewedField, tmp_path: Path
-) -> Iterator[Visit]:
-    """A visitor of a server's page, or of one that needs none."""
-    if request.param == "exported":
-        export_page(viewed, tmp_path / "scene.html")
-        with visiting(browser, (tmp_path / "scene.html").as_uri(), offline=True) as opened:
-            yield opened
-        return
-    from scoup.view.viewer import Viewer
-
-    with Viewer(viewed, port=0) as viewer, visiting(browser, viewer.address) as opened:
-        yield opened
+@pytest.fixture
+def visit(visit: Visit) -> Visit:
+    """A visitor whose page lists its things."""
+    visit.until("Boolean(window.scoupViewer.state().things)")
+    return visit
 
 
 def selected(
     viewed: ViewedField, text: str, level: int | None = None, threshold: float | None = None
 ) -> torch.Tensor:
     """[N] what `scoup select` selects."""
-    return answer_scene(viewed.field, viewed.question([text], always=True, threshold=threshold, level=level))[
-        0
-    ].mask
-
-
-def render(viewed: ViewedField, mask: torch.Tensor) -> Picture:
-    """What is to be seen of some of the Gaussians where the page opens."""
-    assert viewed.field.cameras is not None
-    camera = viewed.field.cameras[0].resized(400, 300)
-    return as_picture(raster.render_colors(viewed.gaussians.select(mask), camera))
+    question = viewed.question([text], always=True, threshold=threshold, level=level)
+    return answer_scene(viewed.field, question)[0].mask
 
 
 def test_things_light_up_until_a_threshold_is_set(visit: Visit, viewed: ViewedField) -> None:
@@ -114,9 +98,7 @@ def test_things_light_up_until_a_threshold_is_set(visit: Visit, viewed: ViewedFi
     visit.slide("Threshold", 0.5)
     assert difference(visit.picture(), render(viewed, by_votes)) < ALIKE
     assert difference(visit.picture(), render(viewed, by_things)) > 3 * ALIKE
-    visit.tab("View")
-    visit.page.get_by_label("automatic, for each text").check()
-    visit.settle()
+    visit.tick(AUTOMATIC)
     for level, name in LEVELS.items():
         visit.choose(name)
         wanted = selected(viewed, "kettle", level)
@@ -126,7 +108,7 @@ def test_things_light_up_until_a_threshold_is_set(visit: Visit, viewed: ViewedFi
     assert difference(visit.picture(), render(viewed, ~by_things)) < ALIKE
 
 
-@pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
+@both_pages
 def test_things_of_several_texts_are_seen_and_saved(
     visit: Visit, viewed: ViewedField, tmp_path: Path
 ) -> None:
@@ -135,16 +117,12 @@ def test_things_of_several_texts_are_seen_and_saved(
     assert int(wanted.sum()) > int(selected(viewed, "kettle").sum())
     visit.choose("Only the selection")
     assert difference(visit.picture(), render(viewed, wanted)) < ALIKE
-    with visit.page.expect_download() as download:
-        visit.page.get_by_role("button", name="Save selection").click()
-    path = tmp_path / download.value.suggested_filename
-    download.value.save_as(path)
+    path = visit.saved("Save selection", tmp_path)
     saved, own = scoup.load_gaussians(path).means, viewed.gaussians.select(wanted).means
     assert len(saved) == len(own)
     apart = (saved[:, None].double() - own).norm(dim=2)
     assert max(apart.amin(0).max(), apart.amin(1).max()) < 1e-5
-    visit.page.get_by_role("button", name="Remove mug").click()
-    visit.settle()
+    visit.remove("mug")
     assert difference(visit.picture(), render(viewed, selected(viewed, "kettle"))) < ALIKE
 
 
@@ -165,7 +143,7 @@ def test_phrases_light_up_things(browser: Browser) -> None:
             assert int(mask.sum()) == count
             visit.choose("Only the selection")
             assert difference(visit.picture(), render(viewed, mask)) < ALIKE
-            visit.page.get_by_role("button", name=f"Remove {text}").click()
+            visit.remove(text)
         visit.ask("kettle right of the mug")
         assert "none that is so, as seen from" in visit.row("kettle right of the mug").inner_text()
 
@@ -182,8 +160,7 @@ def test_commands_ask_what_was_asked_and_exported_pages_tell_it(
     visit: Visit, text: str, asked: str, targets: list[str]
 ) -> None:
     visit.page.evaluate("targets = []; window.parent = { postMessage: (_, target) => targets.push(target) }")
-    visit.tab("View")
-    visit.page.get_by_label("show texts that are not in the scene, too").check()
+    visit.tick(ABSENT_TOO)
     visit.ask(text)
     assert visit.page.evaluate("targets") == targets
     select, query = map(shlex.split, visit.page.evaluate("window.scoupViewer.command()").splitlines())
@@ -191,9 +168,8 @@ def test_commands_ask_what_was_asked_and_exported_pages_tell_it(
     assert f"field.question({json.dumps(asked)}, " in visit.page.evaluate("window.scoupViewer.python()")
 
 
-@pytest.mark.parametrize("visit", ["live", "exported"], indirect=True)
+@both_pages
 def test_certainty_and_the_next_best_thing_are_said(visit: Visit, viewed: ViewedField) -> None:
-    visit.until("Boolean(window.scoupViewer.state().things)")
     texts = ["kettle", "furniture"]
     kettle, absent = answers = viewed.field.answer(texts)
     assert [answer.presence for answer in answers] == [True, False]
@@ -202,7 +178,7 @@ def test_certainty_and_the_next_best_thing_are_said(visit: Visit, viewed: Viewed
     names = {thing["number"]: thing["name"] for thing in things}
     box = visit.page.get_by_label("What do you look for?")
     visit.until("Boolean(document.getElementById('text').placeholder)")
-    largest = max(things, key=lambda thing: thing["gaussians"])
+    largest = max((one for one in things if one["level"] == 1), key=lambda thing: thing["gaussians"])
     assert (box.get_attribute("placeholder") or "").split(", ")[0] == largest["name"]
     for answer, start in ((kettle, f"{kettle.certainty}, "), (absent, "not here")):
         facts = visit.row(answer.text).locator(".facts")
@@ -212,32 +188,26 @@ def test_certainty_and_the_next_best_thing_are_said(visit: Visit, viewed: Viewed
         next_best = f"Next best: {names[rival.thing]} (thing {rival.thing}), {rival.score:.2f}."
         assert next_best in (facts.locator("span").first.get_attribute("title") or "")
     # An absent text lights up as `scoup select --always` has it.
-    visit.page.get_by_role("button", name="Remove kettle").click()
-    visit.tab("View")
-    visit.page.get_by_label("show texts that are not in the scene, too").check()
+    visit.remove("kettle")
+    visit.tick(ABSENT_TOO)
     visit.choose("Only the selection")
     for level, name in LEVELS.items():
         visit.choose(name)
         assert difference(visit.picture(), render(viewed, selected(viewed, "furniture", level))) < ALIKE, name
 
 
-def pick(visit: Visit, viewed: ViewedField, name: str, key: str | None = None) -> list[int]:
+def pick(visit: Visit, name: str, key: str | None = None) -> list[int]:
     """Click on a thing; the numbers that are selected then."""
-    assert viewed.field.cameras is not None
-    x, y = places_in(viewed.field.cameras[0])[name]
-    box = visit.page.locator("#canvas").bounding_box()
-    assert box is not None
     if key is not None:
         visit.page.keyboard.down(key)
-    visit.page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    visit.page.mouse.click(*visit.at(places_in()[name]))
     if key is not None:
         visit.page.keyboard.up(key)
     visit.settle()
     return visit.state()["things"]["selected"]
 
 
-def test_clicks_select_things_their_groups_and_parts(visit: Visit, viewed: ViewedField) -> None:
-    visit.until("Boolean(window.scoupViewer.state().things)")
+def test_clicks_select_things_their_groups_and_parts(visit: Visit) -> None:
     plain = visit.picture()
     steps = [
         ("kettle", None, [3]),  # at the middle level
@@ -251,28 +221,55 @@ def test_clicks_select_things_their_groups_and_parts(visit: Visit, viewed: Viewe
         ("lamp", None, []),  # of no thing
     ]
     for name, key, wanted in steps:
-        assert pick(visit, viewed, name, key) == wanted, (name, key)
+        assert pick(visit, name, key) == wanted, (name, key)
     visit.page.mouse.move(0, 0)
     visit.settle()
     visit.page.mouse.move(5, 5)
     visit.until("window.scoupViewer.state().things.hovered === null")
     visit.settle()
     assert difference(visit.picture(), plain) < ALIKE
-    pick(visit, viewed, "mug")
+    pick(visit, "mug")
     assert difference(visit.picture(), plain) > 3 * ALIKE
     visit.page.keyboard.press("Escape")
     assert visit.state()["things"]["selected"] == []
 
 
-def test_a_link_opens_the_page_at_a_thing(browser: Browser, viewed: ViewedField, tmp_path: Path) -> None:
-    export_page(viewed, tmp_path / "scene.html")
-    address = (tmp_path / "scene.html").as_uri()
-    with visiting(browser, f"{address}#thing=4", offline=True) as visit:
+@both_pages
+def test_a_known_length_says_how_many_metres_a_unit_has(visit: Visit) -> None:
+    plain, said = visit.picture(), visit.page.locator("#measured")
+    visit.page.keyboard.press("m")
+    for name, wanted in (("kettle", "Click the second point."), ("book", "Length ")):
+        pick(visit, name)
+        said.filter(has_text=wanted).wait_for()
+    length, unit = said.inner_text().split()[1:]
+    assert float(length) == pytest.approx(1.2, abs=0.1)  # of the surfaces before the centres
+    assert unit == "units"
+    visit.settle()
+    changed = np.abs(visit.picture().astype(int) - plain).max(2) > 30
+    assert 40 < changed.sum() < 400  # a line
+    visit.page.get_by_label("True length in metres").press_sequentially("0,6")
+    option = visit.page.locator("#metres-per-unit").inner_text().removeprefix("Copy ")
+    assert float(option.removeprefix("--metres-per-unit ")) == pytest.approx(0.6 / float(length), rel=0.01)
+    assert said.inner_text() == "Length 0.6 m"
+    visit.ask("kettle")
+    assert option in visit.page.evaluate("window.scoupViewer.command()")
+    visit.remove("kettle")
+    pick(visit, "kettle")
+    said.filter(has_text="Click the second point.").wait_for()  # of another length
+    assert visit.state()["things"]["selected"] == []
+    visit.page.mouse.move(0, 0)
+    visit.page.keyboard.press("Escape")
+    visit.settle()
+    assert difference(visit.picture(), plain) < ALIKE
+    pick(visit, "kettle")
+    assert " m" in visit.page.locator("#selection .facts").inner_text()
+
+
+def test_a_link_opens_the_page_at_a_thing(browser: Browser, exported: str) -> None:
+    with visiting(browser, f"{exported}#thing=4", offline=True) as visit:
         visit.until("window.scoupViewer.state().things?.selected.join() === '4'")
         assert visit.page.locator("#selection").is_visible()
-        box = visit.page.locator("#canvas").bounding_box()
-        assert box is not None
-        visit.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        visit.page.mouse.click(*visit.at((0.5, 0.5)))
         assert visit.state()["things"]["selected"] == [7], "its group, since it is in the middle"
         visit.page.evaluate("location.hash = 'thing=3'")
         visit.until("window.scoupViewer.state().things.selected.join() === '3'")
@@ -289,22 +286,17 @@ def outline(
     return (pixels == [*(np.floor(255 * np.array(color) + 0.5)), 255]).all(2)
 
 
-def point_at(visit: Visit, viewed: ViewedField, name: str, number: int | None) -> None:
+def point_at(visit: Visit, name: str, number: int | None) -> None:
     """Move the pointer to a thing, and wait until it is known."""
-    assert viewed.field.cameras is not None
-    x, y = places_in(viewed.field.cameras[0])[name]
-    box = visit.page.locator("#canvas").bounding_box()
-    assert box is not None
-    visit.page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    visit.page.mouse.move(*visit.at(places_in()[name]))
     visit.until(f"window.scoupViewer.state().things.hovered === {'null' if number is None else number}")
 
 
 def is_around(viewed: ViewedField, mask: torch.Tensor, drawn: NDArray[np.bool_] | None) -> bool:
     """Whether a line, [H, W], is around what some of the Gaussians cover where the page opens."""
     assert drawn is not None
-    assert viewed.field.cameras is not None
     alone = viewed.gaussians.select(mask)
-    projection = raster.project(alone, viewed.field.cameras[0].resized(*drawn.shape[::-1]))
+    projection = raster.project(alone, views()[0].resized(*drawn.shape[::-1]))
     covered = (raster.render_channels(projection, torch.zeros(len(alone), 1))[1] > 0.5).numpy()
     assert 0.01 < covered.mean() < 0.5
     wanted = binary_dilation(covered) & ~covered
@@ -319,15 +311,14 @@ def of_thing(viewed: ViewedField, number: int) -> torch.Tensor:
 
 
 def test_what_is_under_the_pointer_gets_an_outline(visit: Visit, viewed: ViewedField) -> None:
-    visit.until("Boolean(window.scoupViewer.state().things)")
     assert outline(visit) is None
     plain = visit.picture()
     visit.page.evaluate(COUNT_DRAWS)
     for name, number in (("kettle", 3), ("mug", 4)):
-        point_at(visit, viewed, name, number)
+        point_at(visit, name, number)
         assert visit.page.locator("#hovering").inner_text() == name
         assert is_around(viewed, of_thing(viewed, number), outline(visit))
-    point_at(visit, viewed, "lamp", None)  # of no thing
+    point_at(visit, "lamp", None)  # of no thing
     assert outline(visit) is None
     assert visit.page.evaluate("window.draws") == 0  # the scene is not drawn again for it
     assert np.array_equal(visit.picture(), plain)
@@ -335,7 +326,7 @@ def test_what_is_under_the_pointer_gets_an_outline(visit: Visit, viewed: ViewedF
     visit.page.locator("#thing-list button[data-thing='4']").hover()
     visit.until("window.scoupViewer.state().things.hovered === 4")
     assert outline(visit) is not None
-    point_at(visit, viewed, "mug", 4)
+    point_at(visit, "mug", 4)
     visit.page.evaluate("window.scoupViewer.flyTo('left.png')")
     assert outline(visit) is None  # that was for another view
     assert visit.page.locator("#hovering").is_hidden()
@@ -344,9 +335,8 @@ def test_what_is_under_the_pointer_gets_an_outline(visit: Visit, viewed: ViewedF
 def test_what_is_selected_gets_an_outline_while_the_camera_rests(
     visit: Visit, viewed: ViewedField, tmp_path: Path
 ) -> None:
-    visit.until("Boolean(window.scoupViewer.state().things)")
     assert outline(visit, "outlines") is None
-    assert pick(visit, viewed, "mug") == [4]
+    assert pick(visit, "mug") == [4]
     assert is_around(viewed, of_thing(viewed, 4), outline(visit, "outlines", CLICKED))
     visit.page.keyboard.press("Escape")
     visit.settle()
@@ -357,10 +347,7 @@ def test_what_is_selected_gets_an_outline_while_the_camera_rests(
         for query in visit.state()["queries"]:
             found = outline(visit, "outlines", query["color"])
             assert is_around(viewed, selected(viewed, query["text"]), found)
-    with visit.page.expect_download() as download:
-        visit.page.get_by_role("button", name="Save picture").click()
-    download.value.save_as(tmp_path / "picture.png")
-    saved = np.asarray(Image.open(tmp_path / "picture.png").convert("RGB")).astype(int)
+    saved = np.asarray(Image.open(visit.saved("Save picture", tmp_path)).convert("RGB")).astype(int)
     changed = np.abs(saved - visit.picture()).max(2) > 30
     assert 0.01 < changed.mean() < 0.2
     # Not while the camera moves.
@@ -387,34 +374,31 @@ def test_things_are_named_measured_hidden_and_saved(
     visit.page.get_by_label("Filter things").fill("mug")
     assert rows.count() == 3
     assert all("mug" in text for text in rows.all_inner_texts())
-    pick(visit, viewed, "mug")
+    pick(visit, "mug")
     name = visit.page.get_by_label("Name of thing 4")
     assert name.input_value() == "mug"
     name.fill("my cup")
     name.press("Enter")
     visit.page.get_by_label("Filter things").fill("my cup")
     assert rows.count() == 1
-    with visit.page.expect_download() as download:
-        visit.page.get_by_role("button", name="Save", exact=True).click()
-    path = tmp_path / download.value.suggested_filename
-    download.value.save_as(path)
+    path = visit.saved("Save", tmp_path)
     assert path.name == "my_cup.ply"
     assert b"comment thing 4: my cup\n" in path.read_bytes()[:400]
     table = viewed.field.thing_table
     assert table is not None
     is_mug = table.owners[:, 1] == 4
     assert len(scoup.load_gaussians(path)) == int(is_mug.sum())
-    pick(visit, viewed, "kettle", "Shift")
+    pick(visit, "kettle", "Shift")
     things = {thing.number: thing for thing in viewed.field.things()}
     distance = float((things[4].position - things[3].position).norm())
     measured = visit.page.locator("#selection .measure").inner_text()
     assert float(measured.split()[1]) == pytest.approx(distance, rel=0.01)
     assert [text for text in visit.page.evaluate(CONTRASTS) if text["ratio"] < text["needed"]] == []
-    pick(visit, viewed, "mug")
+    pick(visit, "mug")
     visit.page.get_by_role("button", name="Hide", exact=True).click()
     visit.settle()
     assert difference(visit.picture(), render(viewed, ~is_mug)) < ALIKE
-    assert pick(visit, viewed, "mug") == []  # what is hidden is not clicked
+    assert pick(visit, "mug") == []  # what is hidden is not clicked
     visit.page.get_by_role("button", name="Show 1 hidden").click()
     assert visit.state()["things"]["hidden"] == []
     visit.page.reload()

@@ -9,6 +9,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,14 +40,20 @@ def data_of(text: str, name: str) -> object:
     return json.loads(found[1])
 
 
+def page_data(page: Path) -> dict[str, Any]:
+    """What a page of one file holds."""
+    data = data_of(page.read_text(), "window.scoupData")
+    assert isinstance(data, dict)
+    return data
+
+
 def test_one_file_holds_everything(viewed: ViewedField, tmp_path: Path) -> None:
     out = tmp_path / "scene.html"
     report = export_page(viewed, out)
     text = out.read_text()
     assert report.n_bytes == out.stat().st_size
     assert report.words == len(WORDS)
-    data = data_of(text, "window.scoupData")
-    assert isinstance(data, dict)
+    data = page_data(out)
     tensors, metadata = unpacked(base64.b64decode(data["scene"]))
     assert len(base64.b64decode(data["scene"])) == report.scene_bytes
     assert metadata["n_gaussians"] == 60
@@ -99,8 +106,7 @@ def test_a_large_scene_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.M
         "part_0" not in (tmp_path / "page" / "index.html").read_text()
     )  # which loads it when the first is shown
     export_page(viewed, tmp_path / "page.html")
-    data = data_of((tmp_path / "page.html").read_text(), "window.scoupData")
-    assert isinstance(data, dict)
+    data = page_data(tmp_path / "page.html")
     scene = base64.b64decode(data["scene"])
     packed = [base64.b64decode(part) for part in data["parts"]]
     assert [gzip.decompress(part) for part in packed] == [gzip.decompress(part) for part in wanted]
@@ -145,8 +151,7 @@ def test_a_page_for_a_field_without_words(tmp_path: Path) -> None:
     field = random_field(cameras=False)
     field.info = replace(field.info, words=tmp_path / "gone.npz")
     report = export_page(ViewedField(field), tmp_path / "scene.html")
-    data = data_of((tmp_path / "scene.html").read_text(), "window.scoupData")
-    assert isinstance(data, dict)
+    data = page_data(tmp_path / "scene.html")
     assert (report.words, data["words"], data["thumbnails"]) == (0, "", [])
     metadata = unpacked(base64.b64decode(data["scene"]))[1]
     assert metadata["words_problem"] == "this page was exported without words"
@@ -161,8 +166,7 @@ def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:
     export_page(viewed, tmp_path / "scene.html")
     text = (tmp_path / "scene.html").read_text()
     assert str(tmp_path) not in text
-    data = data_of(text, "window.scoupData")
-    assert isinstance(data, dict)
+    data = page_data(tmp_path / "scene.html")
     assert unpacked(base64.b64decode(data["scene"]))[1]["embedding_model"] == "clip"
     assert viewed.settings("live")["field"] == str(tmp_path / "secret folder.scoup")
     assert viewed.settings("exported")["open"] == "scoup view 'secret folder.scoup'"
@@ -177,8 +181,7 @@ def test_settings_cannot_end_their_script() -> None:
 def test_only_some_views_of_many_have_a_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(export, "MOST_THUMBNAILS", 2)
     export_page(viewed_field(), tmp_path / "scene.html")
-    data = data_of((tmp_path / "scene.html").read_text(), "window.scoupData")
-    assert isinstance(data, dict)
+    data = page_data(tmp_path / "scene.html")
     assert [each is None for each in data["thumbnails"]] == [False, True, False]
 
 

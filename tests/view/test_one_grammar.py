@@ -51,13 +51,19 @@ PHRASES: dict[str, set[int]] = {
     "mug or laptop": {*MUGS, LAPTOP},
     "mug and not mug left of the laptop": {RIGHT},
     "(mug or pen) and not (mug behind laptop)": {LEFT, PEN},
+    "how many mugs and laptops": {*MUGS, LAPTOP},
+    "how many mugs and bowls and not mug left of the laptop": {RIGHT, BOWL},
     "Salt and pepper": {SALT},
+    "salt and pepper on the table": {SALT},
+    "the mug nearest to the Salt and Pepper": {RIGHT},
+    "how many mugs and salt and pepper": {*MUGS, SALT},
     'mug nearest to "salt and pepper"': {RIGHT},
     "mug and laptop": set(),
     "mug near the laptop": set(),
     "laptop right of the lamp": set(),
     ABSENT: set(),
     f"mug left of the {ABSENT}": set(),
+    f"(mug and laptop) and not {ABSENT}": set(),
 }  # fmt: skip
 
 
@@ -137,5 +143,8 @@ def test_answers_say_what_was_found(path: Path, said, tmp_path: Path) -> None:
         "2 x mug, laptop, bowl, salt and pepper; sure"
     )
     assert said["page"]["mug"]["remark"] is None
+    assert said["page"]["how many mugs and laptops"]["remark"].startswith("2 x mugs, laptops; sure")
+    without = said["page"][f"(mug and laptop) and not {ABSENT}"]["remark"]
+    assert without == "found mug: 2, laptop: 1, but none that is so", "what must not be there is not missed"
     absent = f"mug left of the {ABSENT}"
     assert said["page"][absent]["remark"].startswith(f"{ABSENT}: not in this scene")

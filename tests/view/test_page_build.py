@@ -192,13 +192,15 @@ def test_an_old_node_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 @pytest.fixture
 def backend(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The build backend, loaded as pip loads it; it finds no npm."""
+    """The build backend, loaded as pip loads it; it finds no npm, and its core builds a.whl."""
     pytest.importorskip("scikit_build_core")
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     module = importlib.import_module("build_backend")
     monkeypatch.delenv("SCOUP_WITHOUT_PAGE", raising=False)
     monkeypatch.setattr(module.build_viewer, "is_current", lambda: False)
     monkeypatch.setattr(module.build_viewer, "system_npm", lambda: None)
+    for name in ("build_wheel", "build_editable"):
+        monkeypatch.setattr(module.core, name, lambda *_: "a.whl")
     return module
 
 
@@ -217,14 +219,6 @@ def test_the_package_is_built_with_the_page(backend: ModuleType, monkeypatch: py
     assert not needs_node(backend)
 
 
-def test_the_page_can_be_left_out(backend: ModuleType, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("SCOUP_WITHOUT_PAGE", "1")
-    monkeypatch.setattr(backend.build_viewer, "ensure_page", lambda: pytest.fail("it was built"))
-    monkeypatch.setattr(backend.core, "build_editable", lambda *_: "a.whl")
-    assert backend.build_editable("folder") == "a.whl"
-    assert not needs_node(backend)
-
-
 def test_a_package_without_the_page_is_built(
     backend: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -232,9 +226,12 @@ def test_a_package_without_the_page_is_built(
         raise backend.build_viewer.PageError("no network")
 
     monkeypatch.setattr(backend.build_viewer, "ensure_page", refuse)
-    monkeypatch.setattr(backend.core, "build_wheel", lambda *_: "a.whl")
     assert backend.build_wheel("folder") == "a.whl"
     assert "without the page of scoup view: no network" in capsys.readouterr().err
+    monkeypatch.setenv("SCOUP_WITHOUT_PAGE", "1")  # then nobody tries
+    monkeypatch.setattr(backend.build_viewer, "ensure_page", lambda: pytest.fail("it was built"))
+    assert backend.build_editable("folder") == "a.whl"
+    assert not needs_node(backend)
 
 
 def test_packages_are_fixed_by_hashes():

@@ -18,8 +18,9 @@ from scoup.field.language_field import LanguageField
 from scoup.models.text import everyday_vocabulary
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
+from scoup.query.votes import level_thresholds
 from scoup.scene.things import NO_THING, TENSORS, ThingTable
-from scoup.view.scene_answers import VERDICT, PageAnswer, spans
+from scoup.view.scene_answers import VERDICT, PageAnswer
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
 from scoup.view.vocabulary import read_words, vocabulary_answers, words_data
@@ -210,7 +211,10 @@ def test_where_no_gaussian_has_a_code_nothing_is_infinite_in_the_record() -> Non
     record = viewed.answers(["thing 1"])[0].to_dict()
     assert (record["certainty"], record["present"], record["gaussians"]) == ("not here", False, 0)
     json.dumps(record, allow_nan=False)
-    assert spans(torch.zeros(2, 0), torch.zeros(2, 0, dtype=torch.bool)).tolist() == [[0.5, 0.5]] * 2
+    assert (
+        level_thresholds(torch.zeros(2, 0), torch.zeros(2, 0, dtype=torch.bool))[1].tolist()
+        == [[0.5, 0.5]] * 2
+    )
 
 
 def test_unknown_words_are_named(viewed: ViewedField) -> None:

@@ -16,13 +16,16 @@ from PIL import Image
 
 from cli_support import RUN, refused, run, write_scene
 from query.planted_room import CLUTTER, ROOM, planted_room
+from query.test_named import BALL, LAMP, MUG, named_room
 from scoup.archive.archive import Archive
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
+from scoup.query.question import naming_question
 from scoup.query.relations import overlaps
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
+from scoup.view.viewed_field import ViewedField
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +42,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tools(folder: Path) -> SceneTools:
     return SceneTools({"f": LanguageField.load(folder / "f.scoup")}, folder / "out", 0.5)
+
+
+@pytest.mark.parametrize("words", [None, ("lamp", "mug", "laptop")])
+def test_page_catalogue_and_agents_give_things_one_name(words: tuple[str, ...] | None) -> None:
+    field = named_room({"ball": {LAMP: 0.5}, "pen": {MUG: 0.01}, "Tiffany": {BALL: 0.6}})
+    every = naming_question(field, words or ())
+    places = [
+        {thing.number: thing.text for thing in field.catalog(every).things},
+        {row["number"]: row["name"] or "" for row in ViewedField(field, words=words).things()},
+        {
+            row["thing"]: row["text"]
+            for row in SceneTools({"f": field}, words=words).list_things("f")["things"]
+        },
+    ]
+    assert places[0] == places[1] == places[2]
+    # Votes for a word that the encoder lacks, or a list leaves out, do not count: nobody could ask for it.
+    expected = ("lamp", "mug", "") if words else ("ball", "pen", "")
+    assert tuple(places[0][number] for number in (LAMP, MUG, BALL)) == expected
 
 
 def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):

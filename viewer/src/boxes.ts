@@ -1,4 +1,4 @@
-// Boxes around the things that are selected, and the line between two of them.
+// Boxes around the things that are selected, the line between two of them, and a length that is measured.
 import * as THREE from "three";
 import type { World } from "./camera";
 import { SELECTED } from "./shader";
@@ -19,12 +19,14 @@ export class Boxes {
     this.lines.visible = false;
   }
 
-  update(things: Thing[]): void {
+  update(things: Thing[], measured: number[][]): void {
     const points = things.flatMap((thing) => {
       const corners = Array.from({ length: 8 }, (_, corner) => this.corner(thing.box, corner));
       return EDGES.flat().map((corner) => corners[corner]);
     });
-    if (things.length === 2) points.push(...things.map(({ position }) => this.place(position)));
+    for (const ends of [things.map(({ position }) => position), measured]) {
+      if (ends.length === 2) points.push(...ends.map((end) => this.place(end)));
+    }
     this.lines.visible = points.length > 0;
     this.lines.geometry.dispose();
     this.lines.geometry = new THREE.BufferGeometry().setFromPoints(points);
@@ -40,6 +42,6 @@ export class Boxes {
   }
 
   private place(point: number[]): THREE.Vector3 {
-    return this.world.toPage(new THREE.Vector3(...(point as [number, number, number])));
+    return this.world.toPage(new THREE.Vector3().fromArray(point));
   }
 }

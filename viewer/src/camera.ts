@@ -124,8 +124,7 @@ export class Eye {
     const towards = this.controls.target.clone().sub(this.camera.position).multiplyScalar(ahead * STEP);
     this.camera.position.add(shift).add(towards);
     this.controls.target.add(shift);
-    this.controls.update();
-    this.onMove();
+    this.placed();
   }
 
   /** Turn around the target by keys, in radians. */
@@ -134,13 +133,12 @@ export class Eye {
     const offset = this.camera.position.clone().sub(this.controls.target);
     offset.applyAxisAngle(this.camera.up, angle);
     this.camera.position.copy(this.controls.target).add(offset);
-    this.controls.update();
-    this.onMove();
+    this.placed();
   }
 
   /** Orbit around the depth of a point of the field from now on. */
-  lookAround(place: THREE.Vector3): void {
-    const point = this.world.toPage(place.clone());
+  lookAround(place: number[]): void {
+    const point = this.world.toPage(new THREE.Vector3().fromArray(place));
     const ahead = new THREE.Vector3();
     this.camera.getWorldDirection(ahead);
     const depth = point.sub(this.camera.position).dot(ahead);
@@ -148,8 +146,8 @@ export class Eye {
   }
 
   /** Look at a point of the field from the side of the nearest camera, and from so near that a size fills half of the picture. */
-  async lookAt(place: THREE.Vector3, size: number, cameras: CameraRecord[]): Promise<void> {
-    const point = this.world.toPage(place.clone());
+  async lookAt(place: number[], size: number, cameras: CameraRecord[]): Promise<void> {
+    const point = this.world.toPage(new THREE.Vector3().fromArray(place));
     const distance = (record: CameraRecord) => this.poseOf(record).position.distanceTo(point);
     const nearest = cameras.reduce<CameraRecord | null>((best, each) => (best && distance(best) <= distance(each) ? best : each), null);
     if (nearest) await this.flyTo(nearest, false);
@@ -157,8 +155,7 @@ export class Eye {
     const aside = this.camera.position.clone().sub(point).setLength(this.world.lengthToPage(size) / this.half);
     this.camera.position.copy(point).add(aside);
     this.controls.target.copy(point);
-    this.controls.update();
-    this.onMove();
+    this.placed();
   }
 
   /** The ray of a pixel of a picture of a size, in the world of the field. */
@@ -190,6 +187,11 @@ export class Eye {
       position: this.world.toPage(new THREE.Vector3().setFromMatrixPosition(pose)),
       quaternion: new THREE.Quaternion().setFromRotationMatrix(pose),
     };
+  }
+
+  private placed(): void {
+    this.controls.update();
+    this.onMove();
   }
 
   private land(): void {

@@ -1,30 +1,20 @@
 // The list of cameras that the field was built from.
 import type { Source } from "./answers";
-import { byId, element } from "./dom";
+import { button, byId, element } from "./dom";
 import type { CameraRecord } from "./scene_data";
 
-export class CameraList {
-  private readonly buttons: HTMLButtonElement[];
+export function listCameras(cameras: CameraRecord[], source: Source, onPick: (camera: CameraRecord) => void): void {
+  const rows = cameras.map((camera, number) => {
+    const row = button(camera.name, () => onPick(camera), { "data-name": camera.name });
+    const picture = source.thumbnail(number);
+    if (picture) row.prepend(element("img", { alt: "", loading: "lazy", src: picture }));
+    return element("li", {}, row);
+  });
+  byId("camera-list").replaceChildren(...rows);
+  byId("cameras").hidden = !cameras.length;
+}
 
-  constructor(cameras: CameraRecord[], source: Source, onPick: (camera: CameraRecord) => void) {
-    this.buttons = cameras.map((camera, number) => {
-      const button = element("button", { type: "button" });
-      const picture = source.thumbnail(number);
-      if (picture) button.append(element("img", { alt: "", loading: "lazy", src: picture }));
-      button.append(camera.name);
-      button.addEventListener("click", () => onPick(camera));
-      button.dataset.name = camera.name;
-      return button;
-    });
-    byId("camera-list").replaceChildren(...this.buttons.map((button) => element("li", {}, button)));
-    byId("cameras").hidden = !cameras.length;
-  }
-
-  /** Mark the camera that is looked through. */
-  mark(name: string | null): void {
-    for (const button of this.buttons) {
-      if (button.dataset.name === name) button.setAttribute("aria-current", "true");
-      else button.removeAttribute("aria-current");
-    }
-  }
+/** Mark the camera that is looked through. */
+export function markCamera(name: string | null): void {
+  for (const row of byId("camera-list").querySelectorAll("button")) row.ariaCurrent = row.dataset.name === name ? "true" : null;
 }

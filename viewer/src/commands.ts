@@ -36,10 +36,11 @@ export function commandLine(settings: Settings, state: State, levels: string[], 
     groups.set(level, [...(groups.get(level) ?? []), query.answer.text]);
   }
   const always = isCertain(state);
+  const metres = state.metresPerUnit === null ? "" : ` --metres-per-unit ${state.metresPerUnit}`;
   const lines: string[] = [];
   for (const [level, texts] of groups) {
     const words = texts.map((text) => quoted(asked(text, settings))).join(" ");
-    let options = table;
+    let options = table + metres;
     if (state.threshold !== null) options += ` --threshold ${rounded(state.threshold)}`;
     if (level !== null) options += ` --level ${quoted(levels[level])}`;
     if (always) options += " --always";

@@ -18,6 +18,12 @@ export function element<Name extends keyof HTMLElementTagNameMap>(
   return made;
 }
 
+export function button(text: string, onClick: () => void, attributes: Record<string, string> = {}): HTMLButtonElement {
+  const made = element("button", { type: "button", ...attributes }, text);
+  made.addEventListener("click", onClick);
+  return made;
+}
+
 /** Hand a file to the visitor. */
 export function save(blob: Blob, name: string): void {
   const address = URL.createObjectURL(blob);

@@ -16,15 +16,11 @@ const HELP: [string, string][] = [
   ["W A S D, Q E", "move; down and up"],
   ["arrows", "turn; closer, farther"],
   ["X", "exact picture, on and off"],
+  ["M", "measure a length between two points"],
   ["Esc", "close what is open"],
 ];
 
-export interface KeyActions {
-  toggleExact: () => void;
-  escape: () => void;
-}
-
-export function listenToKeys(state: State, eye: Eye, actions: KeyActions): void {
+export function listenToKeys(state: State, eye: Eye, actions: Record<"toggleExact" | "measure" | "escape", () => void>): void {
   byId("help-keys").replaceChildren(
     ...HELP.flatMap(([key, meaning]) => [element("dt", {}, key), element("dd", {}, meaning)]),
   );
@@ -44,6 +40,7 @@ export function listenToKeys(state: State, eye: Eye, actions: KeyActions): void 
     "/": () => byId("text").focus(),
     "?": () => help.showModal(),
     x: actions.toggleExact,
+    m: actions.measure,
     Escape: actions.escape,
   };
   window.addEventListener("keydown", (event) => {

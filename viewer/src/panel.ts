@@ -1,5 +1,5 @@
 // The panel beside the picture: texts, modes, levels, sliders.
-import { byId, counted, element } from "./dom";
+import { button, byId, counted, element } from "./dom";
 import type { Metadata } from "./scene_data";
 import { HEAT, type Color, type Mode } from "./shader";
 import type { Query, State } from "./state";
@@ -15,6 +15,7 @@ export const MODE_NAMES: readonly [Mode, string][] = [
 const LEVEL_WORDS: Record<string, string> = { s: "fine", m: "medium", l: "coarse" };
 const HEAT_STOPS = HEAT.map((color) => `rgb(${color.join(",")})`).join(",");
 const SCORE_TITLE = "the share of everyday words that fit this scene less well than the text";
+const TICKS = ["absent", "clean"] as const;
 /** Modes that only the page can show, not the server. */
 const PAGE_ONLY: readonly Mode[] = ["only", "except", "confidence"];
 
@@ -34,8 +35,6 @@ export class Panel {
   private readonly threshold = byId<HTMLInputElement>("threshold");
   private readonly automatic = byId<HTMLInputElement>("threshold-auto");
   private readonly opacity = byId<HTMLInputElement>("opacity");
-  private readonly absent = byId<HTMLInputElement>("absent");
-  private readonly clean = byId<HTMLInputElement>("clean");
 
   constructor(
     private readonly state: State,
@@ -58,8 +57,7 @@ export class Panel {
     this.automatic.addEventListener("change", () =>
       state.set({ threshold: this.automatic.checked ? null : Number(this.threshold.value) }));
     this.opacity.addEventListener("input", () => state.set({ opacity: Number(this.opacity.value) }));
-    this.absent.addEventListener("change", () => state.set({ absent: this.absent.checked }));
-    this.clean.addEventListener("change", () => state.set({ clean: this.clean.checked }));
+    for (const name of TICKS) byId(name).addEventListener("change", () => state.set({ [name]: byId<HTMLInputElement>(name).checked }));
   }
 
   update(): void {
@@ -74,8 +72,7 @@ export class Panel {
     byId("threshold-value").textContent = state.threshold === null ? values.join(", ") : state.threshold.toFixed(2);
     this.opacity.value = String(state.opacity);
     byId("opacity-value").textContent = state.opacity.toFixed(2);
-    this.absent.checked = state.absent;
-    this.clean.checked = state.clean;
+    for (const name of TICKS) byId<HTMLInputElement>(name).checked = state[name];
     this.updateQueries();
     this.updateLegend();
   }
@@ -127,18 +124,16 @@ export class Panel {
 
   private row(query: Query): Row {
     const { text } = query.answer;
-    const hide = element("button", { type: "button" });
-    hide.addEventListener("click", () => {
+    const hide = button("", () => {
       query.hidden = !query.hidden;
       this.state.onChange();
     });
-    const remove = element("button", { type: "button", "aria-label": `Remove ${text}` }, "✕");
-    remove.addEventListener("click", () => {
+    const remove = button("✕", () => {
       const next = all.nextElementSibling ?? all.previousElementSibling;
       this.state.remove(query);
       // Not to the text box, which would open the keyboard of a telephone.
       (next?.querySelector<HTMLElement>("button:last-of-type") ?? byId("canvas")).focus();
-    });
+    }, { "aria-label": `Remove ${text}` });
     const facts = element("span", { class: "facts" });
     const swatch = element("span", { class: "swatch" });
     const all = element("li", {}, swatch, element("span", { class: "text" }, text), hide, remove, facts);

@@ -12,12 +12,6 @@ export const MOST_ALPHA = 0.99;
 const LEAST_LIGHT = 1e-4;
 const WORDS_SHOWN = 5;
 
-interface Hit {
-  gaussian: number;
-  distance: number;
-  alpha: number;
-}
-
 export interface Painted {
   gaussian: number;
   distance: number;
@@ -32,7 +26,7 @@ export interface Painted {
  */
 export function hits(scene: Scene, { origin, direction }: THREE.Ray, pixel: number, skips = (_: number) => false): Painted[] {
   const { balls } = scene;
-  const found: Hit[] = [];
+  const found: (Omit<Painted, "weight"> & { alpha: number })[] = [];
   const mean = new THREE.Vector3();
   const turn = new THREE.Quaternion();
   const from = new THREE.Vector3();

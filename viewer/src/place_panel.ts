@@ -1,13 +1,13 @@
 // What is said of a point that was clicked.
 import type { Place } from "./answers";
-import { byId, copy, element } from "./dom";
+import { button, byId, copy, element } from "./dom";
 import { levelFact, showFacts } from "./panel";
+import type { State } from "./state";
 
-export function showPlace(place: Place): void {
+export function showPlace(place: Place, state: State): void {
   const panel = byId("place");
   panel.hidden = false;
-  const close = element("button", { type: "button", "aria-label": "Close" }, "✕");
-  close.addEventListener("click", hidePlace);
+  const close = button("✕", hidePlace, { "aria-label": "Close" });
   const heading = element("div", { class: "row" }, element("h2", { style: "flex:1" }, "Here is"), close);
   if (place.position === null) {
     panel.replaceChildren(heading, "nothing: no Gaussian contributes to this point.");
@@ -25,11 +25,8 @@ export function showPlace(place: Place): void {
     list.append(title, said);
   }
   const position = place.position.map((part) => part.toPrecision(5)).join(", ");
-  const button = element("button", { type: "button" }, "Copy position");
-  button.addEventListener("click", () => void copy(`[${position}]`));
-  const distance = place.distance?.toPrecision(4) ?? "?";
-  list.append(element("dt", {}, "position, distance"), element("dd", {}, `(${position}), ${distance} away`));
-  panel.replaceChildren(heading, list, button);
+  list.append(element("dt", {}, "position, distance"), element("dd", {}, `(${position}), ${state.lengths(place.distance!)} away`));
+  panel.replaceChildren(heading, list, button("Copy position", () => void copy(`[${position}]`)));
   panel.scrollIntoView({ block: "nearest" });
 }
 

@@ -71,15 +71,7 @@ export class Scene {
   readonly phrases: number;
   private readonly tensors: Map<string, Tensor>;
   // Looked up once: these are read millions of times.
-  private readonly means: TensorData;
-  private readonly scales: TensorData;
-  private readonly quats: TensorData;
-  private readonly colors: TensorData;
-  private readonly opacities: TensorData;
-  private readonly indices: TensorData;
-  private readonly weights: TensorData;
-  private readonly sureness: TensorData;
-  private readonly owners: TensorData | null;
+  private readonly numbers: Record<string, TensorData>;
   private readonly pieceOf: Uint16Array;
   private knownBalls: Float32Array | null = null;
 
@@ -88,16 +80,8 @@ export class Scene {
     this.metadata = packed.metadata as Metadata & Ranges;
     if (this.metadata.version !== 1) throw new Error(`this page cannot read version ${this.metadata.version} of its scene`);
     this.tensors = packed.tensors;
-    this.means = this.tensor("means").data;
-    this.scales = this.tensor("scales").data;
-    this.quats = this.tensor("quats").data;
-    this.colors = this.tensor("colors").data;
-    this.opacities = this.tensor("opacities").data;
-    this.indices = this.tensor("code_indices").data;
-    this.weights = this.tensor("code_weights").data;
-    this.sureness = this.tensor("confidence").data;
-    this.owners = this.tensors.get("owners")?.data ?? null;
-    this.count = this.opacities.length;
+    this.numbers = Object.fromEntries([...this.tensors].map(([name, { data }]) => [name, data]));
+    this.count = this.numbers.opacities.length;
     const [levels, k] = this.tensor("code_indices").shape;
     [this.levels, this.k, this.atoms] = [levels, k, this.metadata.n_atoms];
     this.phrases = this.tensors.get("canonical")?.shape[1] ?? 0;
@@ -169,7 +153,7 @@ export class Scene {
   }
 
   private coordinate(i: number, axis: number): number {
-    const { means, count } = this;
+    const { count, numbers: { means } } = this;
     const value = means[axis * count + i] * 65536 + means[(3 + axis) * count + i] * 256 + means[(6 + axis) * count + i];
     const { means_low: low, means_high: high } = this.ranges(i);
     return low[axis] + (value / 16777215) * (high[axis] - low[axis]);
@@ -178,40 +162,41 @@ export class Scene {
   /** Standard deviation along an axis of a Gaussian's own frame. */
   scale(i: number, axis: number): number {
     const { scales_low: low, scales_high: high } = this.ranges(i);
-    return Math.exp(low + (this.scales[axis * this.count + i] / 255) * (high - low));
+    return Math.exp(low + (this.numbers.scales[axis * this.count + i] / 255) * (high - low));
   }
 
   /** Rotation w, x, y, z of norm 1. */
   quat(i: number): [number, number, number, number] {
-    const { quats, count } = this;
+    const { count, numbers: { quats } } = this;
     const [w, x, y, z] = [quats[i], quats[count + i], quats[2 * count + i], quats[3 * count + i]];
     const norm = Math.sqrt(w * w + x * x + y * y + z * z) || 1;
     return [w / norm, x / norm, y / norm, z / norm];
   }
 
   opacity(i: number): number {
-    return this.opacities[i] / 255;
+    return this.numbers.opacities[i] / 255;
   }
 
   color(i: number, channel: number): number {
-    return this.colors[channel * this.count + i] / 255;
+    return this.numbers.colors[channel * this.count + i] / 255;
   }
 
   atom(i: number, level: number, k: number): number {
-    return this.indices[(level * this.k + k) * this.count + i];
+    return this.numbers.code_indices[(level * this.k + k) * this.count + i];
   }
 
   weight(i: number, level: number, k: number): number {
-    return (this.weights[(level * this.k + k) * this.count + i] / 65535) * this.ranges(i).weights_scale;
+    return (this.numbers.code_weights[(level * this.k + k) * this.count + i] / 65535) * this.ranges(i).weights_scale;
   }
 
   confidence(i: number, level: number): number {
-    return this.sureness[level * this.count + i] / 255;
+    return this.numbers.confidence[level * this.count + i] / 255;
   }
 
   /** Number of the thing that a Gaussian belongs to at a level, or `NO_OWNER`. */
   owner(i: number, level: number): number {
-    return this.owners ? this.owners[level * this.count + i] : NO_OWNER;
+    const { owners } = this.numbers;
+    return owners ? owners[level * this.count + i] : NO_OWNER;
   }
 }
 

@@ -146,7 +146,6 @@ export class Splat {
   /** Show other queries, or the same in another way. */
   update(shown: ShownQuery[], look: Look): void {
     const { levels, atoms } = this.scene;
-    const scores = this.scores.image.data as unknown as Float32Array;
     const queries = this.queries.image.data as unknown as Float32Array;
     const things = this.things.image.data as unknown as Uint32Array;
     things.fill(0);
@@ -159,10 +158,7 @@ export class Splat {
       for (const thing of query.things ?? []) things[thing] |= 1 << q;
       for (const thing of query.without) things[thing] |= 1 << (16 + q);
       for (let level = 0; level < levels; level++) {
-        const row = (level * MOST_QUERIES) / 4 + (q >> 2);
-        for (let atom = 0; atom < atoms; atom++) {
-          scores[4 * (row * atoms + atom) + (q & 3)] = query.scores[level * atoms + atom];
-        }
+        write(this.scores, (level * MOST_QUERIES) / 4 + (q >> 2), q & 3, query.scores.subarray(level * atoms, (level + 1) * atoms));
       }
     }
     for (const thing of look.selected) things[thing] |= MARKS.selected;
@@ -224,6 +220,12 @@ function floats(width: number, height: number): THREE.DataTexture {
   return texture;
 }
 
+/** Write a row of one of the four channels. */
+function write(texture: THREE.DataTexture, row: number, channel: number, numbers: ArrayLike<number>): void {
+  const { data, width } = texture.image as unknown as { data: Float32Array; width: number };
+  for (let i = 0; i < numbers.length; i++) data[4 * (row * width + i) + channel] = numbers[i];
+}
+
 function texturesOf(scene: Scene): Textures {
   return { ...codeTextures(scene), owners: ownerTexture(scene), confidence: confidenceTexture(scene) };
 }
@@ -271,15 +273,10 @@ function canonicalTexture(scene: Scene): THREE.DataTexture {
   const { levels, atoms, phrases } = scene;
   const groups = Math.max(1, Math.ceil(phrases / 4));
   const texture = floats(atoms, levels * groups);
-  const out = texture.image.data as unknown as Float32Array;
-  const scores = phrases ? scene.tensor("canonical").data : [];
-  for (let level = 0; level < levels; level++) {
-    for (let phrase = 0; phrase < phrases; phrase++) {
-      const row = level * groups + (phrase >> 2);
-      for (let atom = 0; atom < atoms; atom++) {
-        out[4 * (row * atoms + atom) + (phrase & 3)] = scores[(level * phrases + phrase) * atoms + atom];
-      }
-    }
+  for (let line = 0; line < levels * phrases; line++) {
+    const [level, phrase] = [Math.floor(line / phrases), line % phrases];
+    const scores = scene.tensor("canonical").data.subarray(line * atoms, (line + 1) * atoms);
+    write(texture, level * groups + (phrase >> 2), phrase & 3, scores);
   }
   return texture;
 }
@@ -317,16 +314,10 @@ function confidenceTexture(scene: Scene): THREE.DataTexture {
 function codeColorTexture(scene: Scene): THREE.DataTexture {
   const { levels, atoms } = scene;
   const texture = floats(atoms + 1, levels);
-  const out = texture.image.data as unknown as Float32Array;
-  const colors = scene.tensor("code_colors").data;
   const offsets = scene.tensor("code_color_offsets").data;
-  for (let level = 0; level < levels; level++) {
-    for (let channel = 0; channel < 3; channel++) {
-      for (let atom = 0; atom < atoms; atom++) {
-        out[4 * (level * (atoms + 1) + atom) + channel] = colors[(level * 3 + channel) * atoms + atom];
-      }
-      out[4 * (level * (atoms + 1) + atoms) + channel] = offsets[level * 3 + channel];
-    }
+  for (let line = 0; line < levels * 3; line++) {
+    const colors = scene.tensor("code_colors").data.subarray(line * atoms, (line + 1) * atoms);
+    write(texture, Math.floor(line / 3), line % 3, [...colors, offsets[line]]);
   }
   return texture;
 }

@@ -100,9 +100,9 @@ export class SplatStage implements Stage {
   }
 
   update(): void {
-    const { things } = this.state;
+    const { things, measured } = this.state;
     for (const splat of [this.splat, this.coarse]) splat?.update(this.state.shown(), this.state.look());
-    this.boxes.update(things ? things.selected.map((number) => things.of(number)) : []);
+    this.boxes.update(things ? things.selected.map((number) => things.of(number)) : [], measured ?? []);
     this.stale = true;
     this.soon();
   }

@@ -29,6 +29,10 @@ export class State {
   absent = false;
   /** Whether haze and needles are left out of the selection alone. */
   clean = false;
+  /** Ends of a length that is measured, none to two; null where no click measures. */
+  measured: number[][] | null = null;
+  /** Length of the scene's unit; null as long as it is not known. */
+  metresPerUnit: number | null = null;
   onChange: () => void = () => {};
   /** Null where the field has none, and in pages that get no Gaussians. */
   things: Things | null = null;
@@ -64,9 +68,15 @@ export class State {
     this.onChange();
   }
 
-  set(change: Partial<Pick<State, "chosenMode" | "level" | "threshold" | "opacity" | "absent" | "clean">>): void {
+  set(change: Partial<Pick<State, "chosenMode" | "level" | "threshold" | "opacity" | "absent" | "clean" | "measured" | "metresPerUnit">>): void {
     Object.assign(this, change);
     this.onChange();
+  }
+
+  /** Lengths of the scene in words. */
+  lengths(...values: number[]): string {
+    const text = values.map((value) => (value * (this.metresPerUnit ?? 1)).toLocaleString("en", { maximumSignificantDigits: 3 })).join(" × ");
+    return `${text} ${this.metresPerUnit === null ? "units" : "m"}`;
   }
 
   /** The level of the things that a click selects. */

@@ -1,18 +1,14 @@
 // The things in the panel: a card of what is selected, and the list that typing filters.
-import { byId, counted, element } from "./dom";
+import { button, byId, counted, element } from "./dom";
 import { levelFact, showFacts } from "./panel";
 import type { Thing } from "./scene_data";
+import type { State } from "./state";
 import type { Things } from "./things";
 
 /** Rows of the list at most; typing finds the others. */
 const MOST_ROWS = 200;
 
-export interface ThingActions {
-  save: () => void;
-  /** Say what is at the point that was clicked. */
-  place: () => void;
-}
-
+/** `place` says what is at the point that was clicked. */
 export class ThingPanel {
   private readonly filter = byId<HTMLInputElement>("thing-filter");
   private carded = "";
@@ -20,8 +16,9 @@ export class ThingPanel {
 
   constructor(
     private readonly things: Things,
+    private readonly state: State,
     private readonly levels: string[],
-    private readonly actions: ThingActions,
+    private readonly actions: Record<"save" | "place", () => void>,
   ) {
     byId("tab-things").hidden = false;
     this.filter.addEventListener("input", () => this.update());
@@ -32,7 +29,7 @@ export class ThingPanel {
   update(): void {
     const { things } = this;
     // A card that is as it was keeps its elements, so that its name can be typed.
-    const card = things.selected.join();
+    const card = JSON.stringify([things.selected, this.state.metresPerUnit]);
     if (card !== this.carded) this.showCard();
     this.carded = card;
     const list = JSON.stringify([this.filter.value, things.selected, [...things.hidden], things.revision]);
@@ -52,7 +49,7 @@ export class ThingPanel {
       button("Clear", () => things.select([])),
     ];
     const distance = things.distance();
-    const measured = distance === null ? [] : [element("p", { class: "measure" }, `Distance ${length(distance)} between their centres`)];
+    const measured = distance === null ? [] : [element("p", { class: "measure" }, `Distance ${this.state.lengths(distance)} between their centres`)];
     card.replaceChildren(...rows, ...measured, element("div", { class: "row wrap" }, ...buttons));
   }
 
@@ -67,7 +64,7 @@ export class ThingPanel {
     name.addEventListener("keydown", (event) => {
       if (event.key === "Enter") name.blur();
     });
-    const size = thing.box.extent.map(length).join(" × ");
+    const size = this.state.lengths(...thing.box.extent);
     const facts = element("span", { class: "facts" });
     const regions = `Merged from ${counted(thing.views, "region")}`;
     showFacts(facts, [levelFact(this.levels[thing.level]), [counted(thing.gaussians, "Gaussian"), regions], [`size ${size}`, ""]]);
@@ -87,7 +84,7 @@ export class ThingPanel {
 
   private row(thing: Thing): HTMLElement {
     const { things } = this;
-    const facts = `${levelFact(this.levels[thing.level])[0]}, ${thing.gaussians.toLocaleString("en")}`;
+    const facts = `${levelFact(this.levels[thing.level])[0]}, ${counted(thing.gaussians, "Gaussian")}`;
     const row = element("button", { type: "button", "data-thing": String(thing.number) },
       element("span", { class: "text" }, things.nameOf(thing.number)), element("span", { class: "facts" }, facts));
     row.setAttribute("aria-pressed", String(things.selected.includes(thing.number)));
@@ -100,14 +97,4 @@ export class ThingPanel {
     row.addEventListener("pointerleave", () => things.hover(null));
     return row;
   }
-}
-
-function button(text: string, onClick: () => void): HTMLButtonElement {
-  const made = element("button", { type: "button" }, text);
-  made.addEventListener("click", onClick);
-  return made;
-}
-
-function length(value: number): string {
-  return value.toPrecision(3);
 }

@@ -3,12 +3,6 @@ import { announce } from "./dom";
 import type { Painted } from "./picking";
 import { NO_OWNER, type Scene, type Thing } from "./scene_data";
 
-/** What a click does beside selecting what is under the pointer. */
-export interface Click {
-  adds: boolean;
-  part: boolean;
-}
-
 /** A thing counts as under the pointer if it contributes this share of the ray. */
 const LEAST_SHARE = 0.2;
 
@@ -90,7 +84,7 @@ export class Things {
   }
 
   /** Select what a click on a thing means: the thing; its group where it is selected already; its part under the pointer. */
-  click(scene: Scene, painted: Painted[], level: number, { adds, part }: Click): void {
+  click(scene: Scene, painted: Painted[], level: number, { adds, part }: { adds: boolean; part: boolean }): void {
     const under = this.under(scene, painted, level);
     if (under === null) {
       if (!adds) this.select([]);
@@ -129,8 +123,7 @@ export class Things {
   /** Distance of the centres of the two things that are selected. */
   distance(): number | null {
     if (this.selected.length !== 2) return null;
-    const [a, b] = this.selected.map((number) => this.of(number).position);
-    return Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+    return lengthOf(this.selected.map((number) => this.of(number).position));
   }
 
   /** A thing, its group, the group of that. */
@@ -168,4 +161,9 @@ function storedNames(session: string): [number, string][] {
   } catch {
     return [];
   }
+}
+
+/** The distance of two points. */
+export function lengthOf([from, to]: number[][]): number {
+  return Math.hypot(...from.map((part, axis) => part - to[axis]));
 }

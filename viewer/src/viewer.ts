@@ -1,9 +1,8 @@
 // The page as a whole: joins picture, panel and answers.
-import * as THREE from "three";
 import type { Place, Settings, Source } from "./answers";
 import { mayAnimate } from "./appearance";
 import { Eye } from "./camera";
-import { CameraList } from "./cameras";
+import { listCameras, markCamera } from "./cameras";
 import { commandLine, python } from "./commands";
 import { completeFrom } from "./completion";
 import { announce, byId, copy, counted, save } from "./dom";
@@ -18,6 +17,7 @@ import { hidePlace, showPlace } from "./place_panel";
 import { owned, plyOf, selected } from "./ply";
 import { Scene, type CameraRecord, type Metadata } from "./scene_data";
 import { SelectionOutline } from "./selection_outline";
+import { Ruler } from "./ruler";
 import type { LiveServer } from "./server";
 import { RemoteStage, SplatStage, type Stage } from "./stage";
 import { State } from "./state";
@@ -36,7 +36,7 @@ export class Viewer {
   readonly eye: Eye;
   readonly stage: Stage;
   private readonly panel: Panel;
-  private readonly cameras: CameraList;
+  private readonly ruler: Ruler;
   private readonly exact: ExactPicture | null;
   private readonly canvas = byId<HTMLCanvasElement>("canvas");
   private clicks = 0;
@@ -68,7 +68,8 @@ export class Viewer {
       : null;
     this.outlines = scene ? new SelectionOutline(() => this.scene!, () => this.stage.drawn(), this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
-    this.cameras = new CameraList(metadata.cameras, source, (camera) => void this.flyTo(camera));
+    this.ruler = new Ruler(this.state);
+    listCameras(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
     this.eye.onMove = () => this.moved();
     this.panel.update();
@@ -175,7 +176,7 @@ export class Viewer {
         place: () => void (this.clicked && this.point(...this.clicked)),
       };
       this.state.things = things;
-      this.thingPanel = new ThingPanel(things, this.metadata.levels, actions);
+      this.thingPanel = new ThingPanel(things, this.state, this.metadata.levels, actions);
       const under = (x: number, y: number) => things.under(this.scene!, this.along(x, y), this.state.clickLevel);
       this.hovering = new Hovering(() => this.scene!, this.eye, things, under);
       things.onChange = () => this.changed();
@@ -192,19 +193,19 @@ export class Viewer {
     if (!linked) return;
     showTab("things");
     things.select([linked.number]);
-    const [x, y, z] = linked.position;
-    await this.eye.lookAt(new THREE.Vector3(x, y, z), Math.max(...linked.box.extent), this.metadata.cameras);
+    await this.eye.lookAt(linked.position, Math.max(...linked.box.extent), this.metadata.cameras);
   }
 
-  /** Select the thing at a point of the picture; without things, say what is there. */
+  /** Select the thing at a point of the picture; without things, say what is there. Or measure. */
   click(x: number, y: number, event: { shiftKey: boolean; altKey: boolean }): void {
-    const { things } = this.state;
+    const { things, measured } = this.state;
+    if (measured) return void this.measure(x, y);
     if (!things) return void this.point(x, y);
     this.clicked = [x, y];
     hidePlace();
     things.click(this.scene!, this.along(x, y), this.state.clickLevel, { adds: event.shiftKey, part: event.altKey });
     const last = things.selected.at(-1);
-    if (last !== undefined) this.eye.lookAround(new THREE.Vector3(...(things.of(last).position as [number, number, number])));
+    if (last !== undefined) this.eye.lookAround(things.of(last).position);
   }
 
   /** The Gaussians that are seen at a point, without those that are hidden. */
@@ -215,8 +216,24 @@ export class Viewer {
     return hits(this.scene!, ray, pixel, (gaussian) => this.state.things!.hides(this.scene!, gaussian));
   }
 
-  /** What is at a point of the picture, in its own pixels. */
+  /** Say what is at a point of the picture, in its own pixels. */
   async point(x: number, y: number): Promise<void> {
+    const place = await this.marked(x, y);
+    if (!place) return;
+    showTab("answers");
+    showPlace(place, this.state);
+    if (place.position) this.eye.lookAround(place.position);
+  }
+
+  private async measure(x: number, y: number): Promise<void> {
+    const place = await this.marked(x, y);
+    if (place?.position) this.ruler.add(place.position);
+    else if (place) this.say("Nothing is at this point: click on something.");
+  }
+
+  /** Mark a point and find what is there; null if that fails, or if another point is clicked meanwhile. */
+  private async marked(x: number, y: number): Promise<Place | null> {
+    this.say("");
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const marker = byId("marker");
     // In units of the height, with which the picture grows and shrinks: what is said of the place may take room from it.
@@ -226,12 +243,10 @@ export class Viewer {
     const number = ++this.clicks;
     try {
       const place = await this.placeAt(x, y, width, height);
-      if (number !== this.clicks) return; // another point was clicked meanwhile
-      showTab("answers");
-      showPlace(place);
-      if (place.position) this.eye.lookAround(new THREE.Vector3(...(place.position as [number, number, number])));
+      return number === this.clicks ? place : null;
     } catch (error) {
       this.say((error as Error).message);
+      return null;
     }
   }
 
@@ -254,6 +269,7 @@ export class Viewer {
 
   private changed(): void {
     this.panel.update();
+    this.ruler.update();
     this.thingPanel?.update();
     this.stage.update();
     this.outlines?.changed();
@@ -263,7 +279,7 @@ export class Viewer {
   private moved(): void {
     byId("marker").hidden = true;
     this.clicked = null;
-    this.cameras.mark(this.eye.at?.name ?? null);
+    markCamera(this.eye.at?.name ?? null);
     this.reframed();
   }
 
@@ -309,9 +325,11 @@ export class Viewer {
     });
     listenToKeys(this.state, this.eye, {
       toggleExact: () => this.toggleExact(),
+      measure: () => this.ruler.toggle(),
       escape: () => {
         hidePlace();
-        this.state.things?.select([]);
+        if (this.state.measured) this.ruler.toggle();
+        else this.state.things?.select([]);
       },
     });
     this.server?.watch((state) => {
@@ -414,7 +432,8 @@ export class Viewer {
     completeFrom(names);
     if (closed) box.title = `one of ${names.length.toLocaleString("en")} words`;
     await listing;
-    const seen = [...(this.state.things?.all ?? [])].sort((a, b) => b.gaussians - a.gaussians).map(({ name }) => name);
+    const objects = (this.state.things?.all ?? []).filter(({ level }) => level === this.state.clickLevel);
+    const seen = objects.sort((a, b) => b.gaussians - a.gaussians).map(({ name }) => name);
     box.placeholder = [...new Set([...seen.filter((name) => name && names.includes(name)), ...names])].slice(0, 2).join(", ");
   }
 }

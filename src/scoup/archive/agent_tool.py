@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import Any
 
@@ -20,23 +23,43 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
     one_at_a_time = Lock()  # the server calls tools in several threads
 
     def find_in_archive(
-        text: str, where: str | None = None, at_least: int | None = None, limit: int = 20
+        text: str = "",
+        where: str | None = None,
+        at_least: int | None = None,
+        limit: int = 20,
+        image: str | None = None,
     ) -> dict[str, Any]:
         """Find things in many scans at once, the best first: the scan, place, box and score of each.
 
         `text` is a name ("fire extinguisher") or a phrase, as for `find`. `where` is a condition in SQL over the
         columns of the scans and things ("floor = 2 and gaussians > 100"). `at_least` keeps scans with so many
-        instances. Positions are in the units of each scan.
+        instances. Positions are in the units of each scan. In place of `text`, `image` is a picture of one object: a
+        JPEG or PNG of up to 45 kB in base64. The score is then the cosine with it.
         """
-        if not text.strip() or len(text) > LONGEST or not 1 <= limit <= MOST_FOUND:
+        asked = image is not None or text.strip()
+        if not asked or len(text) > LONGEST or not 1 <= limit <= MOST_FOUND:
             raise InputError(
-                f"expected a text of 1 to {LONGEST} characters, and a limit of 1 to {MOST_FOUND}"
+                f"expected an image or a text of 1 to {LONGEST} characters, and a limit of 1 to {MOST_FOUND}"
             )
-        with one_at_a_time:
-            found = archive.find(text, where, limit, at_least)
+        if image is not None and (text.strip() or at_least is not None):
+            raise InputError("`text` and `at_least` are for calls without `image`")
+        with one_at_a_time, TemporaryDirectory() as folder:
+            if image is None:
+                found = archive.find(text, where, limit, at_least)
+            else:
+                path = Path(folder, "image")
+                path.write_bytes(_decoded(image))
+                found = archive.find_image(path, where, limit)
         records = [each.to_dict() for each in found]
         for record in records:
             del record["field"]  # a path of this machine
         return {"count": len(found), "things": records}
 
     return find_in_archive
+
+
+def _decoded(image: str) -> bytes:
+    try:
+        return base64.b64decode(image, validate=True)
+    except ValueError as error:
+        raise InputError(f"`image` is not base64 ({error})") from error

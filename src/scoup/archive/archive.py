@@ -9,15 +9,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.archive.kept_scans import KeptScans
-from scoup.archive.read_scans import read_records
+from scoup.archive.kept_scans import KeptScans, file_of, scan_names
 from scoup.archive.scan_files import (
     PLACE,
     OwnColumns,
@@ -49,7 +49,9 @@ from scoup.query.boxes import OrientedBox
 from scoup.query.matching import compare_things
 from scoup.query.question import encode_texts, warn_of_another_model
 from scoup.query.things import things_of_table
-from scoup.scene.names import NameTable
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
 ENCODED = 16  # lists of names whose vectors are in memory
@@ -140,8 +142,10 @@ class Archive:
         self._encoder: Encoder | None = encoder
         self._embedder: Any = None
         self._cached: Any = (None, None)
-        self._connection = connect(self.folder)
-        self._kept = KeptScans(self._connection, self._records)
+        self._connection: DuckDBPyConnection | None = None
+        if find_spec("duckdb") is None:
+            connect()  # says what to install
+        self._kept = KeptScans(self.folder, self._cursor, self._check_records)
         self._about()
 
     def scans(self) -> dict[str, ScanRecord]:
@@ -150,7 +154,7 @@ class Archive:
         Raises:
             FileFormatError: a file is damaged; the error names it.
         """
-        return {record.name: record for record in self._records(self._files())}
+        return {record.name: record for record in self._kept.records(scan_names(self.folder))}
 
     def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
         """Add a field as the scan that has the name of its file; the scan of that name is replaced.
@@ -173,12 +177,13 @@ class Archive:
             raise InputError(
                 f"{path}: a scan is named by letters, digits, spaces, _ . + and -; rename the field"
             )
-        file = self.folder / f"{name}.parquet"
+        file = file_of(self.folder, name)
         about = self._check_model(field)
-        if file.exists() and (old := self._records([file])[0].field_path) != path and old.exists():
+        if file.exists() and (old := self._kept.records([name])[0].field_path) != path and old.exists():
             raise InputError(f"{path}: the scan {name} of this archive is of {old}; rename one of the fields")
+        place = relative_place(file.resolve(), path) or ""
         sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
-        record = ScanRecord(name, file, path, field.embedding_model, *sizes, "", torch.zeros(0))
+        record = ScanRecord(name, file, place, field.embedding_model, *sizes, "", torch.zeros(0))
         scan = self._scan_of(field, record)
         if not self._about():
             with suppress(OutputExistsError):  # another process has added its first scan
@@ -192,7 +197,7 @@ class Archive:
         Raises:
             UnknownNameError: there is no such scan.
         """
-        file = looked_up("scan", name, {file.stem: file for file in self._files()})
+        file = looked_up("scan", name, {each: file_of(self.folder, each) for each in scan_names(self.folder)})
         with locked(file, WAIT):
             file.unlink(missing_ok=True)
 
@@ -282,8 +287,11 @@ class Archive:
         self._encoder = opened
         return opened
 
-    def _files(self) -> list[Path]:
-        return sorted(self.folder.glob("[!.]*.parquet"), key=lambda file: file.name)
+    def _cursor(self) -> DuckDBPyConnection:
+        """Return a cursor of the one connection, which is opened on first use."""
+        if self._connection is None:
+            self._connection = connect(self.folder)
+        return self._connection.cursor()
 
     def _about(self) -> dict[str, Any]:
         """Return what archive.json says; nothing before the first scan."""
@@ -298,7 +306,7 @@ class Archive:
                 raise TypeError(f"its words are {words!r:.50}")
             return {"dim": int(about["dim"]), "embedding_model": model, "words": words}
         except FileNotFoundError as error:
-            if self._files():
+            if scan_names(self.folder):
                 problem = "there is no such file beside the Parquet files"
                 raise MissingFileError(path, problem, "restore it, or use another folder") from error
             return {}
@@ -313,21 +321,20 @@ class Archive:
         words = relative_place(self.folder.resolve() / ABOUT, field.info.words)
         own = {"embedding_model": field.embedding_model, "dim": field.dim, "words": words}
         about = self._about() or {"format": FORMAT, "version": VERSION, **own}
-        if (about["embedding_model"], about["dim"]) != (field.embedding_model, field.dim):
-            raise InputError(
-                f"{field.path}: contains {_embeddings(field.embedding_model, field.dim)}, the archive {self.folder} "
-                f"{_embeddings(about['embedding_model'], about['dim'])}; use an archive per embedding model"
-            )
+        assert field.path is not None
+        self._refuse_others(about, field.path, field.embedding_model, field.dim)
         return about
 
-    def _records(self, files: Sequence[Path]) -> list[ScanRecord]:
-        records, about = read_records(files, self._connection.cursor()), self._about()
+    def _check_records(self, records: Sequence[ScanRecord]) -> None:
+        about = self._about()
         for record in records:
-            own = _embeddings(record.embedding_model, record.dim)
-            if own != (others := _embeddings(about["embedding_model"], about["dim"])):
-                remedy = "move it to an archive of its own"
-                raise FileFormatError(record.file, f"contains {own}, the archive {others}", remedy)
-        return records
+            self._refuse_others(about, record.file, record.embedding_model, record.dim)
+
+    def _refuse_others(self, about: dict[str, Any], path: Path, model: str, dim: int) -> None:
+        if (model, dim) != (about["embedding_model"], about["dim"]):
+            own, others = _embeddings(model, dim), _embeddings(about["embedding_model"], about["dim"])
+            problem = f"contains {own}, the archive {self.folder} {others}"
+            raise FileFormatError(path, problem, "use an archive per embedding model")
 
     def _encode(self, encoder: TextEncoder) -> Encode:
         """Return ``encoder.encode`` with a cache."""
@@ -348,19 +355,16 @@ class Archive:
         about = self._about()
         if not about:
             raise InputError(f"{self.folder}: contains no scan; add fields")
-        model = about["embedding_model"]
+        own = _embeddings(about["embedding_model"], about["dim"])
         try:
-            self._embedder = self._embedder or open_embedder(model)
+            self._embedder = self._embedder or open_embedder(about["embedding_model"])
+            if self._embedder.dim != about["dim"]:
+                raise InputError(f"it has {self._embedder.dim} dimensions")
         except ScoupError as error:
-            reason = str(error).partition(";")[0]
-            problem = f"contains {_embeddings(model, about['dim'])}, which embeds no image here ({reason})"
+            problem = f"contains {own}, and its model embeds no image here ({str(error).partition(';')[0]})"
             raise InputError(f"{self.folder}: {problem}; ask with a text") from error
         whole = Masks.from_dense(np.ones((1, *pixels.shape[:2]), np.bool_))
-        vector = embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
-        if len(vector) != about["dim"]:
-            problem = f"contains {_embeddings(model, about['dim'])}, which embeds images in {len(vector)}"
-            raise InputError(f"{self.folder}: {problem}; ask with a text")
-        return vector
+        return embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
 
     def _best(
         self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None, top: int
@@ -376,33 +380,31 @@ class Archive:
         self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None
     ) -> Iterator[tuple[Rank, Asked]]:
         """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
-        places = self._kept.places([file for file in self._files() if wanted is None or file.stem in wanted])
-        blocks = {id(block): block for block, _ in places}
-        of_blocks = {key: search.bounds(block) for key, block in blocks.items()}
-        bounds = [(of_blocks[id(block)][number], (block, number)) for block, number in places]
-        ranked = sorted(
-            ((bound, place) for bound, place in bounds if bound is not None),
-            key=lambda each: each[0],
-            reverse=True,
-        )
-        scans = self._kept.scans([place for _, place in ranked])
-        for (bound, _), scan in zip(ranked, scans, strict=True):
-            yield bound, search.ask(scan)
+        places = self._kept.places()
+        bounds = {block: search.bounds(block) for block in {block for block, _ in places.values()}}
+        ranked = [
+            (bound, place)
+            for name, place in places.items()
+            if (wanted is None or name in wanted) and (bound := bounds[place[0]][place[1]]) is not None
+        ]
+        for bound, place in sorted(ranked, key=lambda each: each[0], reverse=True):
+            yield bound, search.ask(self._kept.scan(*place))
 
     def _wanted(self, where: str) -> dict[str, set[int]]:
         """Return the things of each scan for which a condition holds."""
         import duckdb
 
-        files, wanted = self._files(), {}
+        names = scan_names(self.folder)
+        files = [str(file_of(self.folder, name)) for name in names]
+        wanted: dict[str, set[int]] = {}
         if not files:
             return wanted
-        names = [str(file) for file in files]
         try:
             # An expression, not a statement: it reads, and only this folder (``connect``).
-            every = self._connection.cursor().read_parquet(names, union_by_name=True, filename=True)
+            every = self._cursor().read_parquet(files, union_by_name=True, filename=True)
             rows = every.filter(where).project("filename, thing").fetchall()
         except duckdb.Error as error:
-            self._records(files)  # a damaged file is not the condition's fault
+            self._kept.records(names)  # a damaged file is not the condition's fault
             reason = " ".join(str(error).split("\n\n")[0].split())
             raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
         for file, thing in rows:
@@ -419,14 +421,12 @@ class Archive:
             parts = (thing.position, thing.box.centre, thing.box.axes.flatten(), thing.box.extent)
             places[thing.number or 0] = torch.cat(parts)
         words, table = words_digest(known.words), known.things.to("cpu")
-        names = {} if table.names is None else _presences(table.names)
-        record = replace(record, words=words, best_fits=known.best_fits, names=names)
+        presences: dict[str, tuple[float, int]] = {}
+        if (names := table.names) is not None:
+            counts = torch.bincount(names.rows, minlength=len(names)).tolist()
+            presences = dict(zip(names.texts, zip(names.presence.tolist(), counts, strict=True), strict=True))
+        record = replace(record, words=words, best_fits=known.best_fits, names=presences)
         return Scan(record, table, known.counts, known.shared, known.hubs, places)
-
-
-def _presences(names: NameTable) -> dict[str, tuple[float, int]]:
-    counts = torch.bincount(names.rows, minlength=len(names)).tolist()
-    return dict(zip(names.texts, zip(names.presence.tolist(), counts, strict=True), strict=True))
 
 
 def _found(asked: Asked, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, FoundThing]]:

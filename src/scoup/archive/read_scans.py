@@ -1,14 +1,14 @@
-"""Scans of an archive in memory: what ranks the things of all scans, and all that is known of some scans.
+"""Scans of an archive in memory: all that is known of their things, in arrays that many scans share.
 
-Scans are read together, in one question to DuckDB, into arrays: a question per scan takes longer than its answer.
+Scans are read together, many in one question to DuckDB: a question per scan takes longer than its answer.
 """
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate, groupby, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from scoup.archive.scan_files import FORMAT, PLACE, VERSION, Scan, ScanRecord, check_columns
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, check_format_version
-from scoup.field.container import place_of
+from scoup.archive.scan_files import PLACE, Scan, ScanRecord, record_of
+from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.query.matching import HUB_SHARE, doubts
 from scoup.scene.names import NameTable
 from scoup.scene.things import ThingTable, cosine_spread
@@ -27,30 +27,138 @@ from scoup.scene.things import ThingTable, cosine_spread
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-THINGS_AT_A_TIME = 8192  # whose vectors DuckDB returns together
-_PLACES = [f"({name}::DOUBLE[{size}])[{n}]" for name, size in PLACE.items() for n in range(1, size + 1)]
-_COUNTS = ("gaussians", "regions")
-_STATISTICS = ("stability", "agreement", "mass", "hub")
-_NUMBERS = (*_COUNTS, *_STATISTICS)
+THINGS_AT_A_TIME = 8192  # or so, whose vectors DuckDB returns together
+VECTORS_AT_A_TIME = 1024
+_INTEGERS = {
+    "thing": "thing",
+    "parent": "parent",
+    "gaussians": "gaussians",
+    "regions": "regions",
+    "shares": "len(shares)",
+    "names": "len(names)",
+}
+_REALS = {name: name for name in ("stability", "agreement", "mass", "hub")}
+_PLACES = {
+    f"{name}_{n}": f"({name}::DOUBLE[{size}])[{n}]"
+    for name, size in PLACE.items()
+    for n in range(1, size + 1)
+}
+_LISTS = {"share": "shares", "name": "names"}
+"""First word of the columns with what is in a list of each thing -> the column of how many that are."""
 Arrays: TypeAlias = "dict[str, NDArray[Any]]"
+Item = TypeVar("Item")
 Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
 class ScanBlock:
-    """S scans that were read together, with T things in all; those of a scan follow each other."""
+    """S scans with T things in all, which share P Gaussians in pairs and have N votes for names.
+
+    Those of a scan, and of a thing, follow each other.
+    """
 
     records: tuple[ScanRecord, ...]
-    starts: list[int]  # [S + 1] first thing of each scan, and T
-    vectors: NDArray[np.float32]  # [T, D]
-    # [T]: the fit of a thing to a text is scale * cosine - lowered (``ComparedTable.fits``), with the words of the
-    # records; infinite for things that cannot answer
-    scales: NDArray[np.float32]
-    lowered: NDArray[np.float32]
+    columns: Arrays
+    """[T]: vector [T, D] float16, place [T, 18] float64, level uint8, parent, gaussians, regions, and numbers of shares
+    and names, int32, stability, agreement, mass, hub float32. [P] int32: share_thing, share_gaussians. [N]: name_row
+    int32, name_vote float32."""
 
-    def embeddings(self, number: int) -> torch.Tensor:
-        """Return the embeddings of the things of a scan, [n, D] float16."""
-        return torch.from_numpy(self.vectors[self.starts[number] : self.starts[number + 1]]).half()
+    @classmethod
+    def joined(cls, scans: Sequence[tuple[ScanBlock, int]]) -> ScanBlock:
+        """Return scans, each by block and number, as one block."""
+        first = scans[0][0]
+        if [*scans] == [(first, number) for number in range(len(first.records))]:
+            return first
+        parts = [block.part(number) for block, number in scans]
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return cls(tuple(block.records[number] for block, number in scans), columns)
+
+    @cached_property
+    def starts(self) -> list[int]:
+        """[S + 1] first thing of each scan, and T."""
+        return [*accumulate((record.n_things for record in self.records), initial=0)]
+
+    @cached_property
+    def _ends(self) -> dict[str, list[int]]:
+        """[S + 1] of each kind of column, where each scan begins."""
+        sums = {name: np.append(0, self.columns[count].cumsum()) for name, count in _LISTS.items()}
+        return {name: each[self.starts].tolist() for name, each in sums.items()}
+
+    def part(self, number: int) -> Arrays:
+        """Return the columns of one scan."""
+        part = {}
+        for name, column in self.columns.items():
+            starts = self._ends.get(name.partition("_")[0], self.starts)
+            part[name] = column[starts[number] : starts[number + 1]]
+        return part
+
+    @cached_property
+    def words(self) -> list[tuple[str, int]]:
+        """[S] digest and number of the words of each scan."""
+        return [(record.words, len(record.best_fits)) for record in self.records]
+
+    @cached_property
+    def best_fits(self) -> Tensor:
+        """[S, B] of the words of each scan; 0 behind the last."""
+        return torch.nn.utils.rnn.pad_sequence([record.best_fits for record in self.records], True)
+
+    @cached_property
+    def scales(self) -> Tensor:
+        """[T] float32: the fit of a thing to a text is scale * cosine - lowered (``ComparedTable.fits``)."""
+        spreads = [
+            cosine_spread(torch.from_numpy(agreement), torch.from_numpy(regions), dim)
+            for dim in [self.columns["vector"].shape[1]]
+            for start, end in pairwise(self.starts)
+            for agreement, regions in [[self.columns[name][start:end] for name in ("agreement", "regions")]]
+        ]
+        return torch.tensor(spreads).reciprocal().repeat_interleave(torch.tensor(self.starts).diff())
+
+    @cached_property
+    def lowered(self) -> Tensor:
+        """[T] float32, with the words of the records; infinite for things that cannot answer."""
+        of = {name: torch.from_numpy(self.columns[name]) for name in (*_REALS, "gaussians", "regions")}
+        lowered = HUB_SHARE * of["hub"] * self.scales + doubts(of["regions"], of["stability"])
+        return lowered.masked_fill((of["gaussians"] <= 0) | (of["mass"] <= 0), torch.inf)
+
+    def cosines(self, queries: Tensor) -> Tensor:
+        """Return the cosines [T, Q] of all things with unit vectors [Q, D]."""
+        vectors = torch.from_numpy(self.columns["vector"])
+        cosines = torch.empty(len(vectors), len(queries))
+        for part, found in zip(*(each.split(VECTORS_AT_A_TIME) for each in (vectors, cosines)), strict=True):
+            torch.mm(part.float(), queries.T, out=found)
+        return cosines
+
+    def most(self, values: Tensor) -> Tensor:
+        """Return the largest value of each scan, [S, Q], of those [T, Q] of things."""
+        return torch.from_numpy(np.maximum.reduceat(values.numpy(), self.starts[:-1]))
+
+    def scan(self, number: int) -> Scan:
+        """Return one scan."""
+        record, part = self.records[number], self.part(number)
+        of = {name: torch.from_numpy(column) for name, column in part.items()}
+        things = np.arange(record.n_things)
+        names = None
+        if record.names:
+            presence = torch.tensor([presence for presence, _ in record.names.values()], dtype=torch.float32)
+            voted = torch.from_numpy(things.repeat(part["names"]).astype(np.int32))
+            names = NameTable(tuple(record.names), presence, of["name_row"], voted, of["name_vote"])
+        table = ThingTable(
+            owners=torch.empty((0, len(record.levels)), dtype=torch.int32),
+            levels=of["level"],
+            parents=of["parent"],
+            embeddings=of["vector"],
+            n_regions=of["regions"],
+            names=names,
+            **{name: of[name] for name in ("stability", "agreement", "mass")},
+        )
+        pairs = [np.append(things, things.repeat(part["shares"])), np.append(things, part["share_thing"])]
+        shared = torch.sparse_coo_tensor(
+            torch.from_numpy(np.stack(pairs)),
+            torch.cat([of["gaussians"], of["share_gaussians"]]).float(),
+            (len(things), len(things)),
+            check_invariants=True,
+        ).coalesce()
+        return Scan(record, table, of["gaussians"].float(), shared, of["hub"], of["place"])
 
 
 def read_records(files: Sequence[Path], connection: DuckDBPyConnection) -> list[ScanRecord]:
@@ -67,177 +175,84 @@ def read_records(files: Sequence[Path], connection: DuckDBPyConnection) -> list[
             {"files": [str(file) for file in files]},
         ).fetchall()
         headers = dict(texts)
-        return [_record(file, headers.get(str(file), b"{}")) for file in files]
+        return [record_of(file, json.loads(headers.get(str(file), b"{}"))) for file in files]
 
     return _read(read, files, lambda file: file)
 
 
-def read_blocks(records: Sequence[ScanRecord], connection: DuckDBPyConnection) -> list[ScanBlock]:
-    """Read what ranks the things of scans; errors as of ``read_records``."""
+def read_block(records: Sequence[ScanRecord], connection: DuckDBPyConnection) -> ScanBlock:
+    """Read scans, one at least, of embeddings of one size; errors as of ``read_records``."""
 
-    def read(records: Sequence[ScanRecord]) -> list[ScanBlock]:
-        return [_block(tuple(mine), connection) for _, mine in groupby(records, lambda record: record.dim)]
+    def read(records: Sequence[ScanRecord]) -> list[Arrays]:
+        ends = [*accumulate(record.n_things for record in records)]
+        vectors = rest = np.empty((ends[-1], records[0].dim), np.float16)  # twice all would be much
+        portions = groupby(zip(records, ends, strict=True), lambda each: each[1] // THINGS_AT_A_TIME)
+        parts = []
+        for _, some in portions:
+            part = _columns([record for record, _ in some], connection)
+            of_part = part.pop("vector")
+            rest[: len(of_part)], rest = of_part, rest[len(of_part) :]
+            parts.append(part)
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return [{"vector": vectors, **columns}]
 
-    return _read(read, records, lambda record: record.file)
-
-
-def read_scans(scans: Sequence[tuple[ScanBlock, int]], connection: DuckDBPyConnection) -> list[Scan]:
-    """Read all that is known of some scans, each by block and number; errors as of ``read_records``."""
-
-    def read(scans: Sequence[tuple[ScanBlock, int]]) -> list[Scan]:
-        records = [block.records[number] for block, number in scans]
-        columns = (*_NUMBERS, "level", "parent", *_PLACES, "len(shares)", "len(names)")
-        rows = _rows(records, columns, connection)
-        shares = _unnested(records, "shares", connection)
-        names = _unnested(records, "names", connection) if rows["len(names)"].any() else {}
-        ends = [*accumulate((record.n_things for record in records), initial=0)]
-        of_shares, of_names = (
-            [0, *np.cumsum(rows[f"len({name})"].astype(np.int64)).tolist()] for name in ("shares", "names")
-        )
-        return [
-            _scan(
-                record,
-                block.embeddings(number),
-                {name: column[start:end] for name, column in rows.items()},
-                {name: column[of_shares[start] : of_shares[end]] for name, column in shares.items()},
-                {name: column[of_names[start] : of_names[end]] for name, column in names.items()},
-            )
-            for record, (block, number), start, end in zip(records, scans, ends, ends[1:], strict=False)
-        ]
-
-    return _read(read, scans, lambda scan: scan[0].records[scan[1]].file)
+    (columns,) = _read(read, records, lambda record: record.file)
+    return ScanBlock(tuple(records), columns)
 
 
-def _record(file: Path, text: bytes) -> ScanRecord:
-    header = json.loads(text)
-    if header.get("format") != FORMAT:
-        remedy = "add its field again, or remove the file"
-        raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", remedy)
-    check_format_version(file, header["version"], VERSION)
-    field_path = place_of(file.resolve(), header["field"])
-    assert field_path is not None
-    best_fits = np.frombuffer(base64.b64decode(header["best_fits"]), "<f4").astype(np.float32)
-    return ScanRecord(
-        file.stem,
-        file,
-        field_path,
-        str(header["embedding_model"]),
-        int(header["dim"]),
-        tuple(map(str, header["levels"])),
-        check_columns(header["columns"]),
-        int(header["things"]),
-        str(header["words"]),
-        torch.from_numpy(best_fits),
-        {str(text): (float(presence), int(count)) for text, (presence, count) in header["names"].items()},
-    )
+def _columns(records: Sequence[ScanRecord], connection: DuckDBPyConnection) -> Arrays:
+    """Return the columns of scans that a block has."""
 
+    def fetched(selected: str) -> Any:
+        files = [str(record.file) for record in records]
+        return connection.execute(
+            f"SELECT {selected} FROM read_parquet($files)", {"files": files}
+        ).fetchnumpy()
 
-def _rows(records: Sequence[ScanRecord], columns: Sequence[str], connection: DuckDBPyConnection) -> Arrays:
-    """Return columns of all things of scans; NULL is NaN in statistics and places, and else -1."""
-    selected = ", ".join(f"{column} AS c{number}" for number, column in enumerate(columns))
-    found = connection.execute(
-        f"SELECT thing, {selected} FROM read_parquet($files)",
-        {"files": [str(record.file) for record in records]},
-    ).fetchnumpy()
-    sizes = [record.n_things for record in records]
-    if min(sizes) < 1 or sum(sizes) != len(found["thing"]):
-        raise InputError(f"has {len(found['thing'])} things, expected {sum(sizes)}")
-    numbers = np.concatenate([np.arange(size) for size in sizes])
-    if not np.array_equal(np.ma.filled(found["thing"], -1), numbers):
+    expressions = {"level": "level", **_INTEGERS, **_REALS, **_PLACES}
+    rows = fetched(", ".join(f"{expression} AS c_{name}" for name, expression in expressions.items()))
+    sizes = np.array([record.n_things for record in records])
+    if sizes.min() < 1 or sizes.sum() != len(rows["c_thing"]):
+        raise InputError(f"has {len(rows['c_thing'])} things, expected {sizes.sum()}")
+    columns = {name: _filled(rows[f"c_{name}"], "int32", -1) for name in _INTEGERS}
+    if not np.array_equal(columns.pop("thing"), np.concatenate([*map(np.arange, sizes)])):
         raise InputError("its things are not numbered from 0 on")
-    rows = {column: found[f"c{number}"] for number, column in enumerate(columns)}
-    for column, values in rows.items():
-        if column in _STATISTICS or column in _PLACES:
-            rows[column] = np.ma.filled(values.astype(np.float64), np.nan)
-        elif column != "level":
-            rows[column] = np.ma.filled(values.astype(np.int64), -1)
-    if any(not np.isfinite(rows[name]).all() for name in _STATISTICS if name in rows) or any(
-        (rows[name] < 0).any() for name in _COUNTS
+    columns |= {name: _filled(rows[f"c_{name}"], "float32", np.nan) for name in _REALS}
+    columns["place"] = np.stack([_filled(rows[f"c_{name}"], "float64", np.nan) for name in _PLACES], 1)
+    vectors = np.ma.filled(fetched("unnest(vector) AS v")["v"], np.nan).reshape(-1, records[0].dim)
+    columns["vector"] = torch.from_numpy(vectors).half().numpy()
+    shares = fetched("unnest(shares, recursive := true)")
+    columns |= {f"share_{name}": _filled(shares[name], "int32", -1) for name in ("thing", "gaussians")}
+    named = (
+        fetched("unnest(names, recursive := true)") if columns["names"].any() else {"name": [], "vote": []}
+    )
+    columns["name_vote"] = _filled(np.ma.asarray(named["vote"]), "float32", np.nan)
+    owners = np.arange(len(records)).repeat(sizes)  # the scan of each thing
+    voted, shared = (owners.repeat(columns[name].clip(0)) for name in ("names", "shares"))
+    for name, kind, texts, scans, known in (
+        ("level", "uint8", rows["c_level"], owners, [record.levels for record in records]),
+        ("name_row", "int32", named["name"], voted, [[*record.names] for record in records]),
     ):
+        places = [{text: place for place, text in enumerate(each)} for each in known]
+        columns[name] = np.array([places[scan][text] for scan, text in zip(scans, texts, strict=True)], kind)
+    is_valid = (
+        all((columns[name] >= 0).all() for name in ("gaussians", "regions", "shares", "names"))
+        and all(np.isfinite(columns[name]).all() for name in (*_REALS, "vector", "name_vote"))
+        and len(columns["vector"]) == len(owners)
+        and (np.isfinite(columns["place"]).sum(1) % len(_PLACES) == 0).all()
+        and (columns["parent"] >= -1).all()
+        and (columns["parent"] < sizes[owners]).all()
+        and (columns["share_thing"] >= 0).all()
+        and (columns["share_thing"] < sizes[shared]).all()
+    )
+    if not is_valid:
         raise InputError("a number is out of range")
-    return rows
+    return columns
 
 
-def _block(records: tuple[ScanRecord, ...], connection: DuckDBPyConnection) -> ScanBlock:
-    rows = _rows(records, _NUMBERS, connection)
-    starts, dim = [*accumulate((record.n_things for record in records), initial=0)], records[0].dim
-    vectors = np.empty((starts[-1], dim), np.float32)
-    first = 0
-    while first < len(records):  # DuckDB's copy of many vectors would double the memory
-        last = first + 1
-        while last < len(records) and starts[last + 1] - starts[first] <= THINGS_AT_A_TIME:
-            last += 1
-        part = connection.execute(
-            "SELECT unnest(vector) AS v FROM read_parquet($files)",
-            {"files": [str(record.file) for record in records[first:last]]},
-        ).fetchnumpy()["v"]
-        vectors[starts[first] : starts[last]] = np.ma.filled(part, np.nan).reshape(-1, dim)
-        first = last
-    regions, stability, agreement = (
-        torch.from_numpy(rows[name]) for name in ("regions", "stability", "agreement")
-    )
-    spreads = [
-        cosine_spread(agreement[start:end].float(), regions[start:end], dim)
-        for start, end in pairwise(starts)
-    ]
-    scales = 1 / np.repeat(spreads, np.diff(starts))
-    lowered = HUB_SHARE * rows["hub"] * scales + doubts(regions, stability).numpy()
-    squares = np.einsum("td,td->t", vectors, vectors)
-    if not np.isfinite(squares).all():
-        raise InputError("a vector is not finite")
-    is_usable = (rows["gaussians"] > 0) & (rows["mass"] > 0) & (squares > 0)
-    lowered = np.where(is_usable, lowered, np.inf)
-    return ScanBlock(records, starts, vectors, scales.astype(np.float32), lowered.astype(np.float32))
-
-
-def _unnested(records: Sequence[ScanRecord], column: str, connection: DuckDBPyConnection) -> Arrays:
-    """Return the fields of all structures in the lists of a column, one after another."""
-    return connection.execute(
-        f"SELECT unnest({column}, recursive := true) FROM read_parquet($files)",
-        {"files": [str(record.file) for record in records]},
-    ).fetchnumpy()
-
-
-def _scan(record: ScanRecord, embeddings: torch.Tensor, rows: Arrays, shares: Arrays, names: Arrays) -> Scan:
-    count, levels = record.n_things, {name: place for place, name in enumerate(record.levels)}
-    places = np.stack([rows[name] for name in _PLACES], 1)
-    if not ((np.isfinite(places).sum(1) % places.shape[1]) == 0).all():
-        raise InputError("a thing has an invalid position or box")
-    given = None
-    if record.names:
-        of_text = {text: row for row, text in enumerate(record.names)}
-        of_votes = np.repeat(np.arange(count), rows["len(names)"])
-        given = NameTable(
-            tuple(record.names),
-            torch.tensor([presence for presence, _ in record.names.values()], dtype=torch.float32),
-            torch.tensor([of_text[text] for text in names.get("name", ())], dtype=torch.int32),
-            torch.from_numpy(of_votes.astype(np.int32)),
-            torch.from_numpy(np.ma.filled(names.get("vote", np.zeros(0)), np.nan).astype(np.float32)),
-        )
-    tensors = {name: torch.from_numpy(rows[name]) for name in _NUMBERS}
-    table = ThingTable(
-        owners=torch.empty((0, len(levels)), dtype=torch.int32),
-        levels=torch.tensor([levels[name] for name in rows["level"]], dtype=torch.uint8),
-        parents=torch.from_numpy(rows["parent"]).int(),
-        embeddings=embeddings,
-        n_regions=tensors["regions"].int(),
-        names=given,
-        **{name: tensors[name].float() for name in ("stability", "agreement", "mass")},
-    )
-    diagonal = np.arange(count)
-    of_shares = np.repeat(diagonal, rows["len(shares)"])
-    others, shared = (np.ma.filled(shares[name], -1).astype(np.int64) for name in ("thing", "gaussians"))
-    overlaps = torch.sparse_coo_tensor(
-        torch.from_numpy(np.stack([np.append(diagonal, of_shares), np.append(diagonal, others)])),
-        torch.from_numpy(np.append(rows["gaussians"], shared)).float(),
-        (count, count),
-        check_invariants=True,
-    ).coalesce()
-    sizes = tensors["gaussians"].float()
-    return Scan(record, table, sizes, overlaps, tensors["hub"].float(), torch.from_numpy(places))
-
-
-Item = TypeVar("Item")
+def _filled(values: NDArray[Any], kind: str, empty: float) -> NDArray[Any]:
+    """Return numbers of DuckDB as a type, with a value for NULL."""
+    return np.ma.filled(values.astype(kind), empty)
 
 
 def _read(
@@ -253,7 +268,9 @@ def _read(
     except (duckdb.Error, ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError,
             ValueError) as error:  # fmt: skip
         if len(items) > 1:
-            return [found for item in items for found in _read(read, [item], file_of)]
+            for item in items:
+                _read(read, [item], file_of)
+            return read(items)
         file = file_of(items[0])
         if not file.is_file():
             raise MissingFileError.of(file, "a scan of an archive") from error

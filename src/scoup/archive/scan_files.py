@@ -7,16 +7,18 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_path
-from scoup.base.errors import InputError, ScoupError
+from scoup.base.errors import FileFormatError, InputError, ScoupError, check_format_version
 from scoup.base.locks import WAIT
-from scoup.field.container import relative_place
+from scoup.field.container import place_of
 from scoup.query.matching import ComparedTable
 from scoup.scene.things import NO_THING, ThingTable
 
@@ -59,7 +61,7 @@ class ScanRecord:
 
     name: str
     file: Path  # of the scan
-    field_path: Path
+    field_file: str  # relative to this one's folder
     embedding_model: str
     dim: int
     levels: tuple[str, ...]
@@ -71,6 +73,11 @@ class ScanRecord:
     best_fits: Tensor  # [B] float32 of each everyday word with a thing of this scan
     names: Mapping[str, tuple[float, int]] = field(default_factory=dict)
     """Texts that a model with words looked for -> presence, and number of votes (``NameTable``)."""
+
+    @cached_property
+    def field_path(self) -> Path:
+        """File of the field."""
+        return place_of(self.file.resolve(), self.field_file) or self.file
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +94,12 @@ class Scan:
     """Digest of words -> the things compared with them, and the best fit of each: those asked last."""
 
 
-def write_scan(scan: Scan) -> None:
-    """Write the file of a scan, in place of the one that is there; another writer of the file is waited for.
-
-    Raises:
-        InputError: a column of the user's has no usable name.
-        WriteError: the system refuses.
-    """
-    record, table, file = scan.record, scan.table, scan.record.file
-    header = {
+def header_of(record: ScanRecord) -> dict[str, Any]:
+    """Return a record as JSON values, for ``record_of``."""
+    return {
         "format": FORMAT,
         "version": VERSION,
-        "field": relative_place(file.resolve(), record.field_path),
+        "field": record.field_file,
         "embedding_model": record.embedding_model,
         "dim": record.dim,
         "levels": list(record.levels),
@@ -108,6 +109,39 @@ def write_scan(scan: Scan) -> None:
         "best_fits": base64.b64encode(record.best_fits.numpy().astype("<f4").tobytes()).decode(),
         "names": dict(record.names),
     }
+
+
+def record_of(file: Path, header: Mapping[str, Any]) -> ScanRecord:
+    """Return the record of a file from JSON values; a FileFormatError, LookupError, TypeError or ValueError if they
+    are no scan's."""
+    if header.get("format") != FORMAT:
+        remedy = "add its field again, or remove the file"
+        raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", remedy)
+    check_format_version(file, header["version"], VERSION)
+    best_fits = np.frombuffer(base64.b64decode(header["best_fits"]), "<f4").astype(np.float32)
+    return ScanRecord(
+        file.stem,
+        file,
+        str(header["field"]),
+        str(header["embedding_model"]),
+        int(header["dim"]),
+        tuple(map(str, header["levels"])),
+        check_columns(header["columns"]),
+        int(header["things"]),
+        str(header["words"]),
+        torch.from_numpy(best_fits),
+        {str(text): (float(presence), int(count)) for text, (presence, count) in header["names"].items()},
+    )
+
+
+def write_scan(scan: Scan) -> None:
+    """Write the file of a scan, in place of the one that is there; another writer of the file is waited for.
+
+    Raises:
+        InputError: a column of the user's has no usable name.
+        WriteError: the system refuses.
+    """
+    record, table, file = scan.record, scan.table, scan.record.file
     shares: list[list[dict[str, int]]] = [[] for _ in range(len(table))]
     pairs = scan.shared.coalesce()
     for one, other, count in zip(*pairs.indices().tolist(), pairs.values().tolist(), strict=True):
@@ -142,7 +176,7 @@ def write_scan(scan: Scan) -> None:
         f", $own_{name}::{_OWN_TYPES[type(value)]} AS {name}" for name, value in record.columns.items()
     )
     given = {**values, **{f"own_{name}": value for name, value in record.columns.items()}}
-    metadata = _quoted(json.dumps(header))
+    metadata = _quoted(json.dumps(header_of(record)))
     with atomic_path(file, overwrite=True, wait=WAIT) as temporary:
         connection = connect()
         connection.execute(f"CREATE TABLE things AS SELECT {columns}{own}", given)

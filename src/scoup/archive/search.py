@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -24,7 +23,7 @@ from scoup.query.expression import Expression, parse_expression
 from scoup.query.matching import ComparedTable, compared_words, hub_cosines
 from scoup.query.named import Named, choose, instances_of, joined_presence, named_texts
 from scoup.query.phrases import texts_of
-from scoup.query.presence import LEAST_GAUSSIANS, NullScores, is_present, other_words, presence_threshold
+from scoup.query.presence import NullScores, is_present, other_words, presence_threshold
 from scoup.query.question import Question, make_question, near_names, text_vectors
 from scoup.scene.names import number_of
 from scoup.scene.things import ThingTable
@@ -90,52 +89,42 @@ class Search:
 
     def bounds(self, block: ScanBlock) -> list[Rank | None]:
         """Return a rank for each scan that none of its things exceeds; None where nothing can answer."""
-        fits = block.vectors @ self.question.queries.float().cpu().numpy().T
-        fits *= block.scales[:, None]
-        fits -= block.lowered[:, None]
-        best = torch.from_numpy(np.maximum.reduceat(fits, block.starts[:-1])) + ROUNDING
-        has_words = [
-            record.words == self.digest and len(record.best_fits) == len(self.words)
-            for record in block.records
-        ]
-        none = torch.zeros(len(self.words))
-        nulls = torch.stack(
+        cosines = block.cosines(self.question.queries.float().cpu())
+        fits = block.most(cosines * block.scales[:, None] - block.lowered[:, None]) + ROUNDING
+        known = [words == (self.digest, len(self.words)) for words in block.words]
+        if not any(known):
+            return [UNKNOWN] * len(known)
+        scores = torch.stack(
             [
-                record.best_fits if known else none
-                for record, known in zip(block.records, has_words, strict=True)
-            ]
-        )
-        shares = torch.stack(
-            [
-                (nulls[:, : len(others)][:, others] < of_text[:, None]).float().mean(1)
-                for others, of_text in zip(self.others, best.T, strict=True)
+                (block.best_fits[:, : len(others)][:, others] < fit[:, None]).sum(1) / others.sum().double()
+                for others, fit in zip(self.others, fits.T, strict=True)
             ],
             1,
-        )
-        return [
-            self._bound(record, of_texts, scores) if known else UNKNOWN
-            for record, known, of_texts, scores in zip(
-                block.records, has_words, best.tolist(), shares.tolist(), strict=True
-            )
-        ]
+        )  # NaN if no word counts
+        for number, record in enumerate(block.records):
+            if record.names:
+                scores[number] = self._joined(record, scores[number])
+        least = self.question.present_from
+        there = (fits > -math.inf) & (scores >= least if least is not None else True)
+        columns = []
+        for target in self.expression.leaves(True):
+            texts = [self.question.texts.index(text) for text in texts_of(target)]
+            ranks = zip(*(each[:, texts[0]].tolist() for each in (scores.nan_to_num(-1), fits)), strict=True)
+            found = there[:, texts].all(1).tolist()
+            columns.append([rank if each else None for rank, each in zip(ranks, found, strict=True)])
+        every = (max((rank for rank in ranks if rank), default=None) for ranks in zip(*columns, strict=True))
+        return [rank if is_known else UNKNOWN for rank, is_known in zip(every, known, strict=True)]
 
-    def _bound(self, record: ScanRecord, best: list[float], shares: list[float]) -> Rank | None:
-        texts, least = self.question.texts, self.question.present_from
-        near = self.near(record) if record.names else ()
-        ranks: dict[str, Rank] = {}
-        for number, (text, fit, share) in enumerate(zip(texts, best, shares, strict=True)):
-            name = number_of(record.names, near[number] or text if near else text) if record.names else None
-            score = None if math.isnan(share) else share
+    def _joined(self, record: ScanRecord, scores: Tensor) -> Tensor:
+        """Return scores [Q] of a scan in which a model has looked for names."""
+        near, presences = self.near(record), [presence for presence, _ in record.names.values()]
+        joined = scores.tolist()
+        for number, text in enumerate(self.question.texts):
+            name = number_of(record.names, near[number] or text if near else text)
             if name is not None:
-                score = joined_presence([*record.names.values()][name][0], score)
-            if fit > -math.inf and is_present(score, LEAST_GAUSSIANS, least):
-                ranks[text] = rank_of(score, fit)
-        found = [
-            ranks[texts_of(target)[0]]
-            for target in self.expression.leaves(True)
-            if all(text in ranks for text in texts_of(target))
-        ]
-        return max(found, default=None)
+                score = None if math.isnan(joined[number]) else joined[number]
+                joined[number] = joined_presence(presences[name], score)
+        return torch.tensor(joined, dtype=torch.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,9 +220,8 @@ class ImageSearch:
 
     def bounds(self, block: ScanBlock) -> list[Rank | None]:
         """Return a rank for each scan that none of its things exceeds; None where nothing can answer."""
-        cosines = block.vectors @ self.vector.numpy()
-        cosines[np.isinf(block.lowered)] = -np.inf
-        best = np.maximum.reduceat(cosines, block.starts[:-1]).tolist()
+        cosines = block.cosines(self.vector[None]).masked_fill(block.lowered[:, None].isinf(), -torch.inf)
+        best = block.most(cosines)[:, 0].tolist()
         return [None if cosine == -math.inf else (cosine + ROUNDING, 0.0) for cosine in best]
 
     def ask(self, scan: Scan) -> AskedImage:
@@ -271,13 +259,8 @@ Asked: TypeAlias = "AskedScan | AskedImage"
 
 def _is_same(one: ThingTable, other: ThingTable) -> bool:
     """Return whether two tables say the same of names and embeddings."""
-    votes = [
-        sorted(zip(*(part.tolist() for part in (names.things, names.rows, names.votes)), strict=True))
-        for table in (one, other)
-        for names in [table.names]
-        if names is not None
-    ]
-    return torch.equal(one.embeddings, other.embeddings) and votes[:1] == votes[1:]
+    votes = [torch.zeros(0) if each.names is None else each.names.matrix(len(each)) for each in (one, other)]
+    return torch.equal(one.embeddings, other.embeddings) and torch.equal(*votes)
 
 
 def rank_of(score: float | None, fit: float) -> Rank:

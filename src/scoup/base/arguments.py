@@ -24,12 +24,8 @@ _MADE_BY = {
 
 
 def check_arguments(function: str, **arguments: tuple[Any, type | tuple[type, ...]]) -> None:
-    """Refuse arguments of wrong types.
-
-    Args:
-        function: its name, for the message.
-        arguments: in their order; name -> value and the type, or types, expected.
-    """
+    """Refuse arguments of wrong types, in their order: name -> value and the type, or types, expected. ``function`` is
+    the name for the message."""
     for name, (value, expected) in arguments.items():
         if isinstance(value, expected):
             continue

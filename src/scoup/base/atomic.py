@@ -17,15 +17,7 @@ from scoup.base.parts import Part
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> Path:
-    """Check that ``path`` may be written, before long work starts. Creates nothing.
-
-    Args:
-        path: the output.
-        overwrite: replace an existing file.
-
-    Returns:
-        The path.
-    """
+    """Check that ``path`` may be written, before long work starts, and return it. Creates nothing."""
     path = Path(path)
     if os.path.isdir(path):
         what = f"is a link to the folder {os.path.realpath(path)}" if os.path.islink(path) else "is a folder"
@@ -99,16 +91,9 @@ def atomic_path(path: str | Path, overwrite: bool = False, wait: float = 0.0) ->
 def atomic_file(
     path: str | Path, overwrite: bool = False, flush: bool = True, wait: float = 0.0
 ) -> Iterator[BinaryIO]:
-    """Yield a binary file that becomes ``path`` when the block ends without an error; see ``atomic_path``.
-
-    It has no ``fileno``.
-
-    Args:
-        path: the output.
-        overwrite: replace an existing file.
-        flush: write it to the disk before the rename; otherwise, whoever writes many files calls ``flush_to_disk``.
-        wait: as of ``atomic_path``.
-    """
+    """Yield a binary file, without a ``fileno``, that becomes ``path`` when the block ends without an error; see
+    ``atomic_path``. Without ``flush`` it is not written to the disk before the rename: whoever writes many files calls
+    ``flush_to_disk``."""
     path = check_output(path, overwrite)
     with temporary_output(path, overwrite, wait) as temporary, refusals_named(path, temporary):
         with _Output(temporary) as stream:

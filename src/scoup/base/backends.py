@@ -29,14 +29,8 @@ _DEVICES = {"native": "cpu", "triton": "cuda"}  # torch calls AMD's GPUs "cuda",
 def load_backend(
     table: Mapping[str, str], device: torch.device, name: str | None = None, room: str = ""
 ) -> tuple[str, ModuleType]:
-    """Name and module of a backend for tensors on a device.
-
-    Args:
-        table: names and modules.
-        device: where the tensors are.
-        name: of the backend; by default the fastest that serves the device, see ``default_backend``.
-        room: what has these backends, for the error.
-    """
+    """Return name and module of a backend of a table of modules for tensors on a device, by default the fastest
+    (``default_backend``). ``room`` is what has these backends, for the error."""
     name = name or default_backend(device)
     if name not in table:
         raise UnknownNameError(f"{room} backend".strip(), name, table)

@@ -9,12 +9,8 @@ T = TypeVar("T")
 
 
 def counted(count: int, thing: str, things: str = "") -> str:
-    """Return a number and what it counts: "1 view", "2 views", "90,854 Gaussians".
-
-    Args:
-        thing: in the singular.
-        things: in the plural, where that is not the singular with an s.
-    """
+    """Return a number and what it counts: "1 view", "2 views", "90,854 Gaussians"; ``things`` is the plural where that
+    is not the singular with an s."""
     return f"{count:,} {thing if count == 1 else things or thing + 's'}"
 
 
@@ -27,11 +23,7 @@ def none_of(count: int, thing: str) -> str:
 
 def share_of(count: int, total: int, thing: str, things: str = "") -> str:
     """Return some of all: "1 of 8 views", "8 of 8 views", and "the only view" where there is one; its verb is that of
-    count.
-
-    Args:
-        thing, things: see ``counted``.
-    """
+    count."""
     return f"the only {thing}" if total == 1 else f"{count:,} of {counted(total, thing, things)}"
 
 

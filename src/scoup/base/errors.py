@@ -52,11 +52,7 @@ class FileFormatError(InputError):
 
 
 def refused_read(path: str | Path, error: OSError) -> FileFormatError:
-    """Return the error of a file that was found, and that the system then refuses to read.
-
-    Args:
-        error: the system's.
-    """
+    """Return the error of a file that was found, and that the system then refuses to read."""
     if isinstance(error, FileNotFoundError):
         return FileFormatError(path, "disappeared while being read", "restore it and retry")
     remedy = remedy_of(error) or "check its permissions"
@@ -92,13 +88,8 @@ class FieldVersionError(FileFormatError):
 
 
 def check_format_version(path: str | Path, version: object, newest: int) -> None:
-    """Refuse versions of a format that this software does not read.
-
-    Args:
-        path: the file, for the error.
-        version: what it says of itself.
-        newest: of the versions that are read; all from 1 on are.
-    """
+    """Refuse a version of a format, as a file names it, that is not one from 1 to the ``newest`` that this software
+    reads."""
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise FileFormatError(path, f"has an invalid format version ({version!r})", "make it again")
     if version > newest:
@@ -214,13 +205,7 @@ class UnknownNameError(InputError, KeyError):
 
 
 def looked_up(kind: str, name: str, table: Mapping[str, Entry]) -> Entry:
-    """Return the entry of a name.
-
-    Args:
-        kind: what is searched, for the error.
-        name: of the entry.
-        table: all entries.
-    """
+    """Return the entry of a name in a table; ``kind`` is what is searched, for the error."""
     if name not in table:
         raise UnknownNameError(kind, name, table)
     return table[name]
@@ -253,14 +238,14 @@ def quoted(text: str) -> str:
     return f"{text[:QUOTED]!r}... ({len(text):,} characters)"
 
 
-def nearest_names(name: str, known: Iterable[str], count: int = 5) -> list[str]:
-    """Return the names of ``known`` most similar to ``name``, best first, ignoring case; never more than ``count``."""
+def nearest_names(name: str, known: Iterable[str]) -> list[str]:
+    """Return the names of ``known`` most similar to ``name``, best first, ignoring case; at most five."""
     names = list(dict.fromkeys(known))
     if not names:
         return []
     wanted = name.lower()
     ranked = sorted(names, key=lambda item: -_similarity(wanted, item.lower()))
-    return ranked[:count]
+    return ranked[:5]
 
 
 def _similarity(wanted: str, candidate: str) -> float:

@@ -40,13 +40,7 @@ def page(title: str, body: str) -> str:
 
 
 def card(title: str, facts: Mapping[str, Any], picture: NDArray[np.uint8] | None = None) -> str:
-    """Return the HTML of a card.
-
-    Args:
-        title: above.
-        facts: what is said of the object, by name; both are shown as text.
-        picture: [H, W, 3] uint8, beside the facts.
-    """
+    """Return the HTML of a card: the title above, facts by name (both as text), and beside them a picture [H, W, 3]."""
     rows = "".join(
         f'<tr><td style="text-align:left;opacity:.7">{html.escape(name)}</td>'
         f'<td style="text-align:left">{html.escape(str(value))}</td></tr>'

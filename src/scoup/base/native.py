@@ -10,6 +10,8 @@ import functools
 import importlib
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import ModuleType
 from typing import NamedTuple
 
@@ -55,6 +57,15 @@ def require_core() -> ModuleType:
     if core is None:
         raise InputError(f"the compiled core cannot be used: {reason}")
     return core
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Turn errors of the core into InputError: what it refuses is the caller's mistake."""
+    try:
+        yield
+    except (ValueError, IndexError) as error:
+        raise InputError(str(error)) from None
 
 
 def missing_reason() -> str | None:

@@ -9,12 +9,8 @@ from typing import Any
 
 
 def record_text(record: Mapping[str, Any], depth: int = 1) -> str:
-    """Return JSON with a line for each entry of a mapping; a list, however long, stays on one.
-
-    Args:
-        record: what ``json.dumps`` takes, with strings as keys; no NaN.
-        depth: of the indentation.
-    """
+    """Return JSON (no NaN) with a line for each entry of a mapping; a list, however long, stays on one. ``depth`` is
+    that of the indentation."""
     lines = []
     for key, value in record.items():
         nested = isinstance(value, Mapping) and value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -96,24 +97,26 @@ class SearchArchive(WritesCommon):
         return _list(archive, console, self.list_scans)
 
     def _search(self, archive: Archive, console: Console) -> None:
-        from scoup.archive.results_page import results_page
         from scoup.base.atomic import check_output, write_text
 
         if self.page is not None:
             check_output(self.page, self.overwrite)
         question = str(self.image or self.question)
         found = self._found(archive)
-        counts: dict[str, int] = {}
+        counts = Counter(each.scan for each in found)
         for each in found:
-            counts[each.scan] = counts.get(each.scan, 0) + 1
             score = "" if each.score is None else f"{each.score:.2f} "
             console.say(f"{score}{each.text}: {each.describe()}")
         total = f"{counted(len(found), 'thing')} in {counted(len(counts), 'scan')}"
         console.say(f"{question}: {total if found else 'nothing found'}")
         if self.page is not None:
+            from scoup.archive.results_page import results_page
+
             write_text(self.page, results_page(question, found, self.page), self.overwrite)
             console.say(f"{self.page}: written")
-        console.result({"question": question, "scans": counts, "things": [each.to_dict() for each in found]})
+        console.result(
+            {"question": question, "scans": dict(counts), "things": [each.to_dict() for each in found]}
+        )
 
     def _found(self, archive: Archive) -> list[FoundThing]:
         from scoup.base.errors import InputError

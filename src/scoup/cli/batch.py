@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -24,6 +25,7 @@ from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
+ANSWERS_WITHIN = 5.0  # seconds, or a cluster is not there
 Commands: TypeAlias = "Mapping[str, Sequence[str]]"
 """Name of a scan -> arguments of scoup."""
 Ended: TypeAlias = "tuple[int, str, float]"
@@ -83,7 +85,8 @@ class Batch(BuildOptions):
                 file = self.out / f"{name}.scoup"
                 if archive is not None and "error" not in record:
                     try:
-                        if self.overwrite or _is_older(archive.folder / f"{name}.parquet", file):
+                        added = archive.folder / f"{name}.parquet"
+                        if self.overwrite or not added.exists() or _time(added) < _time(file):
                             archive.add(file)
                     except ScoupError as error:
                         record["error"] = with_options(str(error))
@@ -144,9 +147,8 @@ class Batch(BuildOptions):
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
         passed = ["--device", self.device, "--overwrite"]
-        named = {f"--{name}": getattr(self, name) for name in ("model", "segmenter", "embedder")}
-        values = {option: getattr(self, option[2:].replace("-", "_")) for option in self.given()}
-        for option, value in {**values, **named}.items():
+        for option in dict.fromkeys((*self.given(), "--model", "--segmenter", "--embedder")):
+            value = getattr(self, option[2:].replace("-", "_"))
             if value is not None:
                 passed += [option] if value is True else [option, str(value)]
         return passed
@@ -190,6 +192,15 @@ def _on_cluster(commands: Commands, address: str, device: str) -> Iterator[tuple
     """Run commands as tasks of Ray; those of killed workers run again, an interruption ends all."""
     from scoup.base.errors import ScoupError
 
+    host, _, port = address.rpartition("/")[2].rpartition(":")
+    try:
+        if port.isdigit():  # others, as auto, are no addresses; Ray itself tries for minutes
+            socket.create_connection((host.strip("[]"), int(port)), ANSWERS_WITHIN).close()
+    except (OSError, OverflowError) as error:
+        problem = (
+            f"nothing answers there ({error}); check the address, or start a cluster by ray start --head"
+        )
+        raise ScoupError(f"--ray {address}: {problem}") from error
     try:
         import ray  # pyright: ignore[reportMissingImports]
         from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
@@ -237,9 +248,8 @@ def _page(records: Mapping[str, Mapping[str, Any]]) -> str:
     return page("Scans", f"<table><tr><th>scan<th>field<th>seconds<th>{''.join(rows)}</table>")
 
 
-def _is_older(file: Path, other: Path) -> bool:
-    """Tell whether a file is missing or older than another."""
-    return not file.exists() or file.stat().st_mtime_ns < other.stat().st_mtime_ns
+def _time(file: Path) -> int:
+    return file.stat().st_mtime_ns
 
 
 def _parsed(text: str) -> dict[str, Any]:

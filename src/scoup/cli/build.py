@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.build_options import BuildOptions, check_field_name, report_field
+from scoup.cli.build_options import BuildOptions, ViewOptions, check_field_name, report_field
 from scoup.cli.console import Console, kept
-from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups
-from scoup.cli.scene_options import ViewOptions
+from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups, arg
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -59,7 +58,7 @@ class Build(BuildOptions, ViewOptions):
         "output": "out",
     }
 
-    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
+    scene: Annotated[tyro.conf.Positional[Path], arg(metavar="SCENE")]
     """Folder with cameras (and usually the photographs), or a cameras file; or a splat alone."""
     gaussians: OptionalPath = None
     """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""

@@ -1,19 +1,21 @@
-"""Options of verbs that make a field: how embeddings are coded, how views vote, and what is written."""
+"""Options of scoup build: how embeddings are coded, how views vote, what is written, and the views themselves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.option_groups import borrow_options
-from scoup.cli.options import Flag, OptionGroups, WritesCommon
+from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon, arg
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
+    from scoup.scene.cameras import Cameras
+    from scoup.scene.regions import Regions
     from scoup.uplift.region_sums import RegionSums
 
 
@@ -23,7 +25,7 @@ _SETTINGS = "n_atoms k keep rounds solver effort epochs tolerance seed scale"
 @dataclass(frozen=True, kw_only=True)
 @borrow_options(BUILD_PRESETS["default"], _SETTINGS, paper=BUILD_PRESETS["paper"])
 class BuildOptions(WritesCommon):
-    """Options of verbs that make a field."""
+    """How a field is made."""
 
     option_groups: ClassVar[OptionGroups] = {
         "region sum": "scale",
@@ -55,6 +57,49 @@ class BuildOptions(WritesCommon):
         ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions(WritesCommon):
+    """Options for the views of a scene: their files and their size."""
+
+    option_groups: ClassVar[OptionGroups] = {
+        "scene": "features images downscale undistort dataparser_transforms no_check_fit"
+    }
+
+    features: OptionalPath = None
+    """Folder of region features. Default: SCENE/language_features."""
+    images: OptionalPath = None
+    """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
+    downscale: Annotated[Literal[1, 2, 4, 8] | None, arg()] = None
+    """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
+    undistort: Flag = False
+    """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
+    dataparser_transforms: OptionalPath = None
+    """The dataparser_transforms.json of a nerfstudio training: brings the cameras to the frame of its splat."""
+    no_check_fit: Flag = False
+    """Skip the check that small renders of the splat match the photographs."""
+
+    def load_cameras(self, scene: Path) -> Cameras:
+        """Return the cameras of a scene."""
+        from scoup.io import load_cameras
+
+        return load_cameras(
+            scene,
+            self.images,
+            self.downscale,
+            "undistort" if self.undistort else "refuse",
+            dataparser_transforms=self.dataparser_transforms,
+        )
+
+    def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
+        """Return cameras and regions of a scene, and the folder of the regions."""
+        from scoup.io import load_regions
+        from scoup.io.scene_parts import find_features
+
+        cameras = self.load_cameras(scene)
+        features = find_features(scene, self.features)
+        return cameras, load_regions(features, cameras), features
+
+
 def check_field_name(out: Path) -> None:
     """Refuse a name that no field may have."""
     from scoup.base.errors import InputError
@@ -70,7 +115,7 @@ def report_field(
     sums: RegionSums | None,
     device: str,
     seconds: float,
-    extraction: dict[str, Any] | None = None,
+    extraction: dict[str, Any],
 ) -> None:
     """Report what was built; ``sums`` if they are kept, and the extraction if there was one."""
     from scoup.field.part_sizes import part_sizes

@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
+from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups, arg
 from scoup.cli.query_options import NamingOptions, check_metres
 
 
@@ -24,9 +24,9 @@ class CompareCaptures(NamingOptions):
         "output": "out metres_per_unit",
     }
 
-    field: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OLD", help_behavior_hint="")]
+    field: Annotated[tyro.conf.Positional[Path], arg(metavar="OLD")]
     """The .scoup file of the first capture."""
-    new: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="NEW", help_behavior_hint="")]
+    new: Annotated[tyro.conf.Positional[Path], arg(metavar="NEW")]
     """The .scoup file of the second one, with embeddings of the same model."""
     new_gaussians: OptionalPath = None
     """The splat that NEW was built on; --gaussians is that of OLD. Default: the one NEW names."""
@@ -50,7 +50,7 @@ class CompareCaptures(NamingOptions):
         out = second.output_folder(self.out, "changes")
         transform = None if self.transform is None else read_similarity(self.transform)
         old, new = self.open_field(), second.open_field("--new-gaussians")
-        words = self.naming_words(old)
+        words = self.naming_words()
         self.text_encoder(old)
         new.keep_encoder_of(old)
         found = compare(old, new, words, transform)
@@ -61,7 +61,7 @@ class CompareCaptures(NamingOptions):
             thing = change.new or change.old
             assert thing is not None
             far = "" if change.distance is None else f" by {change.distance:.3g}"
-            text = f"{thing.text or 'unnamed'}: thing {thing.number}, {thing.describe()}"
+            text = f"{thing.text or 'unnamed'}: thing {thing.number}, at {thing.describe()}"
             console.say(f"{change.kind}{far}, confidence {change.confidence:.2f}: {text}")
         changed = sum(change.kind != "unseen" for change in found.changes)
         console.say(

@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon, arg
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -41,9 +41,9 @@ class Convert(WritesCommon):
         "field": "gaussians n_atoms k seed",
     }
 
-    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE", help_behavior_hint="")]
+    source: Annotated[tyro.conf.Positional[Path], arg(metavar="SOURCE")]
     """Splat, folder of region features, array of features, or checkpoint."""
-    target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET", help_behavior_hint="")]
+    target: Annotated[tyro.conf.Positional[Path], arg(metavar="TARGET")]
     """Splat, folder or .scoup to write."""
     keep_axes: Flag = False
     """Do not convert the axes of .spz, glTF and OpenUSD: for files of programs that keep the numbers of the PLY."""
@@ -51,7 +51,7 @@ class Convert(WritesCommon):
     """Id of the model that made the embeddings, or a word table. Default: the one that SOURCE names, if any."""
     to: Annotated[
         Literal["compact", "langsplat"] | None,
-        tyro.conf.arg(metavar="{compact,langsplat}", help_behavior_hint=""),
+        arg(metavar="{compact,langsplat}"),
     ] = None
     """Layout to write. Default: the one that SOURCE does not have."""
     bits: Literal[16, 32] = 16

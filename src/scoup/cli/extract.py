@@ -20,6 +20,7 @@ from scoup.cli.options import (
     OptionalText,
     OptionGroups,
     WritesCommon,
+    arg,
 )
 
 if TYPE_CHECKING:
@@ -45,9 +46,7 @@ class Extract(WritesCommon):
         "output": "out part",
     }
 
-    scene: Annotated[
-        tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")
-    ] = None
+    scene: Annotated[tyro.conf.Positional[Path | None], arg(metavar="SCENE")] = None
     """Folder with cameras and photographs, or of photographs alone."""
     views: OptionalText = None
     """How many photographs to extract: a number, more beside those chosen before (+40), or all. Default: up to 24 all;
@@ -75,10 +74,10 @@ class Extract(WritesCommon):
     """Branch, tag or commit of the segmenter. The commit is recorded, and used again on resuming."""
     embedder_revision: OptionalText = None
     """Branch, tag or commit of the embedder, likewise."""
-    list_models: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
+    list_models: Annotated[bool, arg(name="list")] = False
     """Print a table of segmenters, embedders and models with words, and whether their weights are on this machine; do
     nothing else."""
-    preset: Annotated[Literal["langsplat", "fast"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    preset: Annotated[Literal["langsplat", "fast"] | None, arg()] = None
     """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
     early filters, 16 bits where the device can. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None

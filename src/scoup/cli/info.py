@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Common
+from scoup.cli.options import Common, arg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,7 @@ class Info(Common):
     """Show what is in a file or folder: a field, region sums, a splat, cameras, a scene, region features, a word
     table."""
 
-    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
+    path: Annotated[tyro.conf.Positional[Path], arg(metavar="PATH")]
     """A .scoup, .npz, .json or .safetensors file, a splat (.ply, .spz, .glb, .pt and more), or a folder."""
 
     def run(self, console: Console) -> None:
@@ -41,7 +41,7 @@ def _folder(path: Path) -> dict[str, Any]:
     from scoup.base.errors import ScoupWarning
     from scoup.io.describe import describe_folder
     from scoup.uplift.fit import fit_problem, measure_fit
-    from scoup.uplift.storage.paths import ENDING, SCENE
+    from scoup.uplift.storage.array_file import ENDING, SCENE
 
     if (path / f"{SCENE}{ENDING}").exists():
         return _region_sums(path)

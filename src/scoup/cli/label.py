@@ -61,6 +61,7 @@ class Label(AnswerOptions, CameraOptions):
     def run(self, console: Console) -> None:
         """Label and write."""
         from scoup.query.label_files import label_files, save_label_views, save_labels
+        from scoup.query.labels import labels_of
         from scoup.query.question import literal
 
         words = self._words()
@@ -74,13 +75,13 @@ class Label(AnswerOptions, CameraOptions):
         stems = unique_slugs(camera.stem for camera in cameras)
         files = label_files(words, outputs, stems)
         with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
-            labels = field.label(question)
+            answers = field.answer(question)
+            labels = labels_of(field, answers)
             save_labels(field, labels, hidden, outputs, self.gaussians)
             views = dict(zip(stems, cameras, strict=True))
             blind = save_label_views(field, labels, views, hidden, outputs, progress)
             if views:
                 self.check_seen(blind, len(views))
-        answers = field.answer(question)
         _report(console, labels, answers, out, [name for name in files if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:

@@ -13,11 +13,12 @@ import tyro
 from scoup.cli.console import Console
 from scoup.cli.options import (
     Common,
+    Model,
     OptionalInteger,
     OptionalNumber,
     OptionalPath,
-    OptionalText,
     OptionGroups,
+    arg,
 )
 from scoup.cli.query_options import check_metres
 from scoup.cli.stop import Terminated
@@ -39,10 +40,10 @@ class ServeAgents(Common):
 
     fields: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
-        tyro.conf.arg(metavar="FIELD [FIELD ...]", help_behavior_hint=""),
+        arg(metavar="FIELD [FIELD ...]"),
     ]
     """.scoup files; each is a scene, named as its file."""
-    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
     words: OptionalPath = None
     """File of words, one per line, that may be names of things. Default: everyday words, or all names of a word
@@ -54,7 +55,7 @@ class ServeAgents(Common):
     """Archive in which things are found too, written by scoup archive."""
     metres_per_unit: OptionalNumber = None
     """Length of the scenes' unit in metres."""
-    http: Annotated[OptionalInteger, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
+    http: Annotated[OptionalInteger, arg(metavar="PORT")] = None
     """Serve several clients of this machine over HTTP, at this port (0: any). Address and token are printed."""
 
     def run(self, console: Console) -> int:

@@ -22,7 +22,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from scoup.cli.options import Common
+from scoup.cli.options import Common, arg
 
 T = TypeVar("T")
 METAVARS = {int: "INT", float: "NUMBER", str: "TEXT"}
@@ -135,9 +135,7 @@ def borrow_options(settings: Any, names: str, **presets: Any) -> Callable[[type[
         for name in names.split():
             value, kind = getattr(settings, name), hints[name]
             metavar = next(shown for known, shown in METAVARS.items() if known in (kind, *get_args(kind)))
-            verb.__annotations__[name] = Annotated[
-                kind | None, tyro.conf.arg(metavar=metavar, help_behavior_hint="")
-            ]
+            verb.__annotations__[name] = Annotated[kind | None, arg(metavar=metavar)]
             setattr(verb, name, None)
             others = {preset: getattr(other, name) for preset, other in presets.items()}
             differing = [f"{preset}: {other}" for preset, other in others.items() if other != value]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, TypeAlias
 
@@ -11,19 +12,22 @@ import tyro
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """LangSplat's, which verbs assume where no other is named."""
 
-Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
+arg = partial(tyro.conf.arg, help_behavior_hint="")
+"""How an option is shown in the help: without its default, which its text gives in words."""
+
+Flag = Annotated[bool, arg()]
 """A switch that is off by default."""
 
-# Their help gives the default in words, which say more than "None".
-OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")]
-OptionalText = Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")]
-OptionalInteger = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
-OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")]
+OptionalPath = Annotated[Path | None, arg(metavar="PATH")]
+OptionalText = Annotated[str | None, arg(metavar="TEXT")]
+OptionalInteger = Annotated[int | None, arg(metavar="INT")]
+OptionalNumber = Annotated[float | None, arg(metavar="NUMBER")]
 
-FieldFile = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FIELD", help_behavior_hint="")]
-Texts = Annotated[
-    tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="TEXT [TEXT ...]", help_behavior_hint="")
-]
+Model = Annotated[OptionalText, arg(metavar="TABLE|MODEL")]
+Names = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME")]
+Direction = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
+FieldFile = Annotated[tyro.conf.Positional[Path], arg(metavar="FIELD")]
+Texts = Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="TEXT [TEXT ...]")]
 
 OptionGroups: TypeAlias = dict[str, str]
 """Title of a group in the help -> names of its fields, between spaces. Fields in no group come first."""
@@ -39,7 +43,7 @@ class Common:
     """Device of the tensors: cpu, or cuda if torch has a GPU (experimental, see docs/gpu.md)."""
     quiet: Flag = False
     """Print nothing but warnings and errors."""
-    as_json: Annotated[bool, tyro.conf.arg(name="json", help_behavior_hint="")] = False
+    as_json: Annotated[bool, arg(name="json")] = False
     """Print one JSON object on standard output instead of text, for other programs."""
 
 

@@ -193,12 +193,12 @@ class Query(AnswerOptions, CameraOptions):
             answers = view.answer(question)
             if _sees_nothing(view, answers):
                 blind.append(camera)
-            rgb = view.renders.colors().cpu() if files.needs_colors else None
+            rgb = view.renders.colors().cpu() if self.pictures != "none" else None
             files.add(camera, answers, rgb, hidden)
             for answer, places in zip(answers, files.of_view(camera, self._out()), strict=True):
                 record = {"camera": camera.name, "text": answer.text, **answer.to_dict()}
                 records.append({**record, "files": places} if places else record)
-        self.check_seen(blind, files.n_views)
+        self.check_seen(blind, len({record["camera"] for record in records}))
         return records
 
     def _video_names(self) -> list[str]:

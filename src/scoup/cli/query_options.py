@@ -8,17 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
-import tyro
-
 from scoup.base.counts import listed, share_of, verb
 from scoup.cli.options import (
+    Direction,
     FieldFile,
     Flag,
+    Model,
+    Names,
     OptionalNumber,
     OptionalPath,
     OptionalText,
     OptionGroups,
     WritesCommon,
+    arg,
 )
 
 if TYPE_CHECKING:
@@ -93,9 +95,7 @@ class CameraOptions(FieldOptions):
 
     option_groups: ClassVar[OptionGroups] = {"view": "camera scene scale"}
 
-    camera: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
-    ] = ()
+    camera: Names = ()
     """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
     scene: OptionalPath = None
     """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""
@@ -161,7 +161,7 @@ class TextOptions(FieldOptions):
 
     option_groups: ClassVar[OptionGroups] = {"field": "text"}
 
-    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
     def text_encoder(self, field: LanguageField) -> TextEncoder:
@@ -195,16 +195,18 @@ class NamingOptions(TextOptions):
 
     def naming_question(self, field: LanguageField) -> Question[Any]:
         """The question of these words."""
-        from scoup.query.question import literal
+        from scoup.query.question import naming_question
 
-        return self.question(field, literal(self.naming_words(field)))
+        self.text_encoder(field)
+        question = naming_question(field, self.naming_words())
+        field.text_encoder().close()  # models are large
+        return question
 
-    def naming_words(self, field: LanguageField) -> tuple[str, ...]:
-        """The words of --words, or of the encoder."""
-        from scoup.models.text import everyday_vocabulary
+    def naming_words(self) -> tuple[str, ...]:
+        """The words of --words; none without."""
         from scoup.view.vocabulary import read_words
 
-        return read_words(self.words) if self.words else everyday_vocabulary(self.text_encoder(field))
+        return read_words(self.words) if self.words else ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,11 +215,9 @@ class FrameOptions(FieldOptions):
 
     option_groups: ClassVar[OptionGroups] = {"directions": "seen_from up"}
 
-    seen_from: Annotated[OptionalText, tyro.conf.arg(metavar="CAMERA", help_behavior_hint="")] = None
+    seen_from: Annotated[OptionalText, arg(metavar="CAMERA")] = None
     """The camera from which left, right, in front of and behind are meant. Default: the one that sees the most."""
-    up: Annotated[
-        tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
-    ] = None
+    up: Direction = None
     """The direction that is up. Default: estimated from the cameras, which people hold level."""
 
     def open_frame(self, field: LanguageField) -> Frame | None:

@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, WritesCommon
+from scoup.cli.options import OptionalPath, WritesCommon, arg
 
 if TYPE_CHECKING:
     from scoup.scene.cameras import Camera
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class ShowRegions(WritesCommon):
     """Draw the regions of one view at three levels beside the photograph, with their numbers where there is room."""
 
-    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE", help_behavior_hint="")]
+    scene: Annotated[tyro.conf.Positional[Path], arg(metavar="SCENE")]
     """Folder with cameras, photographs and region features."""
     view: str
     """Name of the image, with or without its extension."""

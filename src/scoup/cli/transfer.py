@@ -11,7 +11,7 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.build_options import check_field_name
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, OptionGroups
+from scoup.cli.options import OptionalPath, OptionGroups, arg
 from scoup.cli.query_options import FieldOptions
 
 
@@ -25,7 +25,7 @@ class Transfer(FieldOptions):
 
     option_groups: ClassVar[OptionGroups] = {"output": "out weight_bits"}
 
-    splat: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SPLAT", help_behavior_hint="")]
+    splat: Annotated[tyro.conf.Positional[Path], arg(metavar="SPLAT")]
     """The edited splat, in the frame of the field's own."""
     out: OptionalPath = None
     """The field to write. Default: <name of SPLAT>.scoup here."""

@@ -10,7 +10,7 @@ import tyro
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console, kept
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups, WritesCommon
+from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, OptionGroups, WritesCommon, arg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class MakeViews(WritesCommon):
         "output": "out",
     }
 
-    splat: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SPLAT", help_behavior_hint="")]
+    splat: Annotated[tyro.conf.Positional[Path], arg(metavar="SPLAT")]
     """The splat: .ply, .splat, .spz, .sog, .glb and more, or a folder that contains one."""
     out: OptionalPath = None
     """The scene folder to write: transforms.json, images, and views.png, a sheet of all views. Default: <name of
@@ -37,9 +37,7 @@ class MakeViews(WritesCommon):
     """Width of the views, in pixels."""
     height: int = 720
     """Height of the views, in pixels."""
-    up: Annotated[
-        tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
-    ] = None
+    up: Direction = None
     """The direction that is up in the splat. Default: estimated from its floors and tables."""
     keep_axes: Flag = False
     """Take the up direction in the axes of the file, for .spz and glTF of programs that keep the numbers of the PLY."""
@@ -101,12 +99,8 @@ def is_splat(path: Path) -> bool:
 
 
 def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> None:
-    """Make views of a splat alone, unless they are there already.
-
-    Args:
-        folder: the scene to write.
-        overwrite: replace views that are not whole.
-    """
+    """Make views of a splat alone in a folder, unless they are there already; with ``overwrite`` those that are not
+    whole are replaced."""
     from scoup.extract.own_views import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():

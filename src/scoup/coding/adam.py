@@ -24,8 +24,7 @@ from torch import Tensor
 from scoup.base.progress import Progress, no_progress
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.coding.products import products_for
-from scoup.coding.slots import Slots
-from scoup.coding.step import Step, add_gradient, decay
+from scoup.coding.slots import Slots, Step, add_gradient, decay
 from scoup.scene.codes import SparseCodes, index_dtype
 
 LEARNING_RATE = 7e-4  # the paper's

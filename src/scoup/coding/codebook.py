@@ -1,4 +1,4 @@
-"""The result of stage 1: a codebook and the codes learned with it."""
+"""The result of stage 1: a codebook, the codes learned with it, and those of other rows under it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
-from scoup.coding.encode import encode
+from scoup.coding.backends import as_sparse_codes, coding_backend
 from scoup.coding.report import CodingReport, decoded_cosines
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
+
+SWAP_PASSES = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,3 +67,17 @@ def encode_rows(rows: Tensor, atoms: Tensor, k: int, threshold: float) -> Encode
     codes = encode(rows, atoms, k)
     cosines = decoded_cosines(rows, atoms, codes)
     return Encoded(codes, cosines, (cosines < threshold) & rows.any(1))
+
+
+def encode(rows: Tensor, atoms: Tensor, k: int) -> SparseCodes:
+    """Return for each row [R, D] at most K of the atoms [L, D] and weights >= 0 whose decoded code is near to it in
+    angle.
+
+    A greedy choice by orthogonal least squares and one round of exchanges, see ``reference.code``: near the optimum,
+    and mostly it, but not guaranteed to be. Rows (unit norm or zero) of norm zero, and those to which no atom has a
+    positive inner product, get empty codes; atoms of norm zero are never used. The codes have K columns even if there
+    are fewer atoms.
+    """
+    ours, codebook = (part.detach().cpu().float().contiguous() for part in (rows, atoms))
+    codes = coding_backend().code_rows(ours, codebook, min(k, len(atoms)), SWAP_PASSES)
+    return as_sparse_codes(codes, len(atoms), k, rows.device)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -12,37 +11,14 @@ from torch import Tensor
 _BLOCK_ROWS = 1024  # rows of one pass of ``pull``: 2 MB of 512-dimensional embeddings
 
 
-class Products(Protocol):
-    """Products over R unit rows F [R, D] and a support of K atoms a row, which changes only now and then."""
-
-    def set_support(self, indices: Tensor) -> None:
-        """Set the atoms of each row, [K, R] int64, no atom twice in a row."""
-        ...
-
-    def similarities(self, atoms: Tensor) -> Tensor:
-        """[K, R]: the inner products of each row with the atoms of its support. ``atoms`` is [L, D]."""
-        ...
-
-    def gram_on_support(self, gram: Tensor) -> Tensor:
-        """[K, K, R]: the entries of the Gram matrix [L, L] between the atoms of each row's support."""
-        ...
-
-    def pull(self, weights: Tensor) -> Tensor:
-        """[L, D]: for each atom the sum of the rows that use it, weighted by ``weights`` [K, R]."""
-        ...
-
-    def moments(self, weights: Tensor, scale: Tensor) -> Tensor:
-        """[L, L]: the sum over rows of scale_r w_r w_r^T, from ``weights`` [K, R] and ``scale`` [R]."""
-        ...
-
-
-def products_for(rows: Tensor, n_atoms: int) -> Products:
+def products_for(rows: Tensor, n_atoms: int) -> SparseProducts | DenseProducts:
     """Sparse products on the CPU, where touching K of L atoms saves time; dense ones on other devices."""
     return SparseProducts(rows, n_atoms) if rows.device.type == "cpu" else DenseProducts(rows, n_atoms)
 
 
 class DenseProducts:
-    """Products by dense matrix multiplication: L / K times the arithmetic, but no irregular access."""
+    """Products over R unit rows F [R, D] and a support of K atoms a row, which changes only now and then, by dense
+    matrix multiplication: L / K times the arithmetic, but no irregular access."""
 
     def __init__(self, rows: Tensor, n_atoms: int) -> None:
         self._rows = rows
@@ -50,19 +26,24 @@ class DenseProducts:
         self._indices = torch.empty(0, 0, dtype=torch.long)
 
     def set_support(self, indices: Tensor) -> None:
+        """Set the atoms of each row, [K, R] int64, no atom twice in a row."""
         self._indices = indices
         self._pairs = _pairs(indices, self._n_atoms)
 
     def similarities(self, atoms: Tensor) -> Tensor:
+        """[K, R]: the inner products of each row with the atoms of its support. ``atoms`` is [L, D]."""
         return (atoms @ self._rows.T).gather(0, self._indices)
 
     def gram_on_support(self, gram: Tensor) -> Tensor:
+        """[K, K, R]: the entries of the Gram matrix [L, L] between the atoms of each row's support."""
         return _take(gram, self._pairs, self._indices)
 
     def pull(self, weights: Tensor) -> Tensor:
+        """[L, D]: for each atom the sum of the rows that use it, weighted by ``weights`` [K, R]."""
         return self._dense(weights) @ self._rows
 
     def moments(self, weights: Tensor, scale: Tensor) -> Tensor:
+        """[L, L]: the sum over rows of scale_r w_r w_r^T, from ``weights`` [K, R] and ``scale`` [R]."""
         dense = self._dense(weights)
         return (dense * scale) @ dense.T
 
@@ -72,7 +53,7 @@ class DenseProducts:
 
 
 class SparseProducts:
-    """Products that touch only the K atoms of each row (CPU)."""
+    """The same products, which touch only the K atoms of each row (CPU)."""
 
     def __init__(self, rows: Tensor, n_atoms: int) -> None:
         self._rows = rows
@@ -113,11 +94,8 @@ class SparseProducts:
 
 
 def _bags(by_row: Tensor, k: int, n_atoms: int) -> tuple[Tensor, Tensor]:
-    """Entries of each (block of rows, atom) side by side, blocks outermost, so that a block stays in cache.
-
-    Returns:
-        [R * K] int64 positions in ``by_row``, and the int32 start of each of the (blocks x L) bags.
-    """
+    """Entries of each (block of rows, atom) side by side, blocks outermost, so that a block stays in cache: [R * K]
+    int64 positions in ``by_row``, and the int32 start of each of the (blocks x L) bags."""
     block = _BLOCK_ROWS * k
     n_blocks = -(-len(by_row) // block)
     # 16-bit keys let numpy sort by radix, twenty times faster than by comparison. The padding sorts last.

@@ -1,14 +1,47 @@
-"""The logits of the Adam solver that have moved, and Adam's state for them."""
+"""Steps of Adam, and the logits of the Adam solver that have moved, with Adam's state for them."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from scoup.coding.step import Step, add_gradient, decay
-
+BETAS = (0.9, 0.999)
+EPSILON = 1e-8
 _GROW = 4
 _TINY = 1e-30
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step as torch.optim.Adam takes it (Kingma and Ba 2015, algorithm 1), bias-corrected:
+    p -= size * m / (sqrt(v) / root + epsilon)."""
+
+    size: float
+    root: float
+
+    @classmethod
+    def of_epoch(cls, epoch: int, learning_rate: float) -> Step:
+        """The step of epoch 1, 2, ..."""
+        return cls(learning_rate / (1 - BETAS[0] ** epoch), math.sqrt(1 - BETAS[1] ** epoch))
+
+    def move(self, parameter: Tensor, first: Tensor, second: Tensor) -> None:
+        """Move ``parameter`` in place along its moments m = ``first`` and v = ``second`` of one shape."""
+        parameter.addcdiv_(first, second.sqrt().div_(self.root).add_(EPSILON), value=-self.size)
+
+
+def add_gradient(first: Tensor, second: Tensor, gradient: Tensor) -> None:
+    """Add a gradient to moments that have decayed already, in place."""
+    first.add_(gradient, alpha=1 - BETAS[0])
+    second.addcmul_(gradient, gradient, value=1 - BETAS[1])
+
+
+def decay(first: Tensor, second: Tensor) -> None:
+    """Decay the moments by one epoch, in place."""
+    first.mul_(BETAS[0])
+    second.mul_(BETAS[1])
 
 
 class Slots:

@@ -30,13 +30,8 @@ def extract_concepts(
     part: Part = Part(),  # noqa: B008 - frozen
     progress: Progress = no_progress,
 ) -> ExtractReport:
-    """Look for texts in photographs and store where they are. After an interruption, the same call continues.
-
-    Args:
-        folder: of the results: ``concepts`` in that of the regions, where ``build`` looks.
-        model: that takes words.
-        texts: to look for, without repetitions.
-        max_height, overwrite, part, progress: as for ``extract``.
+    """Look for texts, without repetitions, in photographs and store where they are: in ``concepts`` beside the regions,
+    where ``build`` looks. After an interruption, the same call continues. Other arguments as for ``extract``.
 
     Raises:
         InputError: the folder contains detections of other texts or of another model.

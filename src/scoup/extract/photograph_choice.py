@@ -110,12 +110,8 @@ def rank_views(
     there: Sequence[int] = (),
     progress: Progress = no_progress,
 ) -> list[int]:
-    """Return the numbers of the cameras to take: those there, then by marginal gain (``choose_views``).
-
-    Args:
-        sharp: [V] sharpness of the photographs.
-        count: as for ``choose_photographs``.
-    """
+    """Return the numbers of the cameras to take: those there, then by marginal gain (``choose_views``); ``sharp`` [V]
+    is the sharpness of their photographs, ``count`` as for ``choose_photographs``."""
     matter = measure_matter(gaussians, find_matter(gaussians), torch.tensor([0.0, 0.0, 1.0]).double())
     scorer = ViewScorer.of(
         prepare_gaussians(gaussians), matter, torch.from_numpy(spread_directions(SECTORS)).float()
@@ -147,11 +143,8 @@ def sharpness(image: NDArray[np.uint8]) -> float:
 
 
 def relative_sharpness(sharp: Tensor, shown: Tensor) -> Tensor:
-    """Return [V] the sharpness by that of photographs of the same, 0..1: content decides sharpness, too.
-
-    Args:
-        shown: [V, M] as in ``Scores``.
-    """
+    """Return [V] the sharpness by that of photographs that show the same (``Scores.shown`` [V, M]), 0..1: content
+    decides sharpness, too."""
     unit = normalize(shown, dim=1)
     nearest = (unit @ unit.T).argsort(dim=1, descending=True, stable=True)[:, :NEIGHBOURS]
     usual = sharp[nearest].quantile(SHARP, dim=1)

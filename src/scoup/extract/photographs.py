@@ -21,6 +21,7 @@ from scoup.io.camera_images import FACTORS
 from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder
 from scoup.io.images import open_image, rgb_image
 
+AHEAD = 2  # photographs that are read before they are needed
 _TURNS = {3: 2, 6: 3, 8: 1}  # EXIF orientation -> quarter turns against the clock that put the image upright
 _MIRRORED = {2: 0, 4: 2, 5: 3, 7: 1}  # those that are mirrored left to right after the turns
 
@@ -123,20 +124,20 @@ def read_photograph(path: Path, max_height: int | None = 1080, mask: Path | None
 
 
 def read_ahead(
-    photographs: Iterable[Photograph], max_height: int | None, ahead: int = 2
+    photographs: Iterable[Photograph], max_height: int | None
 ) -> Generator[tuple[Photograph, Pixels | ScoupError], None, None]:
     """Yield photographs with their pixels, or the error of one that cannot be decoded, in order.
 
-    Threads decode the next ones meanwhile; at most ``ahead`` + 1 images are in memory.
+    Threads decode the next ones meanwhile; at most ``AHEAD`` + 1 images are in memory.
     """
     waiting = iter(photographs)
-    with warnings.catch_warnings(), ThreadPoolExecutor(max_workers=ahead) as pool:
+    with warnings.catch_warnings(), ThreadPoolExecutor(max_workers=AHEAD) as pool:
         # Not in the threads: filters belong to the process, and threads would restore each other's.
         warnings.filterwarnings("ignore", module=r"PIL\.")
         queue: list[tuple[Photograph, Future[Pixels]]] = []
 
         def fill() -> None:
-            for item in islice(waiting, ahead - len(queue)):
+            for item in islice(waiting, AHEAD - len(queue)):
                 queue.append((item, pool.submit(read_photograph, item.path, max_height, item.mask)))
 
         try:

@@ -111,13 +111,8 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
 
 
 def lacks_views(folder: Path, scene: Path, images: Path | None, embedder: str) -> bool:
-    """Return whether a folder is what an extraction with an embedder left that was interrupted.
-
-    Args:
-        folder: of region features.
-        scene, images: as of ``find_photographs``.
-        embedder: name of the model.
-    """
+    """Return whether a folder of region features is what an interrupted extraction with this embedder left of a
+    scene."""
     manifest = read_manifest(folder)
     if manifest is None or manifest.layout != "compact" or manifest.embedding_model != embedder:
         return False

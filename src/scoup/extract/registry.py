@@ -112,23 +112,13 @@ def open_segmenter(
     revision: str | None = None,
     device: torch.device | str = "cpu",
 ) -> Segmenter:
-    """Open a segmenter by name.
-
-    Args:
-        name: of ``SEGMENTERS``, or the path of MobileSAM's checkpoint (.pt).
-        settings: of the masks, for models.
-        revision: branch, tag or commit of a hub model.
-    """
+    """Open a segmenter of ``SEGMENTERS``, or of the path of MobileSAM's checkpoint (.pt); a hub model at a revision
+    (branch, tag or commit)."""
     return SEGMENTERS.find(name).open(name, revision, device, settings or MaskSettings())
 
 
 def open_embedder(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> Embedder:
-    """Open an embedder by name.
-
-    Args:
-        name: of ``EMBEDDERS``.
-        revision: branch, tag or commit of a hub model.
-    """
+    """Open an embedder of ``EMBEDDERS``; a hub model at a revision."""
     return EMBEDDERS.find(name).open(name, revision, device)
 
 
@@ -140,13 +130,10 @@ def open_pair(
     device: torch.device | str = "cpu",
     resumed: Path | None = None,
 ) -> tuple[Segmenter, Embedder]:
-    """Open a segmenter and an embedder; in a folder that is resumed, of the commits it was begun with.
+    """Open a segmenter and an embedder of the revisions that the user names; else, in a folder that is resumed, of the
+    commits it was begun with.
 
     A hub model that has changed meanwhile would otherwise be another model for the rest of the views.
-
-    Args:
-        revisions: of both, where the user names them.
-        resumed: folder that may contain views already.
     """
     manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}

@@ -37,16 +37,11 @@ CELLS = 48  # along the longest side of the grid of free space
 class Matter:
     """The Gaussians that views are to show, and the frame in which they are looked at."""
 
-    rows: Tensor
-    """[M] int64, the Gaussians that count: opaque, of sensible size and with neighbours."""
-    means: Tensor
-    """[M, 3] float64, their centres."""
-    axes: Tensor
-    """[3, 3] float64, rows: two horizontal directions and up."""
-    low: Tensor
-    """[3] float64, the lower corner of the box of nearly all of them, along ``axes``."""
-    high: Tensor
-    """[3] float64, its upper corner."""
+    rows: Tensor  # [M] int64, the Gaussians that count: opaque, of sensible size and with neighbours
+    means: Tensor  # [M, 3] float64, their centres
+    axes: Tensor  # [3, 3] float64, rows: two horizontal directions and up
+    low: Tensor  # [3] float64, the lower corner of the box of nearly all of them, along ``axes``
+    high: Tensor  # [3] float64, its upper corner
 
     @property
     def radius(self) -> float:
@@ -112,12 +107,9 @@ def candidate_cameras(matter: Matter, width: int, height: int) -> list[Camera]:
 
 
 def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> list[Camera]:
-    """Return cameras that stand a little beside each of some, and look a little beside what these look at.
-
-    Args:
-        draws: [D, 5] in -1..1: shares of the furthest move along each of the three axes of the matter, and of the
-            furthest turns aside and up.
-    """
+    """Return cameras that stand a little beside each of some, and look a little beside what these look at: ``draws``
+    [D, 5] in -1..1 are shares of the furthest move along each axis of the matter, and of the furthest turns aside and
+    up."""
     found = []
     for camera in cameras:
         eye, forward = matter.axes @ camera.position, matter.axes @ camera.viewmat[2, :3]

@@ -53,12 +53,9 @@ class Scores:
     """The Gaussians, of M counted ones, that candidate cameras show."""
 
     cameras: list[Camera]
-    shown: Tensor
-    """[V, M] float16, as ``Score.shown``."""
-    direction: Tensor
-    """[V, M] uint8."""
-    pictures: Tensor
-    """[V, 3] float32: opaque, filled, elongation."""
+    shown: Tensor  # [V, M] float16, as ``Score.shown``
+    direction: Tensor  # [V, M] uint8
+    pictures: Tensor  # [V, 3] float32: opaque, filled, elongation
 
     @classmethod
     def of(cls, cameras: list[Camera], found: Sequence[Score]) -> Scores:
@@ -87,10 +84,8 @@ class Scores:
 
         Training makes Gaussians flat towards the cameras that saw them, and leaves them long along the rays of others:
         where a view finds them long, no camera looked. Views into emptiness lose too, by the fullest view of the same
-        Gaussian: around the neck of a guitar all views are empty.
-
-        Args:
-            n_there: the first views are photographs, which are good wherever they were taken.
+        Gaussian: around the neck of a guitar all views are empty. The first ``n_there`` views are photographs, which
+        are good wherever they were taken.
         """
         opaque, filled, elongation = self.pictures.T
         solid = (opaque / opaque.quantile(0.98).clamp(min=1e-6)).clamp(max=1) ** STRICT
@@ -121,18 +116,12 @@ class ViewScorer:
     """Scores cameras by cheap renders."""
 
     prepared: PreparedGaussians
-    counted: Tensor
-    """[M] int64, rows of the prepared Gaussians that count."""
-    sizes: Tensor
-    """[N] float32, standard deviation of each along its middle axis."""
-    full_size: float
-    """Standard deviation at which all matter side by side would fill an image, as a share of its width."""
-    sectors: Tensor
-    """[B, 3] float32 unit vectors, middles of the sectors of directions."""
-    covariances: Tensor
-    """[6, N] float32: xx, yy, zz, xy, xz, yz."""
-    radius: float
-    """Of the scene."""
+    counted: Tensor  # [M] int64, rows of the prepared Gaussians that count
+    sizes: Tensor  # [N] float32, standard deviation of each along its middle axis
+    full_size: float  # standard deviation at which all matter side by side would fill an image, as a share of its width
+    sectors: Tensor  # [B, 3] float32 unit vectors, middles of the sectors of directions
+    covariances: Tensor  # [6, N] float32: xx, yy, zz, xy, xz, yz
+    radius: float  # of the scene
 
     @classmethod
     def of(cls, prepared: PreparedGaussians, matter: Matter, sectors: Tensor | None = None) -> ViewScorer:
@@ -214,7 +203,7 @@ class ViewScorer:
 def choose_views(
     worth: Tensor, direction: Tensor, most: int, least_gain: float = 0.0, there: Iterable[int] = ()
 ) -> list[int]:
-    """Return the views that show the most, one after the other, by marginal gain.
+    """Return at most ``most`` views that show the most, one after the other, by marginal gain.
 
     A Gaussian that is shown from directions b with qualities q_b is worth sqrt(min(sum of q_b, 10)): a submodular
     function of the views, for which the greedy choice is within 1 - 1/e of the best (Nemhauser et al. 1978).
@@ -222,7 +211,6 @@ def choose_views(
     Args:
         worth: [V, M] float32, how well each view shows each Gaussian, 0..1.
         direction: [V, M] uint8, as ``Scores.direction``.
-        most: views to choose; fewer where no other gains anything.
         least_gain: what each must gain.
         there: views that exist already; others are chosen beside them.
     """
@@ -276,11 +264,8 @@ def not_from_behind(shown: Tensor, fronts: Tensor, n_there: int) -> Tensor:
 
 
 def front_sides(scores: Scores, means: Tensor) -> Tensor:
-    """Return [V, M] bool: whether each view sees the side of a Gaussian from which the views that show the most see it.
-
-    Args:
-        means: [M, 3] of the Gaussians.
-    """
+    """Return [V, M] bool: whether each view sees the side of a Gaussian (at ``means`` [M, 3]) from which the views that
+    show the most see it."""
     worth = scores.worth()
     weights = worth * worth.mean(1, keepdim=True)
     mean, total = torch.zeros_like(means), torch.zeros(len(means))

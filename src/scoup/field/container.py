@@ -13,7 +13,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from scoup.base.digests import array_checksum, is_sealed
-from scoup.base.errors import FileFormatError, MissingFileError, check_format_version
+from scoup.base.errors import FileFormatError, check_format_version
+from scoup.base.existing import existing_file
 from scoup.base.safetensors_damage import safetensors_damage_named
 from scoup.field.content import check_content
 
@@ -42,8 +43,7 @@ def read_content(path: Path) -> FieldContent:
     """
     from safetensors import safe_open
 
-    if not path.is_file():
-        raise MissingFileError.of(path, _WHAT)
+    existing_file(path, _WHAT)
     with safetensors_damage_named(path, _WHAT, REBUILD), open(path, "rb") as start:
         if start.read(9)[8:] != b"{":  # of the header of any safetensors file
             raise FileFormatError(path, f"is not {_WHAT}", "pass a .scoup file; scoup build writes one")

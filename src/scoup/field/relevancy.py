@@ -132,17 +132,8 @@ def pixel_relevancy(
     canonical: Tensor,
     known: PixelCosines | None,
 ) -> tuple[Tensor, PixelCosines]:
-    """Return the relevancy [S, Q, H, W] of each pixel to queries [Q, D] beside canonical phrases [P, D].
-
-    Args:
-        projection: to the view.
-        codes: of its Gaussians.
-        queries, canonical: of unit norm.
-        known: what the last call returned for this projection and these codes; None at first.
-
-    Returns:
-        The relevancy, and what to pass to the next call.
-    """
+    """Return the relevancy [S, Q, H, W] of each pixel to queries [Q, D] beside canonical phrases [P, D], of unit norm;
+    and what to pass as ``known`` to the next call for this projection and these codes, None at first."""
     same_phrases = known is not None and torch.equal(known.canonical, canonical)
     vectors = queries if same_phrases else torch.cat([queries, canonical])
     if known is None or len(vectors) * len(codes.codebook) > MOST_CHANNELS:

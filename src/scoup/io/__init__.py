@@ -2,7 +2,7 @@
 
 from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
-from scoup.io.cameras.inria import read_cfg_args, write_inria_cameras
+from scoup.io.cameras.inria import read_cfg_args
 from scoup.io.cameras.nerfstudio import write_transforms
 from scoup.io.images import load_image, save_label_png, save_png
 from scoup.io.regions.convert import convert_regions
@@ -51,7 +51,6 @@ __all__ = [
     "splat_source",
     "write_colmap",
     "write_gltf",
-    "write_inria_cameras",
     "write_ply",
     "write_ply_table",
     "write_spz",

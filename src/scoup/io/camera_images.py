@@ -29,13 +29,8 @@ def attach_images(
     missing_images: MissingImages,
     warn: bool,
 ) -> Cameras:
-    """Return the cameras with their image files, resized to them. Arguments as in ``scenes.load_cameras``.
-
-    Args:
-        source: where the cameras come from, for messages.
-        roots: folders that may hold ``images``, ``images_2`` and so on.
-        warn: of missing images.
-    """
+    """Return the cameras of a source with their image files, resized to them. ``roots`` are folders that may hold
+    ``images``, ``images_2`` and so on; other arguments as of ``scenes.load_cameras``."""
     folder, factor = _choose_folder(roots, images, downscale)
     wanted = downscale or factor
     hint_first = images is None and (folder is None or factor == 1)

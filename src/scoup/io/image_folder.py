@@ -110,8 +110,8 @@ class ImageFolder:
 
     def _places(self, name: str) -> Iterator[str]:
         """Yield the name, and what follows this folder in it; of an absolute path or one with .., all ends."""
-        yield name
         parts = PurePosixPath(name).parts
+        yield "/".join(parts)  # without ./ and //
         own = self.folder.absolute()
         folders = (*own.parent.parts, re.sub(r"^images_\d+$", "images", own.name))
         elsewhere = ".." in parts or PurePosixPath(name).is_absolute() or bool(PureWindowsPath(name).drive)
@@ -148,12 +148,7 @@ def is_outside(folder: Path, name: str) -> bool:
 
 
 def warn_of_outside(source: Path, folder: Path, names: Iterable[str]) -> None:
-    """Warn of names of images that leave the scene's folder.
-
-    Args:
-        source: the file that has them.
-        folder: of the scene.
-    """
+    """Warn of names of images, in a file ``source``, that leave the scene's folder."""
     outside = [name for name in names if is_outside(folder, name)]
     if outside:
         warnings.warn(

@@ -15,8 +15,9 @@ from torch import Tensor
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, refused_read
+from scoup.base.existing import existing_file
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
-from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, existing_file, read_bytes
+from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, read_bytes
 from scoup.scene.cameras import Camera
 
 FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "GIF", "PPM")  # some others start programs
@@ -133,16 +134,11 @@ def save_png(image: Tensor | np.ndarray, path: str | Path, overwrite: bool = Fal
         Image.fromarray(np.ascontiguousarray(array)).save(stream, format="PNG")
 
 
-def save_label_png(
-    numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path, overwrite: bool = False
-) -> None:
-    """Write a map of numbers as a PNG whose pixel values are the numbers plus one; 0 is none.
+def save_label_png(numbers: Tensor | np.ndarray, colors: np.ndarray, path: str | Path) -> None:
+    """Write a map [H, W] of integers from -1 (none) as a PNG whose pixel values are the numbers plus one; 0 is none.
 
-    Up to 255 numbers it has a palette, so that it shows in colours; more make a grey picture of 16 bits.
-
-    Args:
-        numbers: [H, W] integers from -1 (none).
-        colors: [C, 3] uint8 of the numbers.
+    Up to 255 numbers it has a palette, the ``colors`` [C, 3] uint8, so that it shows in colours; more make a grey
+    picture of 16 bits.
     """
     from PIL import Image
 
@@ -155,7 +151,7 @@ def save_label_png(
     else:
         picture = Image.fromarray((array + 1).astype(np.uint8))
         picture.putpalette(np.concatenate([np.zeros((1, 3), np.uint8), colors]).tobytes())
-    with atomic_file(path, overwrite) as stream:
+    with atomic_file(path) as stream:
         picture.save(stream, format="PNG")
 
 

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.errors import FileFormatError, refused_read
-from scoup.io.reading import existing_file
+from scoup.base.existing import existing_file
 
 _MAX_HEADER = 1 << 16
 _REMEDY = "the file is cut short or damaged; write it again"
 
 
-def open_npy(path: str | Path, what: str, remedy: str = "check the path") -> np.ndarray:
+def open_npy(path: str | Path, what: str) -> np.ndarray:
     """Memory-map a .npy file of plain numbers, read only. Nothing but the header is read."""
-    path = existing_file(path, what, remedy)
+    path = existing_file(path, what)
     try:
         size = os.path.getsize(path)
         with open(path, "rb") as stream:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import unicodedata
 import warnings
@@ -17,7 +16,8 @@ from typing import Literal
 import numpy as np
 import torch
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, refused_read
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
+from scoup.base.existing import existing_file
 from scoup.base.json_node import JsonNode
 from scoup.scene.cameras import Camera, Cameras
 
@@ -28,24 +28,6 @@ MAX_IMAGE_PIXELS = 1 << 29
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")  # not in text
 
 _UNDISTORT_REMEDY = "undistort the images first (colmap image_undistorter), or pass `distorted='undistort'`"
-
-
-def existing_file(path: str | Path, what: str, remedy: str = "check the path") -> Path:
-    """Return ``path`` if it is a file; else raise a MissingFileError."""
-    path = Path(path)
-    if not os.path.isfile(path):
-        raise MissingFileError.of(path, what, remedy)
-    return path
-
-
-def existing_folder(path: str | Path, what: str, remedy: str = "check the path") -> Path:
-    """Return ``path`` if it is a folder; else raise a MissingFileError."""
-    path = Path(path)
-    if os.path.isfile(path):
-        raise MissingFileError(path, f"is a file, not {what}", remedy)
-    if not os.path.isdir(path):
-        raise MissingFileError(path, f"there is no such folder ({what} was expected)", remedy)
-    return path
 
 
 def read_bytes(path: Path) -> bytes:

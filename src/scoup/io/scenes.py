@@ -202,11 +202,7 @@ def camera_photographs(
     path: str | Path, images: str | Path | None = None
 ) -> tuple[list[tuple[str, Path, Path | None]], str]:
     """Return names of a scene's cameras, their photographs where there are any, and the masks of these; and what was
-    looked for where there are none. No image is opened.
-
-    Args:
-        path, images: as in ``load_cameras``.
-    """
+    looked for where there are none. No image is opened. Arguments as of ``load_cameras``."""
     source = find_cameras(path)
     return image_files(_read(source, "undistort"), source.roots, images)
 

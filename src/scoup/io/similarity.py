@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.base.errors import FileFormatError
+from scoup.base.existing import existing_file
 from scoup.base.json_node import JsonNode
-from scoup.io.reading import existing_file, read_text
+from scoup.io.reading import read_text
 
 REMEDY = "the file should contain 4 rows of 4 numbers: a rotation times a scale, with a translation"
 STRAIGHT = 1e-3  # of the rotation's products

@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError
-from scoup.io.reading import existing_file, read_bytes
+from scoup.base.existing import existing_file
+from scoup.io.reading import read_bytes
 
 _PICKLE = b"\x80"
 _OBJECTS = "contains Python objects other than tensors; it was not opened, because that could run code"
@@ -27,13 +28,9 @@ _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
 def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers: bool = False) -> Any:
-    """Return the content of a file of torch.save; nothing in it is run.
-
-    Args:
-        what: its kind, for messages.
-        without_objects: the remedy where it holds Python objects.
-        numpy_numbers: allow single numpy numbers beside the tensors, as in Inria's checkpoints.
-    """
+    """Return the content of a file of torch.save; nothing in it is run. ``what`` is its kind for messages,
+    ``without_objects`` the remedy where it holds Python objects; ``numpy_numbers`` allows single numpy numbers beside
+    the tensors, as in Inria's checkpoints."""
     path = existing_file(path, what)
     if _is_bare_pickle(path):
         raise FileFormatError(
@@ -75,13 +72,8 @@ def _check_names(pickles: list[bytes]) -> None:
 
 
 def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what: str) -> np.ndarray:
-    """Return [...] float32 of a tensor in a file.
-
-    Args:
-        value: what it holds under ``name``.
-        shape: expected; -1 takes any side.
-        name, what: of the tensor and of the kind of file, for messages.
-    """
+    """Return [...] float32 of a tensor that a kind of file (``what``) holds under ``name``; of the shape expected -1
+    takes any side."""
     sound = (
         isinstance(value, Tensor)
         and value.layout == torch.strided

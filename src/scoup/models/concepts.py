@@ -166,13 +166,8 @@ def corners(boxes: Tensor) -> Tensor:
 
 
 def best_boxes(boxes: Tensor, scores: Tensor, size: tuple[int, int]) -> Detections:
-    """Return the best boxes of each text: of those that overlap, the one with the largest score.
-
-    Args:
-        boxes: [P, 4] x0, y0, x1, y1 in pixels.
-        scores: [P, Q] of each for each text.
-        size: width and height of the image.
-    """
+    """Return the best boxes of each text: of those [P, 4] (x0, y0, x1, y1 in pixels) that overlap, the one with the
+    largest score [P, Q], in an image of this width and height."""
     boxes = boxes.clamp(min=0).minimum(torch.tensor(size * 2))
     values, places = scores.T.topk(min(CANDIDATES, len(scores)), dim=1)
     rows, kept, areas = [], [], (boxes[:, 2:] - boxes[:, :2]).prod(1)
@@ -261,7 +256,7 @@ CONCEPTS = Registry("model with words", "scoup.concepts", ModelEntry, (
 """Models that find texts in photographs, by name."""
 
 
-def open_concepts(name: str, revision: str | None = None, device: torch.device | str = "cpu") -> ConceptModel:
+def open_concepts(name: str, device: torch.device | str = "cpu") -> ConceptModel:
     """Open a model with words, by a name of ``CONCEPTS``.
 
     Raises:
@@ -272,4 +267,4 @@ def open_concepts(name: str, revision: str | None = None, device: torch.device |
         >>> CONCEPTS["owlv2"].licence
         'Apache-2.0'
     """
-    return CONCEPTS.find(name).open(name, revision, device)
+    return CONCEPTS.find(name).open(name, None, device)

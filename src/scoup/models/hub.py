@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 import torch
 
 from scoup.base.errors import InputError, ScoupError
+from scoup.base.existing import refuse_pointer
 from scoup.models.normalization import PLAIN, Normalization
 
 Loaded = TypeVar("Loaded")
@@ -175,6 +176,9 @@ def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded])
         raise request.unusable(
             "it is a file; pass a folder with config.json and weights (safetensors), or a hub id"
         )
+    if os.path.isdir(request.source):
+        for file in sorted(Path(request.source).iterdir()):
+            refuse_pointer(file)
     transformers = request.package("transformers", "models")
 
     def load_with(options: dict[str, Any]) -> Loaded:

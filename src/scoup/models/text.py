@@ -208,16 +208,14 @@ class TextEncoder:
         For a table all its names except the canonical phrases. For a model a fixed list of words, whose vectors are
         rounded to 16 bits: they are encoded once, and read from the user's cache afterwards.
         """
-        if self._everyday is None:
-            self._everyday = self._everyday_vectors()
+        if self._everyday is None and self._model is not None and self._encode is not None:
+            encode = partial(_encoded, self._encode)
+            self._everyday = everyday_vectors(*self._model, words.EVERYDAY_WORDS, encode)
+        elif self._everyday is None:
+            phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
+            names = words.EVERYDAY_WORDS if self.names is None else self.names
+            self._everyday = self.encode([name for name in names if name.strip().casefold() not in phrases])
         return self._everyday
-
-    def _everyday_vectors(self) -> Tensor:
-        if self._model is not None and self._encode is not None:
-            return everyday_vectors(*self._model, words.EVERYDAY_WORDS, partial(_encoded, self._encode))
-        phrases = {phrase.casefold() for phrase in CANONICAL_PHRASES}
-        names = words.EVERYDAY_WORDS if self.names is None else self.names
-        return self.encode([name for name in names if name.strip().casefold() not in phrases])
 
     def close(self) -> None:
         """Release the model or table."""

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import astuple
@@ -19,7 +21,6 @@ from torch import Tensor
 from scoup.base.errors import FileFormatError, ScoupError
 from scoup.base.file_names import slug
 from scoup.base.npz import write_npz
-from scoup.base.user_cache import cache_folder
 from scoup.models.hub import ModelIdentity
 from scoup.models.word_table import MODEL_KEY, WordTable, load_table
 
@@ -35,13 +36,8 @@ def everyday_vectors(
     """Return unit vectors of words [B, D] float32: those in the cache, else encoded and written there.
 
     Both are rounded to 16 bits, so they are the same. A file that is damaged or of another model is replaced, and a
-    cache that cannot be written is not used.
-
-    Args:
-        model: that encodes.
-        probe: [1, D] its vector of ``PROBE``.
-        words: to encode.
-        encode: returns vectors of unit norm.
+    cache that cannot be written is not used. ``probe`` [1, D] is the model's vector of ``PROBE``; ``encode`` returns
+    vectors of unit norm.
     """
     path, names = _file(model, words), (PROBE, *words)
     if path is not None and (known := _read(path, names, probe)) is not None:
@@ -56,6 +52,27 @@ def everyday_vectors(
         with suppress(ScoupError, OSError):
             write_npz(path, arrays, overwrite=True)
     return torch.from_numpy(table.vectors[1:])
+
+
+def cache_folder() -> Path | None:
+    """Return the folder of SCOUP's cache, which may be missing; None if the user has no home.
+
+    It is the environment variable ``SCOUP_CACHE``, else ``scoup`` in the usual place of the platform: $XDG_CACHE_HOME
+    or ~/.cache, ~/Library/Caches on macOS, %LOCALAPPDATA% on Windows.
+    """
+    if own := os.environ.get("SCOUP_CACHE"):
+        return Path(own)
+    variable, usual = {
+        "darwin": ("", "Library/Caches"),
+        "win32": ("LOCALAPPDATA", "AppData/Local"),
+    }.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    place = os.environ.get(variable, "")
+    if os.path.isabs(place):  # XDG: a relative path is ignored
+        return Path(place) / "scoup"
+    try:
+        return Path.home() / usual / "scoup"
+    except RuntimeError:
+        return None
 
 
 def _file(model: ModelIdentity, words: Sequence[str]) -> Path | None:

@@ -15,7 +15,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.errors import FileFormatError, InputError
+from scoup.base.existing import existing_file
 from scoup.base.npz import write_npz
 
 TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
@@ -76,11 +77,8 @@ def load_table(path: str | Path) -> WordTable:
     ``{name: [numbers]}``; .safetensors with one tensor per name, or a tensor ``vectors`` and the names as a
     JSON list in its metadata entry ``names``. The embedding model may be named under ``model``.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise MissingFileError.of(
-            path, "a table of text embeddings", "check the path, or name a CLIP model instead"
-        )
+    remedy = "check the path, or name a CLIP model instead"
+    path = existing_file(path, "a table of text embeddings", remedy)
     read = {".npz": _read_npz, ".json": _read_json, ".safetensors": _read_safetensors}.get(
         path.suffix.lower()
     )
@@ -97,13 +95,8 @@ def save_table(
     overwrite: bool = False,
     model: str = "",
 ) -> None:
-    """Write an .npz table with arrays ``names`` [M] and ``vectors`` [M, D] float32, scaled to unit norm.
-
-    Args:
-        path: must end in .npz.
-        names: all different.
-        model: id of the embedding model.
-    """
+    """Write a table, whose name ends in .npz, with arrays ``names`` [M], all different, and ``vectors`` [M, D] float32,
+    scaled to unit norm, of an embedding model."""
     check_table_name(path)
     if len(set(names)) != len(names):
         raise InputError(f"{path}: two names of the table are the same")

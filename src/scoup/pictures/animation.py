@@ -16,14 +16,8 @@ from scoup.pictures.lettering import PAPER
 
 
 def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: float) -> None:
-    """Write an endless animation, atomically, replacing an existing file.
-
-    Args:
-        frames: [H, W, 3] uint8 each, of one width. Those that are less high than others, since their titles are
-            shorter, get a margin above.
-        path: .webp or .gif.
-        frames_per_second: its speed.
-    """
+    """Write an endless .webp or .gif, atomically, replacing an existing file. Frames have one width; those that are
+    less high, since their titles are shorter, get a margin above."""
     if len({frame.shape[1] for frame in frames}) > 1:
         raise InputError(f"{path.name}: the pictures differ in size, and an animation needs one size")
     height = max(frame.shape[0] for frame in frames)

@@ -86,14 +86,12 @@ def label_colors(count: int) -> Picture:
 
 
 def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the basis that turns codes into colours: ``code_picture`` of several views with one basis can be compared.
-
-    Args:
-        codes: [..., L] rendered codes; all-zero rows are left out.
+    """Return the basis that turns codes [..., L] into colours: ``code_picture`` of several views with one basis can be
+    compared. All-zero rows are left out.
 
     Returns:
-        [L + 1, 3] an affine map from codes to three principal components (the last row is added), and [2,
-        3] their ranges.
+        [L + 1, 3] an affine map from codes to three principal components (the last row is added), and [2, 3] their
+        ranges.
     """
     rows = as_array(codes).reshape(-1, codes.shape[-1]).astype(np.float64)
     rows = rows[(rows != 0).any(1)]
@@ -130,15 +128,8 @@ def code_basis(codes: ArrayOrTensor) -> tuple[NDArray[np.float64], NDArray[np.fl
 def code_picture(
     codes: ArrayOrTensor, basis: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 ) -> Picture:
-    """Return codes as colours: three principal components as red, green and blue. Similar codes have similar colours.
-
-    Args:
-        codes: [H, W, L], for example one level of ``render_codes``.
-        basis: from ``code_basis``; of these codes if None.
-
-    Returns:
-        [H, W, 3] uint8; pixels without a code are black.
-    """
+    """Return codes [H, W, L], for example one level of ``render_codes``, as colours: three principal components
+    (``code_basis``, by default of these codes) as red, green and blue. Pixels without a code are black."""
     array = as_array(codes).astype(np.float64)
     if array.ndim != 3 or not array.size:
         raise InputError(f"codes of a view are [H, W, L] and not empty, got {list(array.shape)}")

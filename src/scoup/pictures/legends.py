@@ -15,16 +15,8 @@ _DRAW_LABELS = ("0.5: draw with the canonical phrases", "0.5: draw", "0.5")
 
 
 def heat_legend(width: int, low: float, high: float) -> Picture:
-    """Draw the colours of a heat map along the whole scale of relevancy, with ticks at 0, 0.5 and 1.
-
-    Args:
-        width: of the picture in pixels; at least 120.
-        low, high: relevancy at the two ends of the colours. ``high`` is the largest of the map: the scale is empty
-            beyond it.
-
-    Returns:
-        [height, width, 3] uint8.
-    """
+    """Draw the colours of a heat map along the whole scale of relevancy, with ticks at 0, 0.5 and 1. The colours end at
+    ``low`` and ``high``, the largest of the map: the scale is empty beyond it."""
     width = max(width, LEAST_WIDTH)
     height = strip_height(width)
     size = max(9, height * 0.42)
@@ -78,18 +70,8 @@ def _ends(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], low: float,
 def swatch_legend(
     width: int, text: str, of: str, colors: Sequence[tuple[int, int, int]], names: Sequence[str]
 ) -> Picture:
-    """Return a legend: what the colours of a picture mean, and below it some of them with names, as many as fit.
-
-    Args:
-        width: of the picture in pixels; at least 120.
-        text: what the colours mean.
-        of: what the names are of, before the row.
-        colors: sRGB 0..255.
-        names: one a colour.
-
-    Returns:
-        [height, width, 3] uint8.
-    """
+    """Return a legend: what the colours (sRGB 0..255) of a picture mean, and below it what the names are of, and
+    colours with their names, as many as fit."""
     width = max(width, LEAST_WIDTH)
     size = max(9.0, strip_height(width) * 0.42)
     side, step = round(size * 1.1), round(size * 1.7)

@@ -117,17 +117,8 @@ def fits_one_line(width: int, text: str, right: str = "") -> bool:
 
 
 def caption(width: int, text: str, right: str = "", one_line: bool | None = None) -> Picture:
-    """Draw a dark strip with ``text`` on the left and ``right``, fainter, on the right; or below each other.
-
-    Args:
-        width: in pixels.
-        text: what is shown; of more than three lines the end is left out.
-        right: a remark such as the score; the same.
-        one_line: place both on one line; by default, if they fit.
-
-    Returns:
-        [height, width, 3] uint8.
-    """
+    """Draw a dark strip with ``text`` on the left and ``right``, a fainter remark, on the right; or below each other if
+    they do not fit ``one_line``. Of more than three lines the end is left out."""
     height = strip_height(width)
     margin, size = max(3, height // 4), height * 0.6
     room = width - 2 * margin
@@ -169,16 +160,7 @@ def _write(
 
 
 def captioned(image: Picture, text: str, right: str = "") -> Picture:
-    """Put a dark strip above the picture: what it shows, and a remark such as the score (see ``caption``).
-
-    Args:
-        image: [H, W, 3].
-        text: what it shows.
-        right: a remark.
-
-    Returns:
-        [H + strip, max(W, 120), 3] uint8.
-    """
+    """Put a dark strip above the picture: what it shows, and a remark such as the score (see ``caption``)."""
     picture = as_picture(image)
     width = max(picture.shape[1], LEAST_WIDTH)
     return stacked([caption(width, text, right), picture])

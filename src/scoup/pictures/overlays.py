@@ -1,4 +1,6 @@
-"""Answers drawn over the colour render: heat maps, masks, regions."""
+"""Answers drawn over the colour render ``rgb`` [H, W, 3]: heat maps of relevancy [H, W] 0..1, masks [H, W] bool, boxes
+(x0, y0, x1, y1) in pixels, x1 and y1 one past the last, points (x, y) as crosses, regions.
+"""
 
 from __future__ import annotations
 
@@ -37,23 +39,13 @@ def heat_map(
     score: float | None = None,
     view: str = "",
 ) -> Picture:
-    """Draw a relevancy map over the greyed colour render, with a title and a legend.
-
-    Args:
-        relevancy: [H, W], 0..1.
-        rgb: [H, W, 3] float 0..1 or uint8.
-        query: its text, written above; no title if there is nothing to say.
-        level: the level shown, for example "m".
-        score: written beside the level.
-        view: name of the view, written before the level.
-
-    Returns:
-        [H + two strips, max(W, 120), 3] uint8.
-    """
+    """Draw a relevancy map over the greyed colour render, with a legend and, if there is something to say, a title: the
+    query on the left; view, level and score on the right."""
     values = as_array(relevancy).astype(np.float64)
     span = heat_span(values)
     parts = [heat_overlay(values, rgb, span)]
-    remark = ", ".join(part for part in (view, f"level {level}" if level else "", _scored(score)) if part)
+    scored = "" if score is None else f"score {score:.2f}"
+    remark = ", ".join(part for part in (view, f"level {level}" if level else "", scored) if part)
     width = max(parts[0].shape[1], LEAST_WIDTH)
     if query or remark:
         parts.insert(0, caption(width, query or "relevancy", remark))
@@ -74,14 +66,8 @@ def heat_overlay(
     span: tuple[float, float] | None = None,
     opacity: float = 1.0,
 ) -> Picture:
-    """Draw a relevancy map over the greyed colour render, [H, W, 3] uint8, without any lettering; low relevancy is
-    see-through.
-
-    Args:
-        relevancy, rgb: as for ``heat_map``.
-        span: relevancy at the two ends of the colours; ``heat_span`` of the map if None.
-        opacity: 0..1, multiplies that of the colours.
-    """
+    """Draw a relevancy map over the greyed colour render, without any lettering; low relevancy is see-through. The ends
+    of the colours are ``heat_span`` of the map by default; ``opacity`` 0..1 multiplies theirs."""
     values, picture = as_array(relevancy).astype(np.float64), as_picture(rgb)
     _check_size(values, picture, "relevancy")
     low, high = span or heat_span(values)
@@ -99,25 +85,12 @@ def mask_overlay(
     remark: str = "",
     color: tuple[int, int, int] = MASK_COLOR,
 ) -> Picture:
-    """Draw a mask over the colour render: tinted, outlined, the rest darker; with a box and a cross if given.
-
-    Args:
-        mask: [H, W] bool.
-        rgb: [H, W, 3] float 0..1 or uint8.
-        box: (x0, y0, x1, y1) in pixels, x1 and y1 one past the last.
-        point: (x, y) pixel marked with a cross.
-        label: written above, with ``remark`` on the right; no strip if both are empty.
-        color: of the mask.
-
-    Returns:
-        [H (+ strip), W, 3] uint8.
-    """
+    """Draw a mask over the colour render: tinted, outlined, the rest darker; with a box and a cross if given. The label
+    is written above, with ``remark`` on the right; there is no strip if both are empty."""
     inside, picture = as_array(mask).astype(bool), as_picture(rgb)
     _check_size(inside, picture, "mask")
     shown = np.where(inside[..., None], picture * 0.55 + np.array(color) * 0.45, picture * 0.72)
-    drawn = _draw_marks(
-        shown.astype(np.uint8), inside, np.minimum(np.array(color) * 0.75 + 64, 255), box, point
-    )
+    drawn = _draw_marks(shown.astype(np.uint8), inside, color, box, point)
     return captioned(drawn, label, remark) if label or remark else drawn
 
 
@@ -131,18 +104,8 @@ def texts_overlay(
 ) -> Picture:
     """Draw the answers to several texts as the viewer's page does: each in its colour, its mask outlined.
 
-    A pixel has the colour of the text with the largest relevancy, among those whose masks contain it if any does.
-
-    Args:
-        heats: [H, W] relevancy of each text.
-        masks: [H, W] bool of each text.
-        rgb: [H, W, 3] float 0..1 or uint8.
-        colors: of each text, 0..255.
-        opacity: of the colours, 0..1.
-        on_grey: draw over the greyed render; what is relevant outside of the masks is tinted faintly.
-
-    Returns:
-        [H, W, 3] uint8, without any lettering.
+    A pixel has the colour of the text with the largest relevancy, among those whose masks contain it if any does. With
+    ``on_grey`` over the greyed render, where what is relevant outside of the masks is tinted faintly.
     """
     picture = as_picture(rgb)
     values = [as_array(heat).astype(np.float64) for heat in heats]
@@ -159,7 +122,7 @@ def texts_overlay(
         share = opacity * np.where(any_inside, 0.9, 0)[..., None]
     shown = (ground * (1 - share) + tint * share).astype(np.uint8)
     for mask, color in zip(inside, colors, strict=True):
-        shown = _draw_marks(shown, mask, np.minimum(np.array(color) * 0.75 + 64, 255), None, None)
+        shown = _draw_marks(shown, mask, color)
     return shown
 
 
@@ -171,19 +134,10 @@ def answer_overlay(
     box: tuple[float, float, float, float] | None = None,
     point: tuple[float, float] | None = None,
 ) -> Picture:
-    """Draw the outline of the mask, the box and the point over ``heat_overlay``; no lettering.
-
-    Args:
-        relevancy, rgb, span: as for ``heat_overlay``.
-        mask: [H, W] bool.
-        box, point: as for ``mask_overlay``.
-
-    Returns:
-        [H, W, 3] uint8.
-    """
+    """Draw the outline of the mask, the box and the point over ``heat_overlay``; no lettering."""
     inside, heat = as_array(mask).astype(bool), heat_overlay(relevancy, rgb, span)
     _check_size(inside, heat, "mask")
-    return _draw_marks(heat, inside, np.array(POINT_COLOR), box, point)
+    return _draw_marks(heat, inside, POINT_COLOR, box, point)
 
 
 def eroded(inside: np.ndarray, width: int) -> np.ndarray:
@@ -198,15 +152,15 @@ def eroded(inside: np.ndarray, width: int) -> np.ndarray:
 def _draw_marks(
     picture: Picture,
     inside: np.ndarray,
-    rim_color: np.ndarray,
-    box: tuple[float, float, float, float] | None,
-    point: tuple[float, float] | None,
+    color: Sequence[float],
+    box: tuple[float, float, float, float] | None = None,
+    point: tuple[float, float] | None = None,
 ) -> Picture:
-    """Draw the outline of a mask, a box and a cross."""
+    """Draw the outline of a mask, lighter than its colour, a box and a cross."""
     width = max(1, round(picture.shape[1] / 320))
     core = eroded(inside, width)
     shown = picture.copy()
-    shown[inside & ~core] = rim_color
+    shown[inside & ~core] = np.minimum(np.array(color) * 0.75 + 64, 255)
     canvas = Image.fromarray(shown)
     draw = ImageDraw.Draw(canvas)
     if box is not None:
@@ -217,15 +171,9 @@ def _draw_marks(
     return np.asarray(canvas)
 
 
-def region_overlay(labels: ArrayOrTensor, rgb: ArrayOrTensor, opacity: float = 0.6) -> Picture:
-    """Draw regions in different colours over the greyed render, with dark borders; pixels without a region stay
-    grey.
-
-    Args:
-        labels: [H, W] integers, -1 for no region.
-        rgb: [H, W, 3] float 0..1 or uint8.
-        opacity: of the colours.
-    """
+def region_overlay(labels: ArrayOrTensor, rgb: ArrayOrTensor) -> Picture:
+    """Draw regions, labels [H, W] with -1 for none, in different colours over the greyed render, with dark borders;
+    pixels without a region stay grey."""
     numbers, picture = as_array(labels), as_picture(rgb)
     _check_size(numbers, picture, "labels")
     none = numbers < 0
@@ -236,7 +184,7 @@ def region_overlay(labels: ArrayOrTensor, rgb: ArrayOrTensor, opacity: float = 0
         else backdrop
     )
     shade = 0.45 + 0.55 * backdrop / 255  # shapes stay visible inside a region
-    shown = np.where(none[..., None], backdrop * 0.5, backdrop * (1 - opacity) + tint * shade * opacity)
+    shown = np.where(none[..., None], backdrop * 0.5, backdrop * 0.4 + tint * shade * 0.6)
     border = np.zeros(numbers.shape, bool)
     border[:, 1:] |= numbers[:, 1:] != numbers[:, :-1]
     border[1:] |= numbers[1:] != numbers[:-1]
@@ -249,10 +197,6 @@ def _check_size(values: np.ndarray, picture: Picture, what: str) -> None:
         raise InputError(
             f"{what} {list(values.shape)} does not fit an image of {list(picture.shape[:2])} pixels"
         )
-
-
-def _scored(score: float | None) -> str:
-    return "" if score is None else f"score {score:.2f}"
 
 
 def _cross(draw: ImageDraw.ImageDraw, point: tuple[float, float], size: int, width: int) -> None:

@@ -15,6 +15,7 @@ from scoup.pictures.sheet import contact_sheet, sheet_tile_width
 
 COLUMNS = 2
 RIM = 1  # dark pixels around a number
+FONT = 13  # pixels
 _NAMES = {"s": "level s (fine)", "m": "level m (medium)", "l": "level l (coarse)"}
 
 
@@ -26,16 +27,8 @@ def regions_sheet(
     remark: str = "",
     width: int = 1800,
 ) -> Picture:
-    """Return the photograph and its regions at each level, two and two, with the number of each region that has room.
-
-    Args:
-        image: [H, W, 3].
-        labels: [S, H, W] region numbers, -1 for none.
-        levels: S level names.
-        name: of the view, written above.
-        remark: written below.
-        width: of the picture in pixels.
-    """
+    """Return the photograph and its regions [S, H, W] (-1 for none) at each level, two and two, with the number of each
+    region that has room; the name of the view is written above, the remark below."""
     photograph = as_picture(image)
     # At the size of the tiles, so that the numbers are not reduced with them.
     tile_width = sheet_tile_width(width, COLUMNS)
@@ -58,30 +51,23 @@ def _which(written: int, count: int) -> str:
     return f", numbers on the {written} with room" if written else ", no room for numbers"
 
 
-def numbered(picture: Picture, labels: np.ndarray, size: int = 13) -> tuple[Picture, int]:
-    """Return the picture with the number of each region that has room for it, where the region is thickest.
+def numbered(picture: Picture, labels: np.ndarray) -> tuple[Picture, int]:
+    """Return the picture with the number of each region (labels [H, W], -1 for none) that has room for it, where the
+    region is thickest; and how many were written.
 
     A number is written only where it lies inside its own region as a whole, so that no two can touch.
-
-    Args:
-        picture: [H, W, 3].
-        labels: [H, W] region numbers, -1 for none.
-        size: of the font in pixels.
-
-    Returns:
-        The picture, and how many numbers were written.
     """
     from scipy import ndimage
 
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)
-    face, written = font(size), 0
+    face, written = font(FONT), 0
     for number, place in enumerate(ndimage.find_objects(labels + 1)):
         if place is None:
             continue
         inside = np.pad(labels[place] == number, 1)
         text = str(number)
-        needed = (size + 2 * RIM, text_width(text, face) + 2 * RIM)  # pixels down and across
+        needed = (FONT + 2 * RIM, text_width(text, face) + 2 * RIM)  # pixels down and across
         room = ndimage.minimum_filter(inside.astype(np.uint8), needed, mode="constant")
         if not room.any():
             continue

@@ -24,19 +24,15 @@ def contact_sheet(
     footer: str = "",
     remarks: Sequence[str] = (),
 ) -> Picture:
-    """Return pictures in rows, each under its title, scaled to fit.
+    """Return pictures [H, W, 3] of any sizes in rows, each under its title, scaled to fit.
 
     Args:
-        tiles: each [H, W, 3], float 0..1 or uint8; sizes may differ, proportions are kept.
         titles: one a tile, or none at all.
         columns: tiles in a row.
         width: of the sheet, in pixels; 1200 suits a README.
         heading: a line above all.
         footer: a fainter text below all, broken into lines.
         remarks: written on the right of the titles, one a tile, or none at all.
-
-    Returns:
-        [height, width, 3] uint8.
     """
     if not tiles or columns < 1:
         raise InputError("a contact sheet needs at least one tile and one column")

@@ -29,15 +29,8 @@ def check_video_writer() -> None:
 
 
 def save_video(frames: Iterable[Picture], path: Path, frames_per_second: float) -> None:
-    """Write an mp4 (H.264), replacing an existing file. The same pictures give the same
-    bytes.
-
-    Args:
-        frames: [H, W, 3] uint8 each, of one size; an odd side loses its last row or column, which H.264 has no place
-            for.
-        path: of the file.
-        frames_per_second: its speed.
-    """
+    """Write an mp4 (H.264), replacing an existing file. The same pictures give the same bytes. Frames have one size; an
+    odd side loses its last row or column, which H.264 has no place for."""
     check_video_writer()
     import imageio_ffmpeg
 

@@ -73,6 +73,8 @@ class Answer:
     """The Gaussians that answer are above it, on relevancy rescaled over the scene; None if things answer."""
     parts: tuple[Answer, ...] = ()
     """The answers to the texts of an expression."""
+    excluded: tuple[str, ...] = ()
+    """Texts of an expression that stand under "not" only."""
     without: tuple[int, ...] = ()
     """Numbers of things whose Gaussians an expression takes out of those of ``things``."""
     seen_from: str = ""
@@ -111,15 +113,16 @@ class Answer:
         return certainty(self.score, self.presence)
 
     def remark(self) -> str:
-        """Return score and certainty in a few words, after the names of things that were not asked for by name; of an
-        expression that nothing answers, what was found.
+        """Return score and certainty in a few words, after the names of things that were not asked for by name, or by
+        one of several; of an expression that nothing answers, what was found.
         """
         seen = f", as seen from {self.seen_from}" if self.seen_from else ""
         if not self.presence and any(part.text != self.text for part in self.parts):
-            absent = [f"{part.text}: {part.remark()}" for part in self.parts if not part.presence]
-            found = ", ".join(f"{part.text}: {len(part.things) or 1}" for part in self.parts)
+            needed = (part for part in self.parts if part.text not in self.excluded)
+            absent = [f"{part.text}: {part.remark()}" for part in needed if not part.presence]
+            found = ", ".join(f"{part.text}: {len(part.things) or 1}" for part in self.parts if part.presence)
             return "; ".join(absent) or f"found {found}, but none that is so{seen}"
-        texts = {part.text for part in self.parts}
+        texts = {part.text for part in self.parts} if len(self.asked) == 1 else set[str]()
         named = Counter(
             thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
         )
@@ -168,7 +171,8 @@ class Answer:
             "things": list(self.things),
             "count": len(self.instances) if self.things or not self.presence else None,
             **self.verdict(),
-            "runner_up": None if self.runner_up is None else _runner_up(self.runner_up),
+            "runner_up": self.runner_up
+            and {"thing": self.runner_up.thing, "score": _rounded(self.runner_up.score)},
         }
 
     def verdict(self) -> dict[str, Any]:
@@ -181,10 +185,6 @@ class Answer:
             **({"seen_from": self.seen_from} if self.seen_from else {}),
             **({} if self.threshold is None else {"threshold": round(self.threshold, 3)}),
         }
-
-
-def _runner_up(found: RunnerUp) -> dict[str, Any]:
-    return {"thing": found.thing, "score": _rounded(found.score)}
 
 
 def _rounded(score: float | None) -> float | None:

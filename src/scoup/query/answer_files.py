@@ -78,22 +78,12 @@ class AnswerFiles:
         ]
 
     @property
-    def n_views(self) -> int:
-        """Number of views."""
-        return len(self._folders)
-
-    @property
     def sheet_names(self) -> list[str]:
         """File names of the contact sheets."""
         if self._sheets is None:
             return []
         count = len(self._sheets)
         return ["sheet.png"] if count == 1 else [f"sheet_{number}.png" for number in range(1, count + 1)]
-
-    @property
-    def needs_colors(self) -> bool:
-        """Return whether ``add`` needs the colours of the views."""
-        return self._sheets is not None
 
     def of_view(self, camera: Camera, out: Path) -> list[dict[str, str]]:
         """Return the paths of a view's files: one dict per text, by kind."""
@@ -105,7 +95,8 @@ class AnswerFiles:
         ]
 
     def add(self, camera: Camera, answers: Sequence[ViewAnswer], rgb: Tensor | None, hidden: Path) -> None:
-        """Write the files of one view, given one answer per text and its colours [H, W, 3], into a folder."""
+        """Write the files of one view into a folder, from one answer per text and its colours [H, W, 3], which pictures
+        need."""
         folder = hidden / self._folders[camera.name]
         if self._sheets is not None and rgb is not None:
             self._sheets.add(camera.name, answers, rgb)

@@ -7,8 +7,9 @@ a thing answers where more than half of its Gaussians do.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations, product
 from typing import Any
 
 import torch
@@ -17,10 +18,12 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.expression import Expression
+from scoup.query.phrases import Phrase, texts_of
+from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import Question, Several, as_question
-from scoup.query.relations import resolve
-from scoup.query.thing_names import scene_objects
-from scoup.query.things import Thing, all_things, things_of_answer
+from scoup.query.relations import overlaps, resolve
+from scoup.query.thing_names import find_objects, named_things
+from scoup.query.things import Thing, all_things, scored_things, text_fits, things_of_answer
 
 
 def answer(field: LanguageField, question: Question[Any] | str | Several) -> Any:
@@ -87,8 +90,12 @@ def _joined(
     of_texts: dict[str, list[Thing]] = {}
     if by_things or expression.counted or frame is not None:
         of_texts = {part.text: things_of_answer(field, part, expression.counted) for part in parts}
-        of_texts[""] = scene_objects(field, question.everything) if question.everything else []
-        of_leaf = {leaf: resolve(field, leaf, of_texts, frame) for leaf in of_leaf}
+        of_texts[""] = (
+            find_objects(field, named_things(field, question.everything)) if question.everything else []
+        )
+        of_leaf = {
+            leaf: resolve(field, leaf, _apart(field, leaf, of_texts, of_text), frame) for leaf in of_leaf
+        }
     masks = {text: part.mask for text, part in of_text.items()}
     for leaf, mine in of_leaf.items():
         if expression.counted or not isinstance(leaf, str):
@@ -101,6 +108,7 @@ def _joined(
         mine = [thing for leaf in wanted for thing in of_leaf[leaf]] if wanted else of_texts[""]
         found = [thing for thing in _once(mine) if 2 * int(mask[thing.gaussians].sum()) > thing.n_gaussians]
     without = [thing.number for leaf in expression.leaves(False) for thing in of_leaf[leaf]]
+    needed = {text for leaf in wanted for text in texts_of(leaf)}
     ranked = [of_text[text] for text in expression.wanted]
     ranked.sort(key=lambda each: (each.presence, each.score or 0.0), reverse=True)
     present = ranked[0].presence
@@ -117,6 +125,7 @@ def _joined(
         presence=present,
         things=numbers,
         instances=numbers,
+        excluded=tuple(text for text in expression.texts if text not in needed),
         without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
         parts=parts,
         asked=tuple(one for each in ranked for one in each.asked),
@@ -124,6 +133,47 @@ def _joined(
         found=tuple(found),
         **judged,
     )
+
+
+def _apart(
+    field: LanguageField,
+    leaf: str | Phrase,
+    of_texts: Mapping[str, list[Thing]],
+    answers: Mapping[str, Answer],
+) -> Mapping[str, list[Thing]]:
+    """Return the things of each text, of which none answers two texts of a phrase, as a plate with a doughnut may.
+
+    Where one is, or contains, a thing that answers another text, the parts that fit each text best replace them, if
+    they are two things.
+    """
+    found = dict(of_texts)
+    for texts in combinations(dict.fromkeys(texts_of(leaf)), 2):
+        for pair in product(*(of_texts[text] for text in texts)):
+            if not _nested(field, *pair):
+                continue
+            parts = [_best_part(field, answers[text], thing) for text, thing in zip(texts, pair, strict=True)]
+            if not overlaps(*parts):
+                for text, thing, part in zip(texts, pair, parts, strict=True):
+                    found[text] = [part if each.number == thing.number else each for each in found[text]]
+    return found
+
+
+def _nested(field: LanguageField, one: Thing, other: Thing) -> bool:
+    """Return whether one of two things is the other, or a part of it."""
+    table = field.thing_table
+    if table is None or one.number is None or other.number is None:
+        return False
+    return bool(table.parts(one.number)[other.number] or table.parts(other.number)[one.number])
+
+
+def _best_part(field: LanguageField, answer: Answer, thing: Thing) -> Thing:
+    """Return the part of a thing that fits the text of an answer best, or the thing itself."""
+    (known, fits), table = text_fits(field, answer), field.thing_table
+    assert table is not None
+    assert thing.number is not None
+    inside = table.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
+    best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
+    return thing if best == thing.number else next(iter(scored_things(field, answer, [best])), thing)
 
 
 def _once(things: Iterable[Thing]) -> list[Thing]:

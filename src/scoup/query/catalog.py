@@ -75,10 +75,9 @@ def make_catalog(
             f"{field.path or 'this field'}: contains no things; build it again with things, from its photographs"
         )
     frame = field.frame() if frame is None else frame
-    names = thing_names(field, question)
-    named = named_things(field, names)
+    names, named = thing_names(field, question), named_things(field, question)
     texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)
-    objects = tuple(named[place].number or 0 for place in find_objects(named))
+    objects = tuple(thing.number or 0 for thing in find_objects(field, named))
     return Catalog(tuple(named), texts, objects, tuple(relations(field, frame)), frame)
 
 

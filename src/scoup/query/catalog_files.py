@@ -88,38 +88,31 @@ def _picture_name(thing: Thing) -> str:
 def draw_things(
     field: LanguageField, things: Sequence[Thing], cameras: Sequence[Camera]
 ) -> Iterator[tuple[Thing, Picture]]:
-    """Yield each thing that can be seen, with its picture: in the camera that sees it largest, one render per camera,
-    else in a view of its own."""
-    best, drawn = [_best_view(thing, cameras) for thing in things], set[int | None]()
-    for number, camera in enumerate(cameras):
-        largest_here = [thing for thing, view in zip(things, best, strict=True) if view == number]
-        if largest_here:
-            view = field.at(camera)
-            colors = as_picture(view.renders.colors().cpu())
-            for thing in largest_here:
-                if (picture := _crop(thing_mask(view, thing), colors)) is not None:
-                    drawn.add(thing.number)
-                    yield thing, picture
-    for thing in things if cameras else ():
-        if thing.number not in drawn:
-            view = field.at(_own_view(thing, cameras))
-            picture = _crop(thing_mask(view, thing), as_picture(view.renders.colors().cpu()))
-            if picture is not None:
-                yield thing, picture
+    """Yield each thing that can be seen, with its picture: in the camera that sees it largest, else in a view of its
+    own."""
+    seen = [(thing, viewing_cameras(thing, cameras)) for thing in things if cameras]
+    seen.sort(key=lambda pair: pair[1][0].name)  # so that each camera is rendered once
+    view, colors = None, np.zeros((0, 0, 3), np.uint8)
+    for thing, own in seen:
+        for camera in own:
+            if view is None or view.camera is not camera:
+                view = field.at(camera)
+                colors = as_picture(view.renders.colors().cpu())
+            mask = thing_mask(view, thing)
+            if (window := crop_window(mask)) is not None:
+                yield thing, cropped(colors, window, mask)
+                break
 
 
 def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
-    """Return the camera that sees a thing largest, if any sees it, and one of its own."""
+    """Return the camera that sees a thing largest, if any sees it, and one of its own, which looks at it from the side
+    of the nearest camera, and from so near that it fills half."""
     best = _best_view(thing, cameras)
-    return [*(() if best is None else (cameras[best],)), _own_view(thing, cameras)]
-
-
-def _own_view(thing: Thing, cameras: Sequence[Camera]) -> Camera:
-    """Return a camera that looks at a thing from the side of the nearest one, and from so near that it fills half."""
     near = min(cameras, key=lambda each: float((each.position - thing.position).norm()))
     ahead = torch.nn.functional.normalize(thing.position - near.position, dim=0)
     eye = thing.position - ahead * max(thing.size, 1e-3) * near.fx / min(near.width, near.height)
-    return Camera.look_at(eye, thing.position, "", near.width, near.height, near.fx, up=-near.viewmat[1, :3])
+    own = Camera.look_at(eye, thing.position, "", near.width, near.height, near.fx, up=-near.viewmat[1, :3])
+    return [*(() if best is None else (cameras[best],)), own]
 
 
 def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
@@ -145,11 +138,6 @@ def _best_view(thing: Thing, cameras: Sequence[Camera]) -> int | None:
         low, high = (pixels.amin(0).clamp(min=0) / size, (pixels.amax(0) / size).clamp(max=1))
         sizes.append(float((high - low).clamp(min=0).prod()) if inside else 0.0)
     return sizes.index(max(sizes)) if max(sizes, default=0.0) > 0 else None
-
-
-def _crop(mask: torch.Tensor, colors: Picture) -> Picture | None:
-    window = crop_window(mask)
-    return None if window is None else cropped(colors, window, mask)
 
 
 def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:

@@ -23,8 +23,8 @@ from scoup.base.errors import InputError, ScoupWarning
 from scoup.field.language_field import LanguageField
 from scoup.field.renders import render_depth
 from scoup.query.boxes import PointSets
-from scoup.query.question import Question, Several, as_question, literal
-from scoup.query.thing_names import find_objects, named_things, thing_names
+from scoup.query.question import naming_question
+from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.scene.things import NO_THING
 
@@ -179,14 +179,14 @@ def moved_points(points: Array, transform: Array) -> Array:
 def compare(
     old: LanguageField,
     new: LanguageField,
-    words: Question[Any] | Several,
+    words: Sequence[str],
     transform: Array | None = None,
 ) -> Comparison:
     """Return the objects that were added, removed or moved between two captures of one place.
 
     Args:
         old, new: with things and cameras, and embeddings of one model.
-        words: that name the things.
+        words: that name the things (``naming_question``).
         transform: [4, 4] similarity from the frame of ``new`` to that of ``old``; None: they are the same.
 
     Raises:
@@ -194,9 +194,7 @@ def compare(
     """
     _check(old, new)
     matrix = np.eye(4) if transform is None else transform
-    named = [
-        named_things(field, thing_names(field, as_question(field, literal(words)))) for field in (old, new)
-    ]
+    named = [named_things(field, naming_question(field, words)) for field in (old, new)]
     both = _Capture(old, named[0], np.linalg.inv(matrix)), _Capture(new, named[1], matrix)
     _check_frames(*both)
     centre = np.concatenate([each.embeddings for each in both]).mean(0)
@@ -204,7 +202,7 @@ def compare(
     changes = sorted(
         _changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.confidence)
     )
-    counts = len(find_objects(both[0].things)), len(find_objects(both[1].things))
+    counts = len(find_objects(old, named[0])), len(find_objects(new, named[1]))
     if len(gone) + len(come) > MOST_CHANGES * sum(counts):
         warnings.warn(
             f"{_name(new)}: {len(gone) + len(come)} of {sum(counts)} objects are in one place here and in another, or "

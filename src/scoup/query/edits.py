@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
@@ -123,24 +124,22 @@ class SplatTable:
 
     def select(self, mask: Tensor) -> PlyTable:
         """Return the rows of the Gaussians in ``mask`` [N] boolean."""
-        rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
-        rows[self.is_gaussian] = mask
-        return self.table.select(rows.numpy())
+        return self.table.select(self._of_rows(mask))
 
     def edited(self, mask: Tensor, gaussians: Gaussians) -> PlyTable:
         """Return all rows, those in ``mask`` [N] boolean with the colours and opacities of ``gaussians`` (N)."""
         chosen = gaussians.select(mask.to(gaussians.device)).to("cpu")
-        rows = torch.zeros(len(self.is_gaussian), dtype=torch.bool)
-        rows[self.is_gaussian] = mask
-        values = table_from_gaussians(chosen)
-        changed = self.table.rows.copy()
+        values, rows, changed = table_from_gaussians(chosen), self._of_rows(mask), self.table.rows.copy()
         for name in values.names:
             if name == "opacity" or name.startswith(("f_dc_", "f_rest_")):
-                changed[name][rows.numpy()] = values.rows[name]
+                changed[name][rows] = values.rows[name]
         return replace(self.table, rows=changed)
 
     def with_column(self, name: str, values: Tensor, missing: int = 0) -> PlyTable:
         """Return all rows with an integer property: ``values`` [N] of the Gaussians, ``missing`` for other rows."""
+        return self.table.with_column(name, self._of_rows(values, missing))
+
+    def _of_rows(self, values: Tensor, missing: int = 0) -> NDArray[Any]:
         column = torch.full((len(self.is_gaussian),), missing, dtype=values.dtype)
         column[self.is_gaussian] = values
-        return self.table.with_column(name, column.numpy())
+        return column.numpy()

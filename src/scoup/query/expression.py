@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import TypeAlias
 
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.query.phrases import OPERATORS, Phrase, counted_text, parse_phrase, protected, quoted, texts_of
+from scoup.query.phrases import (
+    OPERATORS,
+    RESERVED,
+    Phrase,
+    counted_text,
+    parse_phrase,
+    protected,
+    quoted,
+    texts_of,
+)
 
 _TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
 _GRAMMAR = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
@@ -82,18 +91,19 @@ class Expression:
         return _combined(self.root, masks)
 
 
-def parse_expression(words: Iterable[str] | str, names: Collection[str] | None = None) -> Expression:
+def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = None) -> Expression:
     """Parse the words of a command line.
 
     ``not`` binds closest, then ``and``, then ``or``, ``+`` (the same) and ``-`` (and not), which are operators only
     between spaces; brackets group. A text may have several words. Double quotes make one text of operators, as in
     ``'"salt and pepper"'``. Texts without an operator are combined with ``or``. A text with a relation or an order,
     such as "mug left of the laptop" or "largest mug", is a phrase over things (``scoup.query.phrases``), unless it
-    stands in double quotes. "how many mugs" counts, and a question mark at the end is left out.
+    stands in double quotes. "how many mugs" counts; "how many mugs and cups" counts both. A question mark at the end is
+    left out.
 
     Args:
         words: texts, operators, or expressions; or one of them.
-        names: of a word table: a text that is one of them, as "power plugs and sockets" may be, stands for itself.
+        names: of a word table: they are taken whole, also within phrases, as "power plugs and sockets on the desk".
 
     Raises:
         InputError: it is not an expression.
@@ -103,7 +113,7 @@ def parse_expression(words: Iterable[str] | str, names: Collection[str] | None =
         ('mug', 'handle', 'plate')
     """
     given = [words] if isinstance(words, str) else list(words)
-    known, counted = {name.casefold() for name in names or ()}, False
+    (known, kept_whole), counted = _names(tuple(names or ())), False
     tokens: list[str] = []
     for word in given:
         text = word.strip()
@@ -116,7 +126,10 @@ def parse_expression(words: Iterable[str] | str, names: Collection[str] | None =
         else:
             text = text.removesuffix("?")
             counted = counted or counted_text(text) is not None
-            part = ["(", *_tokens(counted_text(text) or text), ")"]
+            text = counted_text(text) or text
+            pieces = text.split('"')
+            pieces[::2] = [kept_whole.sub(r'"\g<0>"', piece) for piece in pieces[::2]]
+            part = ["(", *_tokens('"'.join(pieces)), ")"]
         if tokens and tokens[-1] == ")" and part[0] == "(":
             tokens.append("or")
         tokens += part
@@ -124,7 +137,29 @@ def parse_expression(words: Iterable[str] | str, names: Collection[str] | None =
     root = reader.union()
     if reader.rest:
         raise reader.refusal(f"{reader.rest[0]!r} is not expected")
-    return Expression(root, counted)
+    return Expression(_summed(root) if counted else root, counted)
+
+
+@lru_cache(maxsize=4)
+def _names(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
+    """Return names without case, and a pattern of those that may be read as phrases or expressions, longest first."""
+    parts = {tuple(map(re.escape, name.split())) for name in names if RESERVED & {*name.lower().split()}}
+    forms = sorted((r"\s+".join(words) for words in parts if len(words) > 1), key=len, reverse=True)
+    pattern = rf"(?<![^\s(])(?:{'|'.join(forms)})(?![^\s)])" if forms else r"(?!)"
+    return frozenset(name.casefold() for name in names), re.compile(pattern, re.IGNORECASE)
+
+
+def _summed(node: Node) -> Node:
+    """Return what is counted: in a count, "and" joins things to be counted, but for those under "not"."""
+    if not isinstance(node, Operation) or node.operator == "not":
+        return node
+    parts = tuple(_summed(part) for part in node.parts)
+    excluded = tuple(part for part in parts if isinstance(part, Operation) and part.operator == "not")
+    wanted = tuple(part for part in parts if part not in excluded)
+    if node.operator == "or" or len(wanted) < 2:
+        return Operation(node.operator, parts)
+    either = Operation("or", wanted)
+    return Operation("and", (either, *excluded)) if excluded else either
 
 
 def _tokens(text: str) -> list[str]:

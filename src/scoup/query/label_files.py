@@ -19,10 +19,11 @@ from scoup.field.language_field import LanguageField
 from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
 from scoup.io.coco import CocoAnnotations
 from scoup.io.splats.usd import UsdThing, write_usd
-from scoup.pictures import label_colors
+from scoup.pictures import label_colors, region_overlay
+from scoup.pictures.colors import Picture
 from scoup.query.boxes import PointSets
 from scoup.query.edits import SplatTable, edited
-from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, LabelSheet, label_map
+from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, label_map, label_sheet
 from scoup.query.votes import true_rows
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0, Gaussians
@@ -120,7 +121,7 @@ def save_label_views(
     maps, colors = "maps" in outputs, label_colors(len(labels.names))
     on_sheet = set(spread(list(cameras), MOST_VIEWS)) if "sheet" in outputs else set()
     wanted = [name for name in cameras if maps or name in on_sheet]
-    coco, sheet, blind = CocoAnnotations(labels.names), LabelSheet(labels), []
+    coco, sheet, blind = CocoAnnotations(labels.names), dict[str, Picture](), []
     for done, name in enumerate(wanted, start=1):
         camera = cameras[name]
         view = field.at(camera)
@@ -132,12 +133,12 @@ def save_label_views(
             masks = [(numbers == number).numpy() for number in range(len(labels.names))]
             coco.add(camera.name, (camera.width, camera.height), masks)
         if name in on_sheet:
-            sheet.add(camera.name, numbers, view.renders.colors().cpu())
+            sheet[camera.name] = region_overlay(numbers, view.renders.colors().cpu())
         progress("label maps", done, len(wanted))
     if maps:
         coco.write(folder / COCO)
     if on_sheet:
-        save_png(sheet.picture(), folder / SHEET)
+        save_png(label_sheet(labels, sheet), folder / SHEET)
     return blind
 
 

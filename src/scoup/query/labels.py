@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
 from scoup.field.language_field import LanguageField
-from scoup.pictures import contact_sheet, region_overlay, stacked, swatch_legend
+from scoup.pictures import contact_sheet, stacked, swatch_legend
 from scoup.pictures.colors import Picture, label_colors
 from scoup.query.answer import Answer
 from scoup.query.ask import answers_of
@@ -89,8 +89,11 @@ def label(field: LanguageField, question: Question[Any] | str | Several) -> Gaus
     answered by the finest level counts, for the name of a part says more than that of its whole; of words of one level
     the one with the largest score.
     """
-    asked = as_question(field, question)
-    answers = answers_of(field, asked)
+    return labels_of(field, answers_of(field, as_question(field, question)))
+
+
+def labels_of(field: LanguageField, answers: Sequence[Answer]) -> GaussianLabels:
+    """Return ``label`` from the answers to the words."""
     names = tuple(answer.text for answer in answers)
     if len(set(names)) < len(names) or NONE_NAME in names:
         raise InputError(
@@ -144,31 +147,17 @@ def label_map(view: FieldView, labels: GaussianLabels) -> Tensor:
     return torch.where(painted >= LEAST_ALPHA, given, NONE).int().cpu()
 
 
-class LabelSheet:
-    """Views with their label maps beside each other, over a legend of the words."""
-
-    def __init__(self, labels: GaussianLabels) -> None:
-        self._labels = labels
-        self._tiles: list[Picture] = []
-        self._names: list[str] = []
-
-    def add(self, view: str, numbers: Tensor, rgb: Tensor) -> None:
-        """Add a view by its name, its ``label_map`` and its colours [H, W, 3] float 0..1."""
-        self._tiles.append(region_overlay(numbers, rgb))
-        self._names.append(view)
-
-    def picture(self) -> Picture:
-        """Draw the sheet, [H, W, 3] uint8."""
-        sheet = contact_sheet(self._tiles, self._names, COLUMNS, SHEET_WIDTH)
-        counts = self._labels.counts()
-        order = sorted(range(len(self._labels.names)), key=lambda number: -counts[self._labels.names[number]])
-        used = [number for number in order if counts[self._labels.names[number]]]
-        colors = label_colors(len(self._labels.names))
-        legend = swatch_legend(
-            sheet.shape[1],
-            f"Labels of {len(self._labels.ids):,} Gaussians; grey: {NONE_NAME} of the words ({counts[NONE_NAME]:,}).",
-            "words",
-            [tuple(colors[number].tolist()) for number in used],
-            [self._labels.names[number] for number in used],
-        )
-        return stacked([sheet, legend])
+def label_sheet(labels: GaussianLabels, views: Mapping[str, Picture]) -> Picture:
+    """Draw views by their names, each the ``region_overlay`` of its ``label_map``, over a legend of the words."""
+    sheet = contact_sheet([*views.values()], [*views], COLUMNS, SHEET_WIDTH)
+    counts, colors = labels.counts(), label_colors(len(labels.names))
+    order = sorted(enumerate(labels.names), key=lambda word: -counts[word[1]])
+    used = [(number, name) for number, name in order if counts[name]]
+    legend = swatch_legend(
+        sheet.shape[1],
+        f"Labels of {len(labels.ids):,} Gaussians; grey: {NONE_NAME} of the words ({counts[NONE_NAME]:,}).",
+        "words",
+        [tuple(colors[number].tolist()) for number, _ in used],
+        [name for _, name in used],
+    )
+    return stacked([sheet, legend])

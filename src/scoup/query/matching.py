@@ -56,19 +56,9 @@ FIT_SHARE = 0.17
 """An instance fits at most so much less than the best thing, as a share of the best fit's distance from the median."""
 LEAST_LIKENESS = 0.65
 """Least cosine of an instance's embedding with that of the best thing, both less the mean embedding of all things."""
-
-
-@dataclass(frozen=True)
-class ChoiceRule:
-    """Weights of the choice (docs/answers.md#constants)."""
-
-    rival: float = 2.0
-    """Of the lead of things elsewhere over the mean fit of a set."""
-    agreement: float = 0.25
-    """Of the score of a set of another level with the same Gaussians."""
-
-
-CHOICE_RULE = ChoiceRule()
+RIVAL, AGREEMENT = 2.0, 0.25
+"""Weights of the choice (docs/answers.md#constants): of the lead of things elsewhere over the mean fit of a set, and of
+the score of a set of another level with the same Gaussians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,28 +72,21 @@ class ComparedTable:
     doubt: Tensor  # [T], how much few regions and instability lower a fit
     counts: Tensor  # [T] float32, Gaussians
     shared: Tensor  # [T, T] sparse float32, Gaussians that two things share
-    hub_share: float = HUB_SHARE
 
     @classmethod
-    def of(cls, things: ThingTable, words: Tensor, hub_share: float = HUB_SHARE) -> ComparedTable:
+    def of(cls, things: ThingTable, words: Tensor) -> ComparedTable:
         """Compare things with everyday words, or with whatever stands in their place."""
         counts = things.sums(torch.ones(len(things.owners))).float()
         hubs = hub_cosines(things, words)
-        return cls.known(things, words.clone(), hubs, counts, shared_gaussians(things), hub_share)
+        return cls.known(things, words.clone(), hubs, counts, shared_gaussians(things))
 
     @classmethod
     def known(
-        cls,
-        things: ThingTable,
-        words: Tensor,
-        hubs: Tensor,
-        counts: Tensor,
-        shared: Tensor,
-        hub_share: float = HUB_SHARE,
+        cls, things: ThingTable, words: Tensor, hubs: Tensor, counts: Tensor, shared: Tensor
     ) -> ComparedTable:
         """Compare things whose Gaussians were counted before; ``owners`` of the table is not read."""
         doubt = doubts(things.n_regions.cpu(), things.stability.cpu())
-        return cls(things, words, things.embeddings.float().cpu(), hubs, doubt, counts, shared, hub_share)
+        return cls(things, words, things.embeddings.float().cpu(), hubs, doubt, counts, shared)
 
     @property
     def nbytes(self) -> int:
@@ -120,7 +103,7 @@ class ComparedTable:
         return self._fits(self.embeddings @ queries.T, slice(None))
 
     def _fits(self, cosines: Tensor, rows: slice) -> Tensor:
-        lowered = cosines - self.hub_share * self.hubs[rows, None]
+        lowered = cosines - HUB_SHARE * self.hubs[rows, None]
         return lowered / self.things.spread - self.doubt[rows, None]
 
     @cached_property
@@ -194,16 +177,13 @@ def compare_things(field: LanguageField, texts: TextVectors) -> ComparedTable | 
     return field.kept((ComparedTable, words.numpy().tobytes()), lambda: ComparedTable.of(table, words))
 
 
-def choose_things(
-    known: ComparedTable, fits: Tensor, level: int | None = None, rule: ChoiceRule = CHOICE_RULE
-) -> list[Choice | None]:
+def choose_things(known: ComparedTable, fits: Tensor, level: int | None = None) -> list[Choice | None]:
     """Return the things that answer each text.
 
     Args:
         known: T things of the scene.
         fits: [T, Q], from ``ComparedTable.fits``.
         level: the one that answers; None: the best.
-        rule: the weights.
 
     Returns:
         One per text; None where no thing of the level has a Gaussian and an embedding.
@@ -214,7 +194,7 @@ def choose_things(
     ]
     choices: list[Choice | None] = []
     for part in fits.T.split(TEXTS_AT_A_TIME):
-        choices += _choose(known, part, levels, level, rule)
+        choices += _choose(known, part, levels, level)
     return choices
 
 
@@ -227,16 +207,13 @@ class _Sets:
     shared: Tensor  # [Q, P, T] Gaussians that each of these things shares with every thing
     rivals: Tensor  # [Q, P] the thing elsewhere that fits best
     scores: Tensor  # [Q, P] without the other levels
-    rule: ChoiceRule
 
     @classmethod
-    def of(
-        cls, known: ComparedTable, fits: Tensor, top: Tensor, middle: Tensor, mine: Tensor, rule: ChoiceRule
-    ) -> _Sets:
+    def of(cls, known: ComparedTable, fits: Tensor, top: Tensor, middle: Tensor, mine: Tensor) -> _Sets:
         """Return those of one level.
 
         Args:
-            known, rule: as for ``choose_things``.
+            known: as for ``choose_things``.
             fits: [Q, T].
             top, middle: [Q, 1], the best and the median fit of all usable things.
             mine: [M] the usable things of the level, M >= 1.
@@ -254,8 +231,8 @@ class _Sets:
         elsewhere = (inside < SAME) & (around <= SAME) & known.usable
         rival_fits, rivals = torch.where(elsewhere, fits[:, None], -torch.inf).max(2)
         gap = (ordered[:, :count] - ordered[:, 1 : count + 1]).clamp(max=MOST_GAP)
-        scores = gap - (top - mean) - rule.rival * (rival_fits - mean).clamp(min=0)
-        return cls(order, sizes, rows, torch.where(rival_fits > -torch.inf, rivals, -1), scores, rule)
+        scores = gap - (top - mean) - RIVAL * (rival_fits - mean).clamp(min=0)
+        return cls(order, sizes, rows, torch.where(rival_fits > -torch.inf, rivals, -1), scores)
 
     def support(self, other: _Sets) -> Tensor:
         """Return [Q, P]: what the best set of another level with the same Gaussians adds to each set."""
@@ -263,15 +240,11 @@ class _Sets:
         both = self.shared.gather(2, columns).cumsum(1).cumsum(2)  # [Q, P, P of the other]
         same = both > SAME * (self.sizes[:, :, None] + other.sizes[:, None] - both)
         added = torch.where(same, other.scores[:, None] + MOST_GAP, 0.0).amax(2).clamp(min=0)
-        return self.rule.agreement * added
+        return AGREEMENT * added
 
 
 def _choose(
-    known: ComparedTable,
-    fits: Tensor,
-    levels: list[Tensor],
-    level: int | None,
-    rule: ChoiceRule,
+    known: ComparedTable, fits: Tensor, levels: list[Tensor], level: int | None
 ) -> list[Choice | None]:
     """``choose_things`` of a few texts, with fits [Q, T]."""
     filled = {number: mine for number, mine in enumerate(levels) if len(mine)}
@@ -283,7 +256,7 @@ def _choose(
         usable.nan_to_num(-torch.inf).amax(1, keepdim=True),
         usable.nanmedian(1, keepdim=True).values,
     )
-    sets = {number: _Sets.of(known, fits, top, middle, mine, rule) for number, mine in filled.items()}
+    sets = {number: _Sets.of(known, fits, top, middle, mine) for number, mine in filled.items()}
     scores = [
         sets[number].scores + sum(sets[number].support(other) for k, other in sets.items() if k != number)
         for number in wanted

@@ -47,6 +47,18 @@ _ANYTHING = frozenset(
 _FILLERS = ("is", "are", "that", "which", "there")
 """Words before a relation that say nothing."""
 OPERATORS = ("and", "or", "not", "+", "-", "(", ")")
+RESERVED = frozenset(
+    word
+    for words in (
+        *SIZES,
+        *ORDINALS,
+        *OPERATORS,
+        *_UNKNOWN,
+        *(form for forms in RELATIONS.values() for form in forms),
+    )
+    for word in words.split()
+)
+"""Words of relations, orders and operators; names with one of them may be read as phrases."""
 _SPACE = "\0"  # before each word of what stands in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (

@@ -67,13 +67,8 @@ class Place:
         """Return position, extent and score in a few words; in metres, too, if the length of the unit is known."""
         if self.thing is None:
             return self.answer.remark()
-        extent = " x ".join(f"{side:.3g}" for side in self.thing.box.extent.tolist())
-        if metres_per_unit is not None:
-            sides = (self.thing.box.extent * metres_per_unit).tolist()
-            extent += f" ({' x '.join(f'{side:.3g}' for side in sides)} m)"
-        position = ", ".join(f"{part:g}" for part in rounded_vector(self.thing.position.tolist()))
         numbers = f", {numbered_things(self.answer.things)}" if self.answer.things else ""
-        return f"[{position}], extent {extent}{numbers}, {self.answer.remark()}"
+        return f"{self.thing.describe(metres_per_unit)}{numbers}, {self.answer.remark()}"
 
     def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """Return the place as plain JSON values, rounded; in metres, too, if the length of the unit is known."""

@@ -42,11 +42,6 @@ def certainty(score: float | None, presence: bool) -> Certainty | None:
     return "sure" if score >= SURE else "likely" if score >= LIKELY else "doubtful"
 
 
-def can_judge_presence(n_words: int) -> bool:
-    """Return whether there are enough everyday words to judge presence."""
-    return n_words >= LEAST_WORDS
-
-
 def presence_threshold(n_words: int, source: str, wanted: float | None = None) -> float | None:
     """Return the score from which a text counts as present; None with too few everyday words to judge it.
 
@@ -57,7 +52,7 @@ def presence_threshold(n_words: int, source: str, wanted: float | None = None) -
     """
     if wanted is not None and not 0 <= wanted <= 1:
         raise InputError(f"the least score of presence must be 0 to 1, got {wanted}")
-    if can_judge_presence(n_words):
+    if n_words >= LEAST_WORDS:
         return PRESENT_FROM if wanted is None else wanted
     if wanted is not None:
         raise InputError(

@@ -20,7 +20,7 @@ from scoup.field.language_field import Encoder, LanguageField
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.expression import Expression, parse_expression
-from scoup.query.presence import can_judge_presence, presence_threshold
+from scoup.query.presence import presence_threshold
 from scoup.scene.directions import query_vectors
 from scoup.scene.names import number_of
 from scoup.scene.regions import LEAST_EMBEDDING
@@ -59,7 +59,7 @@ class TextVectors:
     @property
     def can_judge_presence(self) -> bool:
         """Return whether there are enough everyday words to judge presence (``scoup.query.presence``)."""
-        return can_judge_presence(len(self.everyday))
+        return len(self.everyday) >= LEAST_WORDS
 
     def with_everyday(self) -> TextVectors:
         """Add the mean of the everyday words to the canonical phrases, which only protocols do without, unless there
@@ -176,11 +176,14 @@ def make_question(
 
 def naming_question(field: LanguageField, words: Sequence[str] = ()) -> Question[Any]:
     """Return the question of the words that name things, each as it is; by default all names of the field's word table,
-    or everyday words."""
+    or everyday words, and the names that a model gave to its things."""
     encoder = field.text_encoder()
 
     def made() -> Question[Any]:
-        return make_question(field, literal(list(words) or everyday_vocabulary(encoder)))
+        given = None if field.thing_table is None else field.thing_table.names
+        known = () if given is None else (text for text in given.texts if text in encoder)
+        every = words or (*everyday_vocabulary(encoder), *known)
+        return make_question(field, literal([*dict.fromkeys(every)]))
 
     return field.kept((naming_question, tuple(words), encoder), made)
 

@@ -55,20 +55,12 @@ class Reshaping:
         if not (self.within >= 0 and math.isfinite(self.within)):
             raise InputError(f"within must be a distance of 0 or more, got {self.within}")
 
-    @property
-    def changes(self) -> bool:
-        """Return whether it changes anything."""
-        return self != UNCHANGED
-
-
-UNCHANGED = Reshaping()
-
 
 def select(
     field: LanguageField, question: Question[Any] | str | Several, reshaping: Reshaping | None = None
 ) -> Answer:
     """Return one answer to an expression; ``field.select`` documents it."""
-    wanted = UNCHANGED if reshaping is None else reshaping
+    wanted = reshaping or Reshaping()
     check_arguments("select", reshaping=(wanted, Reshaping))
     if not isinstance(question, (Question, str, list, tuple)):
         raise InputError(
@@ -78,7 +70,7 @@ def select(
 
     def made() -> Answer:
         whole = one_answer(field, asked)
-        if not wanted.changes:
+        if wanted == Reshaping():
             return whole
         mask = reshaped(field.gaussians, whole.mask, whole.relevancy(), wanted)
         return replace(whole, mask=mask, presence=whole.presence and bool(mask.any()))
@@ -114,18 +106,13 @@ def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Resh
         for _ in range(wanted.grow):
             inside |= near.any_of(inside)
     if wanted.within and inside.any():
-        inside |= near_points(points, inside, wanted.within)
+        from scipy.spatial import KDTree
+
+        nearest = KDTree(points[inside]).query(points, workers=-1)[0]
+        inside |= np.asarray(nearest) <= wanted.within
     out = torch.zeros(len(mask), dtype=torch.bool)
     out[usable] = torch.from_numpy(inside)
     return out
-
-
-def near_points(points: NDArray[np.float64], inside: NDArray[np.bool_], distance: float) -> NDArray[np.bool_]:
-    """Return which points [N, 3] are at most this far from one of those inside, [N] boolean."""
-    from scipy.spatial import KDTree
-
-    nearest = KDTree(points[inside]).query(points, workers=-1)[0]
-    return np.asarray(nearest) <= distance
 
 
 class _Neighbours:

@@ -11,23 +11,24 @@ names fit best, each weighed by its share of what it is a part of. Ours; measure
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from scoup.field.language_field import LanguageField
 from scoup.query.answer_scene import each_answer, null_scores
-from scoup.query.matching import SAME, ComparedTable, compare_things, compared_words
+from scoup.query.matching import SAME, ComparedTable, compare_things, compared_words, shared_gaussians
 from scoup.query.named import NAMES, less_common, voted_names
 from scoup.query.question import Question
 from scoup.query.things import Thing, all_things
+from scoup.scene.things import ThingTable
 
 NEARER_WORDS = 0.02
 """At most this share of the everyday words may be nearer to a thing than its name."""
 UNNAMED = 0.6
 """How well nothing names a thing, beside the scores of names."""
-LEAST_REGIONS = 5
-"""Unnamed things of fewer regions are fragments, not objects."""
+LEAST_REGIONS, STABLE = 5, 0.6
+"""Unnamed things of fewer regions are fragments, not objects; so are less stable ones that no other level found."""
 
 
 class ThingName(NamedTuple):
@@ -40,12 +41,16 @@ class ThingName(NamedTuple):
 
 
 def thing_names(field: LanguageField, question: Question[Any]) -> dict[int, ThingName]:
-    """Return the names of the things that have one, by their numbers.
+    """Return the names of the things that have one, by their numbers; those that a model gave come first.
 
     Args:
         field: with or without things.
         question: of the words that may be names; a word counts as a name only where it is present.
     """
+    return field.kept((thing_names, question), lambda: _made_names(field, question))
+
+
+def _made_names(field: LanguageField, question: Question[Any]) -> dict[int, ThingName]:
     known = compare_things(field, question)
     if known is None:
         return {}
@@ -81,32 +86,66 @@ def _alike(known: ComparedTable, named: Collection[int]) -> dict[int, int]:
     return {thing: one for thing, (_, one) in best.items()}
 
 
-def named_things(field: LanguageField, names: Mapping[int, ThingName]) -> list[Thing]:
-    """Return all things with their best names as ``text`` and the scores of these, or "" and None."""
-    unnamed = ThingName(("",), None)
-    best = [
-        (thing, names.get(thing.number or 0, unnamed))
-        for thing in field.kept(Thing, lambda: all_things(field))
-    ]
+def named_things(field: LanguageField, words: Question[Any] | None) -> list[Thing]:
+    """Return all things with their best names as ``text`` and the scores of these, or "" and None.
+
+    Catalogue, page, agents and comparisons name things by this.
+
+    Args:
+        field: with or without things.
+        words: that may be names (``naming_question``); None: there is no encoder, and only a model's names are known.
+    """
+    things = field.kept(Thing, lambda: all_things(field))
+    if words is None:
+        return list(things)
+    names, unnamed = thing_names(field, words), ThingName(("",), None)
+    best = [(thing, names.get(thing.number or 0, unnamed)) for thing in things]
     return [replace(thing, text=name.texts[0], score=name.score) for thing, name in best]
 
 
-def scene_objects(field: LanguageField, words: Question[Any]) -> list[Thing]:
-    """Return the things that are one object each, named by words."""
+def find_objects(field: LanguageField, things: Sequence[Thing]) -> list[Thing]:
+    """Return the named things that are one object each.
 
-    def made() -> list[Thing]:
-        things = named_things(field, thing_names(field, words))
-        return [things[place] for place in find_objects(things)]
-
-    return field.kept((scene_objects, words), made)
-
-
-def find_objects(things: Sequence[Thing]) -> list[int]:
-    """Return the places of the named things that are one object each.
+    A thing without a parent at the next level is a part of one at a coarser level that has half of its Gaussians.
 
     Args:
-        things: with their names as ``text`` and the scores of these.
+        field: of the things.
+        things: all, with their names as ``text`` and the scores of these.
     """
+    table = field.thing_table
+    if table is None:
+        return []
+    wholes, steady = field.kept(find_objects, lambda: _nesting(table))
+
+    def is_object(thing: Thing) -> bool:
+        return bool(thing.text) or ((thing.n_regions or 0) >= LEAST_REGIONS and thing.number in steady)
+
+    nested = [
+        replace(each, parent=wholes.get(each.number)) if each.parent is None else each for each in things
+    ]
+    objects = {thing.number for thing in best_of_trees(nested)}
+    return [thing for thing in things if thing.number in objects and is_object(thing)]
+
+
+def _nesting(table: ThingTable) -> tuple[dict[int | None, int], set[int | None]]:
+    """Return the thing of the next coarser level that has half of the Gaussians of each thing, and the things that are
+    stable, or that another level found, too."""
+    shared, levels = shared_gaussians(table), table.levels.tolist()
+    pairs = list(zip(*shared.indices().tolist(), shared.values().tolist(), strict=True))
+    counts = {one: both for one, other, both in pairs if one == other}
+    wholes: dict[int | None, int] = {}
+    steady: set[int | None] = {*(table.stability >= STABLE).nonzero()[:, 0].tolist()}
+    for one, other, both in sorted(pairs, key=lambda pair: (-levels[pair[1]], pair[2])):
+        if levels[one] < levels[other]:
+            if both >= SAME * counts[one]:
+                wholes[one] = other  # the last is of the finest level
+            if both >= SAME * (counts[one] + counts[other] - both):
+                steady |= {one, other}
+    return wholes, steady
+
+
+def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
+    """Return, of each tree of things and their parts, those whose names fit best together."""
     place = {thing.number: number for number, thing in enumerate(things)}
     parts: list[list[int]] = [[] for _ in things]
     roots = []
@@ -125,6 +164,4 @@ def find_objects(things: Sequence[Thing]) -> list[int]:
         return own, [number]
 
     objects = [each for root in roots for each in best(root)[1]]
-    return sorted(
-        each for each in objects if things[each].text or (things[each].n_regions or 0) >= LEAST_REGIONS
-    )
+    return [things[each] for each in sorted(objects)]

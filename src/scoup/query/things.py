@@ -18,7 +18,7 @@ from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import null_scores
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.matching import compare_things
+from scoup.query.matching import ComparedTable, compare_things
 from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.votes import true_rows
@@ -87,10 +87,14 @@ class Thing:
     def _repr_html_(self) -> str:
         return card(f"Thing {self.text}", {**self.to_dict(), "box": str(self.box.to_dict())})
 
-    def describe(self) -> str:
-        """Return position and extent in words, for people."""
+    def describe(self, metres_per_unit: float | None = None) -> str:
+        """Return position and extent in words, for people; in metres, too, if the length of the unit is known."""
         position = ", ".join(f"{part:g}" for part in rounded_vector(self.position.tolist()))
-        return f"at [{position}], extent {' x '.join(f'{side:.3g}' for side in self.box.extent.tolist())}"
+        extent, metres = (
+            " x ".join(f"{side:.3g}" for side in (self.box.extent * unit).tolist())
+            for unit in (1.0, metres_per_unit or 1.0)
+        )
+        return f"[{position}], extent {extent}{f' ({metres} m)' if metres_per_unit is not None else ''}"
 
     def to_dict(self, metres_per_unit: float | None = None) -> dict[str, Any]:
         """The thing as plain JSON values, rounded.
@@ -143,16 +147,24 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
         return list(answer.found)
     if not answer.things or len(answer.asked) != 1:
         return _connected_things(field, answer)
-    asked = answer.asked[0]
-    known = compare_things(field, asked.question)
+    return scored_things(field, answer, answer.instances if counted else answer.things)
+
+
+def text_fits(field: LanguageField, answer: Answer) -> tuple[ComparedTable, list[float]]:
+    """Return the things of a field, and how well each fits the text of an answer."""
+    known = compare_things(field, answer.asked[0].question)
     assert known is not None
-    numbers = list(answer.instances if counted else answer.things)
-    fits = known.fits(asked.question.queries.float().cpu())[numbers, 0].tolist()
-    (score,) = null_scores(asked.question, known.best_fits)
-    (named,) = named_texts(field.thing_table, asked.question)
+    return known, known.fits(answer.asked[0].question.queries.float().cpu())[:, 0].tolist()
+
+
+def scored_things(field: LanguageField, answer: Answer, numbers: Sequence[int]) -> list[Thing]:
+    """Return things by their numbers, with the text of an answer and their scores for it."""
+    known, fits = text_fits(field, answer)
+    (score,) = null_scores(answer.asked[0].question, known.best_fits)
+    (named,) = named_texts(field.thing_table, answer.asked[0].question)
     scores = {
-        number: score(fit) if named is None else named.score(score(fit), number)
-        for number, fit in zip(numbers, fits, strict=True)
+        number: score(fits[number]) if named is None else named.score(score(fits[number]), number)
+        for number in numbers
     }
     return [
         replace(thing, text=answer.text, score=scores[thing.number or 0])

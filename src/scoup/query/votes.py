@@ -31,6 +31,14 @@ MOST_TEXTS, MOST_BYTES = 16, 192 << 20
 Gaussians at three levels, all of them."""
 MOST_SAMPLED = 8192
 """Gaussians that stand for all where texts are compared with everyday words."""
+LOWEST, HIGHEST, WINDOW = 0.44, 0.84, 0.1
+"""Thresholds considered, and the window over which the change of area is taken; on the rescaled relevancy, as the
+papers' thresholds are."""
+CENTRE, PULL = 0.64, 0.05
+"""Of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times the pull is added
+to the change."""
+LOWEST_SHARE = 0.5 + 0.5 * (LOWEST - WINDOW / 2)
+"""The share of the span, before rescaling, where the lowest window begins; lower values do not count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +98,17 @@ def select_by_relevancy(
     return Selection(mask, relevancy[level], level, float(threshold))
 
 
-def level_thresholds(values: Tensor, coded: Tensor) -> Tensor:
-    """Return the most stable threshold of relevancy [S, N] rescaled over the coded Gaussians [S, N], [S] on the CPU."""
-    return thresholds_of_counts(stretched_counts(values, coded, STABILITY.lowest_share)[1])
+def level_thresholds(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the most stable threshold [S] of relevancy [S, N] rescaled over the coded Gaussians [S, N], and the
+    relevancies [S, 2] that rescaling takes to 0 and to 1, 0.5 and 0.5 for a level without any; on the CPU."""
+    ends, counts = stretched_counts(values, coded, LOWEST_SHARE)
+    spans = torch.stack([ends.mean(1), ends[:, 1]], 1)  # the lower half is cut off
+    return thresholds_of_counts(counts), torch.where(coded.any(1)[:, None].cpu(), spans, 0.5)
 
 
 def _most_stable(values: Tensor, coded: Tensor) -> Selection:
     """Select by the most stable threshold of each level."""
-    spans, counts = stretched_counts(values, coded, STABILITY.lowest_share)
+    spans, counts = stretched_counts(values, coded, LOWEST_SHARE)
     thresholds = thresholds_of_counts(counts)
     masks, areas, sums = above_thresholds(values, coded, spans, thresholds)
     peaks = spans[:, 1].tolist()
@@ -138,47 +149,23 @@ class SampledVotes:
         return torch.tensor(fits)
 
 
-@dataclass(frozen=True)
-class Stability:
-    """The rule of stability. All values are on the rescaled relevancy, as the papers' thresholds are.
-
-    Of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times the pull is added
-    to the change.
-    """
-
-    lowest: float = 0.44  # threshold considered
-    highest: float = 0.84
-    window: float = 0.1  # over which the change of area is taken
-    centre: float = 0.64
-    pull: float = 0.05
-
-    @property
-    def lowest_share(self) -> float:
-        """The share of the span, before rescaling, where the lowest window begins; lower values do not count."""
-        return 0.5 + 0.5 * (self.lowest - self.window / 2)
-
-
-STABILITY = Stability()
-
-
-def thresholds_of_counts(counts: Tensor, stability: Stability = STABILITY) -> Tensor:
+def thresholds_of_counts(counts: Tensor) -> Tensor:
     """Return the most stable threshold of each row.
 
     Args:
         counts: [S, ``BINS``] of values of relevancy (``stretched_counts``).
-        stability: the rule.
 
     Returns:
         [S] float32 on the CPU, on the rescaled relevancy. Rows that are empty, constant or not finite have the centre.
     """
     above = counts.double().flip(1).cumsum(1).flip(1)  # values in bin b and further up
     area = above.clamp(min=1).log()
-    half = round(stability.window / 2 * BINS)
-    bins = torch.arange(round(stability.lowest * BINS), round(stability.highest * BINS) + 1)
+    half = round(WINDOW / 2 * BINS)
+    bins = torch.arange(round(LOWEST * BINS), round(HIGHEST * BINS) + 1)
     bins = bins[(bins >= half) & (bins < BINS - half)]
     change = area[:, bins - half] - area[:, bins + half]
     at = bins / BINS
-    best = (change + stability.pull * (at - stability.centre).abs()).argmin(1)
+    best = (change + PULL * (at - CENTRE).abs()).argmin(1)
     return at[best].float()
 
 

@@ -34,10 +34,10 @@ from scoup.raster.presets import RASTER_PRESETS as RASTER_PRESETS
 from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceProjection
-from scoup.raster.spherical_harmonics import view_colors as view_colors
 from scoup.raster.view_sums import ViewSums as ViewSums
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.harmonics import view_colors as view_colors
 
 if TYPE_CHECKING:
     from scoup.raster.triton.projection import TritonProjection
@@ -55,18 +55,10 @@ BACKENDS = {
 class PreparedGaussians:
     """Gaussians made ready for many projections by ``prepare_gaussians``."""
 
-    gaussians: Gaussians
-    """The rows in the order that suits the backend; of their colours only the constant part."""
-    order: Tensor | None
-    """[N] int64, the row of each in the original scene; None where nothing was moved."""
-    backend: str
-    """Its name."""
-    handle: Any = None
-    """Data of the backend for all projections, 48 bytes per Gaussian with "native"."""
-
-    def restored(self, rows: Tensor) -> Tensor:
-        """Return ``rows`` [N, ...], one per Gaussian of this scene, in the order of the original scene."""
-        return rows if self.order is None else restored(rows, self.order)
+    gaussians: Gaussians  # in the order that suits the backend; of their colours only the constant part
+    order: Tensor | None  # [N] int64, the row of each in the original scene; None where nothing was moved
+    backend: str  # its name
+    handle: Any = None  # data of the backend for all projections, 48 bytes per Gaussian with "native"
 
 
 def prepare_gaussians(gaussians: Gaussians, backend: str | None = None) -> PreparedGaussians:

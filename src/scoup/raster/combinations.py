@@ -20,10 +20,8 @@ from scoup.base.native import native_core
 class CombinedLabels:
     """The combinations of regions of one view, in the order of their first pixels, row by row."""
 
-    map: Tensor
-    """[H, W] int32, number of the combination of each pixel; -1 where no level has a region."""
-    table: Tensor
-    """[C, S] int32, the region of each combination at each level, -1 for none."""
+    map: Tensor  # [H, W] int32, number of the combination of each pixel; -1 where no level has a region
+    table: Tensor  # [C, S] int32, the region of each combination at each level, -1 for none
 
     def digest(self) -> str:
         """Return a SHA-256 that is equal for equal label maps only."""

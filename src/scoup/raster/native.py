@@ -5,8 +5,6 @@ Everything runs on ``torch.get_num_threads()`` threads; the result does not depe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.native import require_core
+from scoup.base.native import refusals, require_core
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY
 from scoup.raster.combinations import CombinedLabels
 from scoup.raster.presets import RasterPreset
@@ -49,7 +46,7 @@ def make_scene(gaussians: Gaussians, ties: Tensor | None = None, many_views: boo
     depend on the camera once, and passes over chunks of 8,192 rows that a camera cannot see, for 48 bytes per Gaussian
     more, up to ``MOST_ROWS_IN_MEMORY`` of them.
     """
-    with _refusals():
+    with refusals():
         return require_core().Scene(
             _array(gaussians.means),
             _array(gaussians.quats),
@@ -67,7 +64,7 @@ def project(
 ) -> NativeProjection:
     """See ``raster.project``; ``scene`` is from ``make_scene``."""
     scene = make_scene(gaussians) if scene is None else scene
-    with _refusals():
+    with refusals():
         handle = require_core().project(
             scene,
             _array(camera.viewmat[:3], torch.float64),
@@ -84,7 +81,7 @@ def project(
 
 def region_sums(projection: NativeProjection, combined: CombinedLabels) -> tuple[Tensor, Tensor, Tensor]:
     """See ``raster.region_sums``."""
-    with _refusals():
+    with refusals():
         found = require_core().region_sums(
             projection.handle, _array(combined.map, torch.int32), torch.get_num_threads()
         )
@@ -104,7 +101,7 @@ def render_values(projection: NativeProjection, values: Tensor) -> Tensor:
 
 
 def _channels(projection: NativeProjection, values: Tensor, with_alpha: bool) -> tuple[Any, Any]:
-    with _refusals():
+    with refusals():
         return require_core().render_channels(
             projection.handle, _array(values), torch.get_num_threads(), with_alpha
         )
@@ -113,7 +110,7 @@ def _channels(projection: NativeProjection, values: Tensor, with_alpha: bool) ->
 def render_codes(projection: NativeProjection, indices: Tensor, weights: Tensor, n_atoms: int) -> Tensor:
     """See ``raster.render_codes``."""
     table = _code_table(indices, weights, n_atoms)
-    with _refusals():
+    with refusals():
         return torch.from_numpy(
             require_core().render_codes(projection.handle, *table, n_atoms, torch.get_num_threads())
         )
@@ -132,7 +129,7 @@ def render_cosines_and_norms(
     """See ``raster.render_cosines_and_norms``."""
     table = _code_table(indices, weights, codebook.shape[1])
     levels, words = codebook.cpu(), queries.cpu()
-    with _refusals():
+    with refusals():
         grams = _array(torch.stack([stable_products(atoms, atoms) for atoms in levels]))
         scores = _array(torch.stack([stable_products(atoms, words) for atoms in levels]))
         found, norms = require_core().render_cosines(
@@ -165,15 +162,6 @@ def count_work(projection: NativeProjection) -> dict[str, int]:
 def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:
     """Return a contiguous CPU array; no copy where the tensor is one already."""
     return tensor.detach().to("cpu", dtype).contiguous().numpy()
-
-
-@contextmanager
-def _refusals() -> Iterator[None]:
-    """Turn errors of the core into InputError: what it refuses is the caller's mistake."""
-    try:
-        yield
-    except (ValueError, IndexError) as error:
-        raise InputError(str(error)) from None
 
 
 def _code_table(indices: Tensor, weights: Tensor, n_atoms: int) -> tuple[np.ndarray, np.ndarray]:

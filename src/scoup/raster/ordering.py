@@ -16,13 +16,10 @@ def morton_order(means: Tensor) -> Tensor:
 
 
 def morton_codes(means: Tensor, around: Tensor | None = None) -> tuple[Tensor, float]:
-    """Return [N] int64 places of ``means`` [N, 3] on a Z-order curve through a cube, and the edge of its cells.
+    """Return [N] int64 places of ``means`` [N, 3] on a Z-order curve through a cube around ``around`` [M, 3], by
+    default around them, and the edge of its cells. Means beyond the cube count as at its sides.
 
     Bits 3 b to 3 b + 2 of a place are bit b of the cell along x, y, z. Entries that are not finite count as 0.
-
-    Args:
-        means: [N, 3].
-        around: [M, 3] what the cube is around; by default ``means``. Means beyond it count as at its sides.
     """
     if not len(means):
         return torch.zeros(0, dtype=torch.int64, device=means.device), 1.0

@@ -15,16 +15,11 @@ class ViewSums:
     A region is the union of its combinations, so that A[i, r] of method.md, stage 2, is a sum of these.
     """
 
-    gaussian: Tensor
-    """[E] int32, rising."""
-    combination: Tensor
-    """[E] int32, rising among entries of the same Gaussian; each pair occurs once."""
-    weight: Tensor
-    """[E] float32, positive."""
-    table: Tensor
-    """[C, S] int32, the region of each combination at each level, -1 for none."""
-    labels_digest: str = ""
-    """Of the label maps (``CombinedLabels.digest``), "" if unknown."""
+    gaussian: Tensor  # [E] int32, rising
+    combination: Tensor  # [E] int32, rising among entries of the same Gaussian; each pair occurs once
+    weight: Tensor  # [E] float32, positive
+    table: Tensor  # [C, S] int32, the region of each combination at each level, -1 for none
+    labels_digest: str = ""  # of the label maps (``CombinedLabels.digest``), "" if unknown
 
     def triplets(self, level: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return (gaussian [T] int64, region [T] int64, weight [T] float32) of one level, sorted, each pair once."""

@@ -20,8 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base.native import native_core, refusals
 from scoup.scene.codes import check_atoms, code_arrays, float32_products, stable_products
 
 
@@ -42,12 +41,8 @@ def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tenso
 
 
 def inverse_code_norms(indices: Tensor, weights: Tensor, codebook: Tensor) -> Tensor:
-    """Return 1 / sqrt(W G W^T), the inverse norms of decoded codes, [N, S] float32; 0 without a code.
-
-    Args:
-        indices, weights: as above.
-        codebook: [S, L, D].
-    """
+    """Return 1 / sqrt(W G W^T), the inverse norms of decoded codes over a codebook [S, L, D], [N, S] float32; 0 without
+    a code."""
     grams = torch.stack([atom_products(atoms, atoms) for atoms in codebook.float()])
     found = _native("inverse_code_norms", indices, weights, grams)
     return plain_inverse_code_norms(indices, weights, grams) if found is None else found
@@ -84,13 +79,8 @@ def plain_best_code_cosines(
 def code_relevancy(
     indices: Tensor, weights: Tensor, inverse_norms: Tensor, best: Tensor, scores: Tensor, temperature: float
 ) -> Tensor:
-    """Return sigmoid(temperature * (cosine - best)) of each code and column of scores, [S, Q, N] float32.
-
-    Args:
-        indices, weights, inverse_norms, scores: as above.
-        best: [N, S] float32, cosines of the phrases that queries are compared with, from ``best_code_cosines``.
-        temperature: of the logistic function.
-    """
+    """Return sigmoid(temperature * (cosine - best)) of each code and column of scores, [S, Q, N] float32; ``best`` [N,
+    S] are cosines of the phrases that queries are compared with, from ``best_code_cosines``."""
     found = _native("code_relevancy", indices, weights, scores, inverse_norms, best, temperature)
     if found is not None:
         return found.transpose(0, 1)  # what belongs to one column is contiguous
@@ -122,8 +112,6 @@ def _native(name: str, indices: Tensor, weights: Tensor, *others: Any) -> Tensor
     arrays = [
         each.detach().float().contiguous().numpy() if isinstance(each, Tensor) else each for each in others
     ]
-    try:
+    with refusals():
         found = getattr(core, name)(*code_arrays(indices, weights), *arrays, torch.get_num_threads())
-    except ValueError as error:
-        raise InputError(str(error)) from None
     return torch.from_numpy(found)

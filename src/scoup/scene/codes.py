@@ -124,16 +124,8 @@ def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Te
 
 
 def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tensor:
-    """``cosines_from_codes`` from the two products that it needs of codebook and queries.
-
-    Args:
-        weights: [..., P, L] coefficients over the atoms, in any scale.
-        scores: [..., L, Q], A = C T^T.
-        gram: [..., L, L], G = C C^T.
-
-    Returns:
-        [..., P, Q]; zero where the coefficients are all zero.
-    """
+    """``cosines_from_codes`` of coefficients [..., P, L] from the two products that it needs of codebook and queries:
+    ``scores`` [..., L, Q], A = C T^T, and ``gram`` [..., L, L], G = C C^T."""
     return cosines_and_norms(weights, scores, gram)[0]
 
 

@@ -13,12 +13,7 @@ NEARLY_UNIT = 1e-5
 
 
 def float_rows(vectors: Tensor | ArrayLike, what: str) -> Tensor:
-    """Return [R, D] float32, checked.
-
-    Args:
-        vectors: [R, D] floating point, a tensor or an array.
-        what: their name in messages.
-    """
+    """Return [R, D] float32 of a floating-point tensor or array, checked; ``what`` is its name in messages."""
     rows = torch.as_tensor(vectors).detach()
     if rows.dim() != 2 or rows.shape[1] == 0:
         raise InputError(f"{what} must be [R, D], got {list(rows.shape)}")
@@ -48,12 +43,8 @@ def normalise_embeddings(embeddings: Tensor | ArrayLike) -> Tensor:
 
 
 def unit_rows(vectors: Tensor | ArrayLike, what: str = "embeddings", lengthen: bool = True) -> Tensor:
-    """Return [R, D] float32 rows of unit norm; rows of norm zero stay zero, those of nearly unit norm as they are.
-
-    Args:
-        vectors, what: as for ``float_rows``.
-        lengthen: otherwise rows of a norm below 1 stay as they are, too.
-    """
+    """Return [R, D] float32 rows of unit norm; rows of norm zero stay zero, those of nearly unit norm as they are and,
+    without ``lengthen``, those of a norm below 1, too."""
     rows = float_rows(vectors, what)
     excess = torch.linalg.vector_norm(rows, dim=1) - 1
     off = ~((excess.abs() if lengthen else excess) <= NEARLY_UNIT) & (rows != 0).any(1)
@@ -65,13 +56,8 @@ def unit_rows(vectors: Tensor | ArrayLike, what: str = "embeddings", lengthen: b
 def query_vectors(
     vectors: Tensor | ArrayLike, dim: int, what: str = "queries", lengthen: bool = True
 ) -> Tensor:
-    """Return one direction or several as [Q, D] float32 of unit norm.
-
-    Args:
-        vectors: [D] or [Q, D] floating point, Q >= 1, a tensor or an array; of any norm but zero.
-        dim: D.
-        what, lengthen: as for ``unit_rows``.
-    """
+    """Return one direction [D] or several [Q, D], of any norm but zero, as [Q, D] float32 of unit norm
+    (``unit_rows``)."""
     try:
         given = torch.as_tensor(vectors)
     except (TypeError, ValueError, RuntimeError):

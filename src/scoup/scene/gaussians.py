@@ -129,12 +129,8 @@ class Gaussians:
 
 
 def chosen_rows(chosen: Tensor | ArrayLike | slice, count: int) -> Tensor:
-    """Return a boolean mask [count], or int64 indices [M], that choose among ``count`` rows.
-
-    Args:
-        chosen: the same as a tensor, an array or a list; indices of any integer type; or a slice.
-        count: of rows.
-    """
+    """Return what chooses among ``count`` rows as a boolean mask [count] or int64 indices [M]: a tensor, an array or a
+    list of these, indices of any integer type, or a slice."""
     try:
         rows = torch.arange(count)[chosen] if isinstance(chosen, slice) else torch.as_tensor(chosen)
     except (TypeError, ValueError, RuntimeError):

@@ -19,13 +19,10 @@ LONGEST_LINK = 3.0
 
 
 def nearest_points(points: NDArray[np.float64], count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the ``count`` nearest others of each point, nearest first, and their distances, both [M, count].
+    """Return the ``count`` < M nearest others of each of finite points [M, 3], nearest first, and their distances, both
+    [M, count].
 
     Of equals, the compiled core takes the one with the lower number.
-
-    Args:
-        points: [M, 3], finite.
-        count: below M, or 0.
     """
     core = native_core()
     if core is None:

@@ -18,13 +18,8 @@ MOST_STOPS = 40  # cameras that a path leads through
 
 
 def camera_path(cameras: Cameras, count: int) -> Cameras:
-    """Return cameras on a smooth path through those of a scene, in the order of their names, with the lens of the
-    first.
-
-    Args:
-        cameras: of the scene; of more than ``MOST_STOPS`` so many, evenly spread.
-        count: of cameras on the path.
-    """
+    """Return ``count`` cameras on a smooth path through those of a scene (of more than ``MOST_STOPS`` so many, evenly
+    spread), in the order of their names, with the lens of the first."""
     from scipy.interpolate import PchipInterpolator
     from scipy.spatial.transform import Rotation, Slerp
 
@@ -47,15 +42,8 @@ def camera_path(cameras: Cameras, count: int) -> Cameras:
 
 
 def turntable(camera: Camera, centre: Tensor | ArrayLike, up: Tensor | ArrayLike, count: int) -> Cameras:
-    """Return cameras on a circle around a point, which all look at it, with the lens and distance of one; they begin
-    there.
-
-    Args:
-        camera: where the circle begins.
-        centre: [3] the point, in world units.
-        up: [3] the direction that the circle goes around.
-        count: of cameras, evenly on the circle.
-    """
+    """Return ``count`` cameras, evenly on a circle around a point [3] and a direction ``up`` [3], which all look at it,
+    with the lens and distance of one; they begin there."""
     from scipy.spatial.transform import Rotation
 
     point, axis = (torch.as_tensor(each, dtype=torch.float64).numpy() for each in (centre, up))

@@ -15,12 +15,8 @@ _GREY = 245
 
 
 def points_preview(points: Tensor, colors: Tensor) -> NDArray[np.uint8]:
-    """Return points in their colours, seen along the direction in which they spread least: [H, W, 3].
-
-    Args:
-        points: [M, 3], finite.
-        colors: [M, 3], 0..1.
-    """
+    """Return finite points [M, 3] in their colours 0..1, seen along the direction in which they spread least: [H, W,
+    3]."""
     width, height = PREVIEW
     picture = np.full((height, width, 3), _GREY, np.uint8)
     step = max(1, -(-len(points) // MOST_POINTS))

@@ -97,6 +97,14 @@ class ThingTable:
         level = int(self.levels[things[0]]) if len(things) else 0
         return chosen.index_select(0, self.owners[:, level] + 1)
 
+    def parts(self, thing: int) -> Tensor:
+        """Return a thing with its parts and theirs, [T] boolean on the CPU."""
+        parents = self.parents.long().cpu()
+        found = torch.arange(len(self)) == thing
+        for _ in range(1, self.owners.shape[1]):
+            found |= (parents != NO_THING) & found[parents]
+        return found
+
     def sums(self, weights: Tensor) -> Tensor:
         """Return [T] float64: the sum of weights [N] over the Gaussians of each thing."""
         gaussians = torch.from_numpy(np.flatnonzero(weights.cpu().numpy()))  # few, as a rule
@@ -122,14 +130,11 @@ class ThingTable:
 
 
 def cosine_spread(agreement: Tensor, n_regions: Tensor, dim: int) -> float:
-    """Return how far the cosines of one thing's regions with a text differ, in the median thing.
+    """Return how far the cosines of one thing's regions with a text differ, in the median thing merged from enough
+    regions.
 
     A region's embedding lies about sqrt(1 - agreement^2) from its thing's mean, in any of the D directions, one of
-    which is the text's. The median is that of the things merged from enough regions.
-
-    Args:
-        agreement, n_regions: [T] of the things (``ThingTable``).
-        dim: D.
+    which is the text's.
     """
     sure = agreement[n_regions >= SURE_REGIONS]
     median = float((sure if len(sure) else agreement.new_ones(1)).median())

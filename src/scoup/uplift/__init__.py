@@ -6,8 +6,7 @@ Read the method in this order:
 * ``region_codes``: the embeddings of the regions become sparse codes;
 * ``vote``, ``reweighting``: sums and codes of the regions become a code per Gaussian, in one round or several;
 * ``things``, ``merging``: regions of many views that the same Gaussians contribute to become one instance;
-* ``build``: all of these steps, from a splat, cameras and regions to a language field;
-* ``update``: views are added to, removed from or changed in a field whose sums are kept.
+* ``build``: all of these steps, from a splat, cameras and regions to a language field.
 
 ``RegionSums`` (``region_sums``) is what they share; ``storage`` is how it is kept.
 """

@@ -17,7 +17,7 @@ from scoup.base.progress import Progress, no_progress
 from scoup.base.scratch import scratch_array
 from scoup.base.version import VERSION
 from scoup.coding import fit_codes
-from scoup.coding.encode import encode
+from scoup.coding.codebook import encode
 from scoup.field.language_field import LanguageField
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.npy import open_npy
@@ -37,11 +37,8 @@ _LEVEL_FOLDER = re.compile(r"(.*)_([123])")
 
 
 def read_features(path: str | Path) -> np.ndarray:
-    """Read features, one row per Gaussian: [N, D], or [N, S, D] of S levels.
-
-    Args:
-        path: .npy (mapped into memory), or .pt, .pth with one tensor.
-    """
+    """Read features, one row per Gaussian: [N, D], or [N, S, D] of S levels, of an .npy (mapped into memory), or a .pt
+    or .pth with one tensor."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".npy":

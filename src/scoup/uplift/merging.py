@@ -28,12 +28,8 @@ ROOT_STEPS = 64.0  # whole numbers that stand for a square root of 1 pixel
 def merge_regions(
     matrix: Matrix, views: NDArray[np.int64], least_iou: float = LEAST_IOU
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Cluster the regions of one level.
-
-    Args:
-        matrix: [N, R] float32, what each Gaussian contributes to each region.
-        views: [R] the view of each region, from 0.
-        least_iou: clusters that overlap less stay apart.
+    """Cluster the regions of one level by ``matrix`` [N, R] float32, what each Gaussian contributes to each region, and
+    ``views`` [R] from 0; clusters that overlap less than ``least_iou`` stay apart.
 
     Returns:
         [R] int64 the cluster of each region, from 0, in the order of first regions; and [C] float64 the stability of

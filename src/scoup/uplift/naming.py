@@ -140,15 +140,8 @@ def name_things(
     raster_preset: str = "inria",
     backend: str | None = None,
 ) -> NameTable:
-    """Let detections vote for the things of a scene.
-
-    Args:
-        gaussians: the trained scene.
-        table: its T things.
-        views: V >= 1 photographs with what was found in them; detections count the texts as ``texts`` does.
-        texts: M of them, looked for in all of the photographs.
-        raster_preset, backend: of the rasteriser.
-    """
+    """Let detections in V >= 1 photographs, which count the texts as ``texts`` does, vote for the things of a scene.
+    All texts were looked for in all of the photographs."""
     counted = [
         votes_in_view(things_in_view(gaussians, table, camera, raster_preset, backend), found, len(texts))
         for camera, found in views

@@ -28,12 +28,8 @@ def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
 
 
 def embedding_source(features: Path, regions: Regions, named: str | None = None) -> tuple[str, Path | None]:
-    """Return the embedding model and the word table for a field to record; "" and None where unknown.
-
-    Args:
-        features: folder of the regions, whose manifest names the model.
-        regions: those of the folder.
-        named: a model that takes precedence over the manifest, or a word table.
+    """Return the embedding model and the word table for a field to record; "" and None where unknown. What is ``named``
+    is a model that takes precedence over the manifest of the regions in ``features``, or a word table.
 
     Raises:
         FileFormatError, InputError: what is named is neither, or a table of vectors of another size.

@@ -24,7 +24,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import Scale
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.storage.paths import ENDING, SCENE
+from scoup.uplift.storage.array_file import ENDING, SCENE
 
 STAGE = "region sums"
 AUTO_SIDE = 500  # pixels; see docs/answers.md

@@ -33,11 +33,9 @@ from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build_settings import Scale, check_scale
-from scoup.uplift.storage.array_file import StoredArrays, read_arrays, write_arrays
-from scoup.uplift.storage.entries import BUCKET, ViewRecord
+from scoup.uplift.storage.array_file import ENDING, SCENE, StoredArrays, read_arrays, view_file, write_arrays
+from scoup.uplift.storage.entries import BUCKET, Packer, ViewRecord
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
-from scoup.uplift.storage.packing import Packer
-from scoup.uplift.storage.paths import ENDING, SCENE, view_file
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -65,14 +65,10 @@ def _photograph(camera: Camera) -> Array:
 
 
 def similarities(images: Array, alphas: Array, photographs: Array) -> Array:
-    """Return [V, V] correlations of the detail of each render with that of each photograph, weighted by alpha.
+    """Return [V, V] correlations of the detail of each render [V, H, W, 3] over black with that of each photograph (all
+    NaN if missing), both 0..1, weighted by ``alphas`` [V, H, W].
 
     They are NaN if a render covers too little, either has hardly any detail, or there is no photograph.
-
-    Args:
-        images: [V, H, W, 3] renders over black, 0..1.
-        alphas: [V, H, W] of the renders.
-        photographs: [V, H, W, 3], 0..1; all NaN if missing.
     """
     count = len(images)
     missing: NDArray[np.bool_] = np.isnan(photographs[:, 0, 0, 0])

@@ -193,12 +193,10 @@ def _things_of_level(
 def mean_embeddings(
     embeddings: Tensor, member: NDArray[np.int64], mass: NDArray[np.floating], count: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the mean embedding of the regions of each of ``count`` things, and how much they agree.
+    """Return [T, D] float32 unit, the mean embedding of the regions of each of ``count`` things (zero if unknown), and
+    [T] float32, the norm of the mean of unit embeddings, 0..1: how much they agree.
 
     Regions count by the square roots of their ``mass`` [R]; zero embeddings do not count.
-
-    Returns:
-        [T, D] float32 unit (zero if unknown), and [T] float32 norm of the mean of unit embeddings, 0..1.
     """
     from scipy.sparse import csr_array
 

@@ -21,15 +21,11 @@ Numbers = NDArray[np.int64]
 def find_strays(
     owners: Numbers, means: NDArray[np.float32], weights: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return [N] whether each Gaussian is a stray of the thing that owns it.
+    """Return [N] whether each Gaussian is a stray of the thing that owns it (-1 for none), by its place ``means`` [N,
+    3] and what it contributes, ``weights`` [N].
 
-    The body of a thing is the connected part of the cells that its Gaussians fill which weighs most. Gaussians of
-    parts that weigh much less are strays.
-
-    Args:
-        owners: [N] thing of each Gaussian, -1 for none.
-        means: [N, 3] in world units.
-        weights: [N] what each contributes.
+    The body of a thing is the connected part of the cells that its Gaussians fill which weighs most. Gaussians of parts
+    that weigh much less are strays.
     """
     strays = np.zeros(len(owners), bool)
     members = np.flatnonzero((owners >= 0) & np.isfinite(means).all(1))

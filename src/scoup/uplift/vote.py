@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -25,7 +25,11 @@ from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import SAMPLED_VIEWS, EarlierRound, scene_sharpness
 from scoup.uplift.storage.entries import BUCKET, Entries
 
+if TYPE_CHECKING:
+    from scoup.uplift.vote_backends import native, reference
+
 BATCHES = 16  # on a CPU
+# Modules with a class ``Vote``; that of the reference says what all of them do.
 BACKENDS = {
     "native": "scoup.uplift.vote_backends.native",
     "reference": "scoup.uplift.vote_backends.reference",
@@ -39,34 +43,6 @@ class CodedEntries:
 
     entries: Entries
     regions: NDArray[np.int64]  # [C, S] per label tuple, -1 for none
-
-
-class VoteBackend(Protocol):
-    """The class ``Vote`` of each module in ``BACKENDS``, made with (n_gaussians, views, codes, grams, device)."""
-
-    batches: ClassVar[int]
-    """Shares of the Gaussians that it is given one after another; after each, progress is reported and memory of files
-    is released."""
-
-    def round(
-        self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
-    ) -> tuple[Tensor, Tensor]:
-        """Return the ``keep`` largest of w_i = sum over regions of A[i, r] W_r, for the Gaussians of some buckets.
-
-        Args:
-            keep: atoms kept per Gaussian and level.
-            earlier: the round before, of all Gaussians; None counts regions by A alone.
-            unit_norm: scale weights so that a decoded code has norm 1, instead of to sum 1.
-            buckets: consecutive ones.
-
-        Returns:
-            indices [n, S, keep] uint8 (uint16 beyond 256 atoms), weights [n, S, keep] float32.
-        """
-        ...
-
-    def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
-        """Return, per level, 1 - cosine of each region and each Gaussian of some buckets that meet in a view."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +104,7 @@ def vote(
     views = _coded_entries(sums)
     module = load_backend(BACKENDS, codebook.device, backend, "vote")[1]
 
-    def prepare(names: Sequence[str]) -> VoteBackend:
+    def prepare(names: Sequence[str]) -> reference.Vote | native.Vote:
         parts = [part for name in names for part in views[name]]
         return module.Vote(sums.n_gaussians, parts, codes, grams, codebook.device)
 

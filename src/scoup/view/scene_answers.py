@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
@@ -93,21 +92,5 @@ def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnsw
             [list(each.things) if by_things else None for each in others],
             list(chosen.without),
             atom_scores(field, queries)[:, :, 0].contiguous(),
-            level_thresholds(relevancy, coded),
-            spans(relevancy, coded),
+            *level_thresholds(relevancy, coded),
         )
-
-
-def spans(relevancy: Tensor, coded: Tensor) -> Tensor:
-    """Return [S, 2]: the relevancies that ``scoup.query.votes.rescale`` takes to 0 and to 1 at each level.
-
-    Args:
-        relevancy: [S, N].
-        coded: [S, N] boolean, those that count; a level without any has the span 0.5 to 0.5.
-    """
-    low = torch.where(coded, relevancy, torch.inf).amin(1) if relevancy.shape[1] else torch.zeros(len(coded))
-    high = (
-        torch.where(coded, relevancy, -torch.inf).amax(1) if relevancy.shape[1] else torch.zeros(len(coded))
-    )
-    ends = torch.stack([(low + high) / 2, high], 1)  # the lower half is cut off
-    return torch.where(coded.any(1)[:, None], ends, 0.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from scoup.query.catalog_files import thing_mask
 from scoup.query.presence import certainty
 from scoup.query.question import naming_question
 from scoup.query.relations import overlaps, related_pairs
-from scoup.query.thing_names import ThingName, find_objects, thing_names
+from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.scene.cameras import Cameras
 
@@ -104,8 +104,7 @@ class SceneTools:
         With `thing`, only that one, what it is on or inside, and what is on or inside it. Names: as in `list_things`.
         """
         field, every = self._field(scene), self._named(scene)
-        objects = list(every.values())
-        objects = [objects[place] for place in find_objects(objects)]
+        objects = find_objects(field, list(every.values()))
         if thing is not None:
             asked = _numbered_thing(every, thing)
             objects = [asked, *(each for each in objects if not overlaps(each, asked))]
@@ -216,21 +215,14 @@ class SceneTools:
         return looked_up("scene", scene, self.fields)
 
     def _named(self, scene: str) -> dict[int | None, Thing]:
-        """Return all things by number, the largest first, with their names and the scores of these; without an
-        encoder there are no names."""
+        """Return all things by number, the largest first, with their names and the scores of these."""
         field = self._field(scene)
-
-        def made() -> dict[int, ThingName]:
-            try:
-                return thing_names(field, naming_question(field, self.words or ()))
-            except ScoupError:
-                return {}
-
-        names, things = field.kept((ThingName, self.words), made), self._things(scene)
-        for number, name in names.items():
-            if number in things:
-                things[number] = replace(things[number], text=name.texts[0], score=name.score)
-        return dict(sorted(things.items(), key=lambda each: -each[1].n_gaussians))
+        try:
+            words = naming_question(field, self.words or ())
+        except ScoupError:  # there is no encoder
+            words = None
+        things = sorted(named_things(field, words), key=lambda thing: -thing.n_gaussians)
+        return {thing.number: thing for thing in things}
 
     def _things(self, scene: str) -> dict[int | None, Thing]:
         return {thing.number: thing for thing in self._field(scene).things()}

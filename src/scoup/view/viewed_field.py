@@ -22,11 +22,11 @@ from scoup.query.answer import Answer
 from scoup.query.edits import SplatTable
 from scoup.query.field_view import FieldView
 from scoup.query.question import Question, naming_question
+from scoup.query.thing_names import named_things
 from scoup.scene.cameras import Camera
 from scoup.view import parts
 from scoup.view.decimation import MOST_GAUSSIANS, decimate
 from scoup.view.exact import Colors, PictureMode, PictureRequest, draw_picture, what_is_at
-from scoup.view.page_things import page_things
 from scoup.view.parts import Parts
 from scoup.view.scene_answers import PageAnswer, scene_answers
 from scoup.view.scene_data import part_data, scene_data, scene_metadata
@@ -241,8 +241,18 @@ class ViewedField:
         ]
 
     def things(self) -> list[dict[str, Any]]:
-        """Return the things of the scene as the page lists them (``page_things``)."""
-        return page_things(self.field, self.vocabulary())
+        """Return every thing as plain JSON values, with its name, or None."""
+        rows = []
+        for thing in named_things(self.field, self.vocabulary()):
+            record = thing.to_dict()
+            row = {
+                "number": thing.number,
+                "level": self.field.level_index(thing.level),
+                "parent": thing.parent,
+            }
+            place = {name: record[name] for name in ("position", "box", "gaussians")}
+            rows.append({**row, "name": thing.text or None, **place, "views": thing.n_regions})
+        return rows
 
     def things_selection(self, names: Mapping[int, str], rest: bool = False) -> PlyTable:
         """Return the Gaussians of things, or all others; the header contains the names of the things.

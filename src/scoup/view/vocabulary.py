@@ -11,9 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
+from scoup.base.existing import existing_file
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
-from scoup.io.reading import existing_file, read_text
+from scoup.io.reading import read_text
 from scoup.query.presence import Certainty
 from scoup.query.question import Question
 from scoup.view.packing import packed

@@ -12,9 +12,8 @@ own.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -54,16 +53,6 @@ class PixelWeights:
         )
 
 
-class PixelRule(Hashable, Protocol):
-    """A rule by which pixels count for Gaussians. Equal rules give the same region sums."""
-
-    def region_sums(
-        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
-    ) -> RegionSums:
-        """Return region sums of all views that count only what the rule keeps."""
-        ...
-
-
 @dataclass(frozen=True)
 class AllPixels:
     """Every pixel counts, by the weight of the Gaussian in it."""
@@ -71,6 +60,7 @@ class AllPixels:
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
+        """Return region sums of all views."""
         return region_sums(gaussians, cameras, regions, raster_preset, scale=1.0)
 
 
@@ -78,7 +68,7 @@ ALL_PIXELS = AllPixels()
 
 
 class PairRule(ABC):
-    """A ``PixelRule`` that judges each pair of a Gaussian and a pixel it contributes to."""
+    """A rule that judges each pair of a Gaussian and a pixel it contributes to."""
 
     @abstractmethod
     def __call__(self, pairs: PixelWeights, centres: np.ndarray) -> PixelWeights:
@@ -92,6 +82,7 @@ class PairRule(ABC):
     def region_sums(
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
+        """Return region sums of all views that count only what the rule keeps."""
         sums = RegionSums.empty(gaussians, regions.levels, raster_preset, scale=1.0)
         for camera in cameras_with_regions(cameras, regions):
             labels = regions.load_labels(camera.name, camera.width, camera.height)
@@ -101,6 +92,10 @@ class PairRule(ABC):
             sums.append(camera.name, _view_sums(self.of_view(kept), labels), camera)
         sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
         return sums
+
+
+PixelRule = AllPixels | PairRule
+"""A rule by which pixels count for Gaussians. Equal rules give the same region sums."""
 
 
 @dataclass(frozen=True)

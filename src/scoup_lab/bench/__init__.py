@@ -7,7 +7,6 @@ from scoup_lab.bench.environment import describe_environment as describe_environ
 from scoup_lab.bench.measure import StageClock as StageClock
 from scoup_lab.bench.measure import Stopwatch as Stopwatch
 from scoup_lab.bench.measure import Task as Task
-from scoup_lab.bench.measure import Timing as Timing
 from scoup_lab.bench.measure import time_tasks as time_tasks
 from scoup_lab.bench.measure import torch_threads as torch_threads
 from scoup_lab.bench.report import Row as Row

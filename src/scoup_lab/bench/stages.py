@@ -80,15 +80,8 @@ def random_workload(
     n_atoms: int = 64,
     n_queries: int = 1,
 ) -> Workload:
-    """Return the first view of the random scene of ``scoup_lab.synthetic.random_scene``, with random codes of four
-    atoms, codebook and queries of 512 numbers.
-
-    Args:
-        n_gaussians: N.
-        width, height: of the view, in pixels.
-        regions: how many there are at each level.
-        n_atoms, n_queries: L and Q.
-    """
+    """Return the first view of the random scene of ``scoup_lab.synthetic.random_scene``, with so many regions at each
+    level, random codes of four atoms, codebook and queries of 512 numbers."""
     labels = voronoi_labels(regions, width, height)
     (camera,) = random_scene_cameras(1, width, height)
     gaussians, levels = random_scene_gaussians(n_gaussians), len(labels)
@@ -111,14 +104,9 @@ def random_workload(
 
 
 def stage_runs(work: Workload, backend: str, names: Iterable[str] = tuple(STAGES)) -> dict[str, Run]:
-    """Return the stages as callables without arguments; each gives what its function gives.
+    """Return stages, in the order wanted, as callables without arguments; each gives what its function gives.
 
     The projection that the later stages share is made here, so that its cost is in ``project`` alone.
-
-    Args:
-        work: what to work on.
-        backend: of the rasteriser.
-        names: stages, in the order wanted.
     """
     names = tuple(names)
     projection = raster.project(work.gaussians, work.camera, backend=backend)
@@ -164,15 +152,8 @@ def time_stages(
     device: str = "cpu",
     progress: Progress = no_progress,
 ) -> list[Row]:
-    """Time all stages, interleaved.
-
-    Args:
-        work: what they work on, for the rows.
-        runs: by backend, its ``stage_runs``; all of the same stages.
-        threads: numbers of torch threads, each measured.
-        repeats: how often a backend runs.
-        device, progress: see ``time_tasks``.
-    """
+    """Time the ``stage_runs`` of backends, all of the same stages, interleaved, with each number of torch threads;
+    ``repeats`` says how often a backend runs."""
     stages = dict.fromkeys(stage for own in runs.values() for stage in own)
     tasks = {
         (stage, backend, used): Task(own[stage], used, repeats(backend))
@@ -185,15 +166,8 @@ def time_stages(
 
 
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:
-    """Return the backends that work on this machine, and why the others do not.
-
-    Args:
-        wanted: names; all that serve the device if empty.
-        device: of the tensors they work on.
-
-    Returns:
-        (names, {name: reason}); of the names wanted, or of all.
-    """
+    """Return the names of the backends, of those wanted or all that serve the device, that work on this machine, and
+    why the others do not."""
     found: list[str] = []
     reasons: dict[str, str] = {}
     all_here = [name for name in raster.BACKENDS if serves(name, torch.device(device))]

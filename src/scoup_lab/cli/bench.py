@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-import tyro
-
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon
+from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon, arg
 
 if TYPE_CHECKING:
     from scoup_lab.bench import Row
 
-Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
-Counts = Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT [INT ...]", help_behavior_hint="")]
+Names = Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")]
+Counts = Annotated[tuple[int, ...], arg(metavar="INT [INT ...]")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,20 @@ from torch import Tensor
 
 from scoup.base.counts import listed
 from scoup.base.errors import FileFormatError
-from scoup.io.reading import existing_file
+from scoup.base.existing import existing_file
 from scoup.io.splats.ply import PlyTable, read_ply_table, write_ply_table
 
 _MAX_LABEL = 1 << 31
+
+_NAMES = """
+    unlabeled, wall, floor, cabinet, bed, chair, sofa, table, door, window, bookshelf, picture, counter, blinds,
+    desk, shelves, curtain, dresser, pillow, mirror, floormat, clothes, ceiling, books, refrigerator,
+    television, paper, towel, showercurtain, box, whiteboard, person, nightstand, toilet, sink, lamp, bathtub,
+    bag, otherstructure, otherfurniture, otherprop
+"""
+NYU40 = tuple(" ".join(name.split()) for name in _NAMES.split(","))
+"""Names of the 40 classes of NYU and of what has none, in the order of ScanNet's labels, as OpenGaussian's
+``scripts/eval_scannet.py`` spells them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +51,7 @@ def read_labelled_ply(path: str | Path) -> LabelledPoints:
     return LabelledPoints(torch.from_numpy(positions), torch.from_numpy(labels))
 
 
-def write_labelled_ply(points: LabelledPoints, path: str | Path, overwrite: bool = False) -> None:
+def write_labelled_ply(points: LabelledPoints, path: str | Path) -> None:
     """Write vertices as ScanNet does: x, y, z, colour and alpha (grey here), label; without faces."""
     colors = [(name, "u1") for name in ("red", "green", "blue", "alpha")]
     kinds = [*((name, "<f4") for name in "xyz"), *colors, ("label", "<u2")]
@@ -51,7 +61,7 @@ def write_labelled_ply(points: LabelledPoints, path: str | Path, overwrite: bool
     for name, _ in colors:
         rows[name] = 255 if name == "alpha" else 128
     rows["label"] = points.labels.numpy()
-    write_ply_table(PlyTable(Path("<memory>"), rows), path, overwrite)
+    write_ply_table(PlyTable(Path("<memory>"), rows), path)
 
 
 def _finite(path: Path, positions: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
-from scoup_lab.bench.measuring import timed
+from scoup_lab.bench.measure import timed
 from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup_lab.evaluate.protocols.lerf_ovs import PROTOCOL
 from scoup_lab.evaluate.protocols.pixels import LabelledScene

@@ -37,15 +37,11 @@ def localize_and_segment(relevancy: Tensor, rule: MaskRule) -> tuple[Localizatio
 
 
 def localize(relevancy: Tensor, rule: MaskRule, averaged: Tensor | None = None) -> Localization:
-    """Return the most relevant place in one view.
+    """Return the most relevant place in one view, by the relevancy [S, H, W] to one query, 0..1, ``averaged`` if that
+    is known (``averaged_relevancy``).
 
     Each level is averaged by the rule's box; the level with the largest maximum is chosen, the first of equals,
     whatever the rule's ``level_choice``.
-
-    Args:
-        relevancy: [S, H, W] of one query, 0..1.
-        rule: its box is used.
-        averaged: ``averaged_relevancy`` of both, if known.
     """
     averaged = averaged_relevancy(relevancy, rule) if averaged is None else averaged
     peaks = averaged.flatten(1).amax(1)
@@ -68,14 +64,10 @@ def segment(relevancy: Tensor, rule: MaskRule, averaged: Tensor | None = None) -
 
 
 def choose_level(smoothed: Tensor, masks: Tensor, choice: LevelChoice) -> int:
-    """Return the position of the level that answers (step 4); the first of equals.
+    """Return the position of the level that answers (step 4), by smoothed relevancy and boolean masks, both [S, H, W];
+    the first of equals.
 
     With "mask", a level with an empty mask is never chosen, unless all are empty: then the peak decides.
-
-    Args:
-        smoothed: [S, H, W] smoothed relevancy.
-        masks: [S, H, W] boolean.
-        choice: see ``MaskRule``.
     """
     areas = masks.flatten(1).sum(1)
     if choice == "peak" or not areas.any():
@@ -95,15 +87,10 @@ def averaged_relevancy(relevancy: Tensor, rule: MaskRule) -> Tensor:
 
 
 def box_mean(maps: Tensor, kernel: int, border: Border = "inside") -> Tensor:
-    """Return the mean over a kernel x kernel box around each pixel, same size as the input.
+    """Return the mean over a kernel x kernel box around each pixel of maps [..., H, W], which may be smaller than it.
 
     The box of pixel x covers x - kernel // 2 ... x - kernel // 2 + kernel - 1 on each axis, as in OpenCV's filter2D for
     even kernels. Sums are float64, so that equal neighbourhoods have equal means.
-
-    Args:
-        maps: [..., H, W] floating point; may be smaller than the kernel.
-        kernel: side of the box in pixels.
-        border: see ``MaskRule``.
     """
     means = maps.double()
     for axis in (-1, -2):

@@ -43,24 +43,16 @@ Build and query:
 def write_demo_scene(
     scene: DemoScene,
     folder: str | Path,
-    overwrite: bool = False,
     render: Callable[[Camera], Any] | None = None,
     progress: Progress = no_progress,
 ) -> Path:
     """Write a scene so that ``scoup build FOLDER`` works on it; ``NOTE`` says what lies where.
 
-    Args:
-        scene: from ``make_demo_scene``.
-        folder: created if absent.
-        overwrite: replace existing files.
-        render: ``render(camera)`` gives [H, W, 3] float 0..1 or uint8; by default the colour render.
-        progress: called as ``progress("render", done, total)``.
-
-    Returns:
-        The folder.
+    ``render(camera)`` gives [H, W, 3] float 0..1 or uint8; by default the colour render. ``progress`` is called for the
+    stage "render".
     """
     folder = Path(folder)
-    with staged(folder, [*FILES, *(f"images/{name}" for name in scene.building.names)], overwrite) as hidden:
+    with staged(folder, [*FILES, *(f"images/{name}" for name in scene.building.names)]) as hidden:
         _write_all(scene, hidden, render, progress)
     return folder
 

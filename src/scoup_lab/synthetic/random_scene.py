@@ -34,13 +34,8 @@ _HAZE = 0.04  # share of Gaussians that float in the air
 
 
 def random_scene_gaussians(n_gaussians: int, seed: int = 0) -> Gaussians:
-    """Return N Gaussians of spherical-harmonics degree 0 on the surfaces of a furnished room, in random order
-    as in trained scenes.
-
-    Args:
-        n_gaussians: N, 1 or more.
-        seed: of everything.
-    """
+    """Return N Gaussians of spherical-harmonics degree 0 on the surfaces of a furnished room, in random order as in
+    trained scenes."""
     if n_gaussians < 1:
         raise InputError(f"a random scene needs at least one Gaussian, got {n_gaussians}")
     rng = np.random.default_rng(seed)
@@ -131,14 +126,8 @@ def _unit(rows: Array) -> Array:
 
 
 def random_scene_cameras(n_views: int, width: int = WIDTH, height: int = HEIGHT) -> Cameras:
-    """Return cameras inside the room: the first in a corner, the others on a loop along the walls above the
-    furniture. Each looks down across the middle, with the field of view of a LERF view (700 pixels at a width
-    of 988).
-
-    Args:
-        n_views: how many.
-        width, height: in pixels.
-    """
+    """Return cameras inside the room: the first in a corner, the others on a loop along the walls above the furniture.
+    Each looks down across the middle, with the field of view of a LERF view (700 pixels at a width of 988)."""
     focal = FOCAL * width / WIDTH
     cameras = []
     for number in range(n_views):
@@ -190,17 +179,11 @@ def clip_like(count: int, dim: int = 512, seed: int = 0, n_objects: int = 300) -
 def random_scene_regions(
     cameras: Cameras, counts: Sequence[int] = REGIONS, dim: int = 512, seed: int = 0, distinct: int = 12
 ) -> Regions:
-    """Return regions of every camera: Voronoi maps and CLIP-like embeddings.
+    """Return regions of every camera, all of one image size: Voronoi maps, with ``counts`` regions in a view at one to
+    three levels, and CLIP-like embeddings.
 
-    Memory: the embeddings of all views (views x sum of counts x dim x 4 bytes: 123 MB for 200 views) and
-    ``distinct`` sets of label maps (8.7 MB each at 988 x 731 and three levels), which views share in turn.
-
-    Args:
-        cameras: all of one image size.
-        counts: regions in a view at levels s, m, l; one to three numbers.
-        dim: D.
-        seed: of maps and embeddings.
-        distinct: the number of different sets of label maps.
+    Memory: the embeddings of all views (views x sum of counts x dim x 4 bytes: 123 MB for 200 views) and ``distinct``
+    sets of label maps (8.7 MB each at 988 x 731 and three levels), which views share in turn.
     """
     if not 1 <= len(counts) <= len(LEVELS) or not len(cameras):
         raise InputError(f"regions need views and 1 to {len(LEVELS)} counts, got {len(counts)} counts")
@@ -230,7 +213,7 @@ def random_scene_regions(
 
 
 def random_scene_codes(
-    means: Tensor, n_levels: int = 3, n_atoms: int = 64, k: int = 4, seed: int = 0
+    means: Tensor, n_levels: int = 3, n_atoms: int = 64, k: int = 4
 ) -> tuple[Tensor, Tensor]:
     """Return codes of Gaussians with ``means`` [N, 3] as an uplift leaves them: neighbours share atoms, and
     weights differ.
@@ -240,7 +223,7 @@ def random_scene_codes(
     """
     from scipy.spatial import KDTree
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     points = means.cpu().double().numpy()
     low, high = np.percentile(points, [1, 99], axis=0)
     indices = np.empty((len(points), n_levels, k), np.int32)

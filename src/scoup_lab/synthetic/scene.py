@@ -111,16 +111,8 @@ def make_demo_scene(
     n_held_out: int = 6,
     layout: Layout = TABLE,
 ) -> DemoScene:
-    """Make a scene. The same arguments give the same scene, to the last bit on one machine.
-
-    Args:
-        seed: of everything random: cameras, Gaussians, words, regions.
-        n_gaussians: N, exactly.
-        width, height: of all views, in pixels.
-        n_building: views with regions.
-        n_held_out: views without, for scoring.
-        layout: the kind of scene.
-    """
+    """Make a scene of exactly N Gaussians, ``n_building`` views with regions and ``n_held_out`` without, for scoring.
+    The same arguments give the same scene, to the last bit on one machine."""
     if n_gaussians < 2000 or min(width, height) < 32 or n_building < 1 or n_held_out < 0:
         raise InputError(
             "a demo scene needs at least 2000 Gaussians, 32 x 32 pixels and one view, "

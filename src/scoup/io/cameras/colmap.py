@@ -8,11 +8,12 @@ import numpy as np
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.existing import existing_folder
 from scoup.base.staging import staged
 from scoup.io.cameras import colmap_binary, colmap_text
 from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
-from scoup.io.reading import Distorted, check_finite, existing_folder, make_camera, sorted_cameras
+from scoup.io.reading import Distorted, check_finite, make_camera, sorted_cameras
 from scoup.scene.cameras import Cameras
 
 
@@ -60,11 +61,7 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
 
 
 def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sparse points of a COLMAP model.
-
-    Returns:
-        [P, 3] float64 positions and [P, 3] uint8 colours.
-    """
+    """Return the sparse points of a COLMAP model: [P, 3] float64 positions and [P, 3] uint8 colours."""
     folder = existing_folder(folder, "a COLMAP model folder")
     if (folder / "points3D.bin").is_file():
         return colmap_binary.read_points(folder / "points3D.bin")
@@ -74,17 +71,13 @@ def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
-    """Return the sparse points of a COLMAP model and where they were seen.
-
-    Returns:
-        [P, 3] float64 positions, and for each point the names of the images in its track (none in models that keep no
-        tracks).
-    """
+    """Return the sparse points [P, 3] float64 of a COLMAP model, and for each the names of the images in its track
+    (none in models that keep no tracks)."""
     folder = existing_folder(folder, "a COLMAP model folder")
     for end, parser in ((".bin", colmap_binary), (".txt", colmap_text)):
         points, images = folder / f"points3D{end}", folder / f"images{end}"
         if points.is_file() and images.is_file():
-            return parser.read_tracks(points, images)
+            return parser.read_tracks(points, {shot.number: shot.name for shot in parser.read_shots(images)})
     problem = "contains no points3D and images (both .bin or both .txt)"
     raise MissingFileError(folder, problem, "use the folder sparse/0")
 
@@ -93,25 +86,21 @@ def write_colmap(
     cameras: Cameras,
     folder: str | Path,
     points: tuple[np.ndarray, np.ndarray] | None = None,
-    text: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Write a COLMAP model of PINHOLE cameras, binary or text.
-
-    Args:
-        points: [P, 3] positions and [P, 3] uint8 colours; no points if None. Their tracks are left empty.
-    """
+    """Write a binary COLMAP model of PINHOLE cameras, and of points without tracks: [P, 3] positions and [P, 3] uint8
+    colours."""
     lenses: dict[Lens, int] = {}
     shots = []
-    for camera in cameras:
+    for number, camera in enumerate(cameras, start=1):
         lens = Lens("PINHOLE", camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
         number_of_lens = lenses.setdefault(lens, len(lenses) + 1)
         rotation, translation = camera.viewmat[:3, :3].numpy(), camera.viewmat[:3, 3]
-        shots.append(Shot(camera.name, number_of_lens, _quaternion(rotation), tuple(translation.tolist())))
+        pose = _quaternion(rotation), tuple(translation.tolist())
+        shots.append(Shot(number, camera.name, number_of_lens, *pose))
     positions, colors = points if points is not None else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
-    writer = colmap_text if text else colmap_binary
     numbered = {identifier: lens for lens, identifier in lenses.items()}
-    contents = writer.model_files(numbered, shots, positions, colors)
+    contents = colmap_binary.model_files(numbered, shots, positions, colors)
     with staged(Path(folder), list(contents), overwrite) as hidden:
         for name, content in contents.items():
             with atomic_file(hidden / name) as stream:

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.errors import FileFormatError
-from scoup.io.cameras.colmap_model import MODEL_NAMES, MODELS, PARAMETER_COUNTS, Lens, Shot
-from scoup.io.reading import decoded, existing_file, read_bytes
+from scoup.base.existing import existing_file
+from scoup.io.cameras.colmap_model import MODEL_NAMES, PARAMETER_COUNTS, Lens, Shot
+from scoup.io.reading import decoded, read_bytes
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
 _LENS = struct.Struct("<iiQQ")
@@ -69,7 +70,7 @@ def read_lenses(path: Path) -> dict[int, Lens]:
     lenses = {}
     for _ in range(cursor.count(_LENS.size, "cameras")):
         identifier, model, width, height = cursor.take(_LENS)
-        if model not in MODEL_NAMES:
+        if not 0 <= model < len(MODEL_NAMES):
             problem = f"has a camera of model {model}, which is not known"
             remedy = (
                 "make pinhole images with colmap image_undistorter, or copy the file again if it is damaged"
@@ -89,7 +90,8 @@ def read_shots(path: Path) -> list[Shot]:
         values = cursor.take(_SHOT)
         name = cursor.name()
         cursor.skip(_SEEN_BYTES * cursor.count(_SEEN_BYTES, "keypoints"))
-        shots.append(Shot(name, int(np.int32(np.uint32(values[8]))), values[1:5], values[5:8]))
+        lens = int(np.int32(np.uint32(values[8])))
+        shots.append(Shot(values[0], name, lens, values[1:5], values[5:8]))
     return shots
 
 
@@ -105,14 +107,8 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return positions, colors
 
 
-def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
-    """Read points3D.bin and images.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
-    cursor = _Cursor(images)
-    names: dict[int, str] = {}
-    for _ in range(cursor.count(_SHOT.size + 9, "images")):
-        identifier = cursor.take(_SHOT)[0]
-        names[identifier] = cursor.name()
-        cursor.skip(_SEEN_BYTES * cursor.count(_SEEN_BYTES, "keypoints"))
+def read_tracks(points: Path, names: dict[int, str]) -> tuple[np.ndarray, list[list[str]]]:
+    """Read points3D.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
     cursor = _Cursor(points)
     count = cursor.count(_POINT.size, "points")
     positions, tracks = np.empty((count, 3)), []
@@ -133,14 +129,13 @@ def model_files(
     lenses: dict[int, Lens], shots: Sequence[Shot], positions: np.ndarray, colors: np.ndarray
 ) -> dict[str, bytes]:
     """Return the contents of cameras.bin, images.bin and points3D.bin."""
-    numbers = {name: number for number, name, _ in MODELS}
     cameras = [struct.pack("<Q", len(lenses))]
     for identifier, lens in lenses.items():
-        cameras.append(_LENS.pack(identifier, numbers[lens.model], lens.width, lens.height))
+        cameras.append(_LENS.pack(identifier, MODEL_NAMES.index(lens.model), lens.width, lens.height))
         cameras.append(struct.pack(f"<{len(lens.parameters)}d", *lens.parameters))
     images = [struct.pack("<Q", len(shots))]
-    for identifier, shot in enumerate(shots, start=1):
-        images.append(_SHOT.pack(identifier, *shot.quaternion, *shot.translation, shot.lens))
+    for shot in shots:
+        images.append(_SHOT.pack(shot.number, *shot.quaternion, *shot.translation, shot.lens))
         images.append(shot.name.encode("utf-8") + b"\0" + struct.pack("<Q", 0))
     points = [struct.pack("<Q", len(positions))]
     numbered = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)

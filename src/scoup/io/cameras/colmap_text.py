@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from scoup.base.errors import FileFormatError
+from scoup.base.existing import existing_file
 from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Shot
-from scoup.io.reading import existing_file, read_text
+from scoup.io.reading import read_text
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
 
@@ -39,7 +40,7 @@ def read_shots(path: Path) -> list[Shot]:
     for place, words in _image_lines(path):
         try:
             values = [float(word) for word in words[1:8]]
-            shots.append(Shot(words[9], int(words[8]), tuple(values[:4]), tuple(values[4:])))
+            shots.append(Shot(int(words[0]), words[9], int(words[8]), tuple(values[:4]), tuple(values[4:])))
         except (ValueError, IndexError) as error:
             raise _damaged(path, place) from error
     return shots
@@ -64,14 +65,8 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(positions).reshape(-1, 3), np.array(colors, dtype=np.uint8).reshape(-1, 3)
 
 
-def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]]:
-    """Read points3D.txt and images.txt: [P, 3] float64 positions, and the images each point was seen in, by name."""
-    names: dict[int, str] = {}
-    for place, words in _image_lines(images):
-        try:
-            names[int(words[0])] = words[9]
-        except (ValueError, IndexError) as error:
-            raise _damaged(images, place) from error
+def read_tracks(points: Path, names: dict[int, str]) -> tuple[np.ndarray, list[list[str]]]:
+    """Read points3D.txt: [P, 3] float64 positions, and the images each point was seen in, by name."""
     positions: list[list[float]] = []
     tracks: list[list[str]] = []
     for place, line in _lines(points):
@@ -85,25 +80,6 @@ def read_tracks(points: Path, images: Path) -> tuple[np.ndarray, list[list[str]]
             if len(positions[-1]) != 3:
                 raise _damaged(points, place)
     return np.array(positions).reshape(-1, 3), tracks
-
-
-def model_files(
-    lenses: dict[int, Lens], shots: Sequence[Shot], positions: np.ndarray, colors: np.ndarray
-) -> dict[str, bytes]:
-    """Return the contents of cameras.txt, images.txt and points3D.txt."""
-    cameras = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
-    for identifier, lens in lenses.items():
-        cameras.append(f"{identifier} {lens.model} {lens.width} {lens.height} {_joined(lens.parameters)}")
-    images = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
-    for identifier, shot in enumerate(shots, start=1):
-        pose = _joined((*shot.quaternion, *shot.translation))
-        images += [f"{identifier} {pose} {shot.lens} {shot.name}", ""]
-    points = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
-    numbered = enumerate(zip(positions.tolist(), colors.tolist(), strict=True), start=1)
-    for identifier, (position, color) in numbered:
-        points.append(f"{identifier} {_joined(position)} {color[0]} {color[1]} {color[2]} 0")
-    contents = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": points}
-    return {name: ("\n".join(lines) + "\n").encode() for name, lines in contents.items()}
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -130,10 +106,6 @@ def _ends_in_number(line: str) -> bool:
         int(line.rsplit(maxsplit=1)[-1])
         return True
     return False
-
-
-def _joined(values: Sequence[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 def _damaged(path: Path, place: int) -> FileFormatError:

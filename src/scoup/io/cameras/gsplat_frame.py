@@ -19,14 +19,11 @@ _REMEDY = "use cameras in the frame of the splat"
 
 
 def in_gsplat_frame(cameras: Cameras, model: Path, means: np.ndarray | None = None) -> Cameras:
-    """Return all cameras of a COLMAP model in the frame of the splat that gsplat's trainer made of it.
+    """Return all cameras of a COLMAP model with points in the frame of the splat that gsplat's trainer made of it.
 
-    Args:
-        cameras: of the model, all of them.
-        model: COLMAP's, with points.
-        means: [N, 3] of the splat, if it is at hand. Which side of the axes is which depends on the trainer's version
-            and machine: of the four turns that the axes leave open, that which brings the points nearest to the means
-            is taken, if it is clearly better than none.
+    Which side of the axes is which depends on the trainer's version and machine: of the four turns that the axes leave
+    open, that which brings the points nearest to the ``means`` [N, 3] of the splat, if they are at hand, is taken, if
+    it is clearly better than none.
     """
     points = read_points(model)[0].astype(np.float32).astype(np.float64)  # the trainer keeps float32
     if len(points) < 3 or not np.isfinite(points).all():

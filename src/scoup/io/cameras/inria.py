@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import ast
-import json
 import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.existing import existing_file, existing_folder
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
     MAX_IMAGE_SIDE,
-    existing_file,
-    existing_folder,
     make_camera,
     read_json,
     read_text,
@@ -56,25 +53,6 @@ def read_inria_cameras(path: str | Path) -> Cameras:
         cameras.append(make_camera(path, name, viewmat, intrinsics, (width, height)))
     warn_of_outside(path, path.parent, (camera.name for camera in cameras))
     return sorted_cameras(path, cameras, _EQUAL_NAMES)
-
-
-def write_inria_cameras(cameras: Cameras, path: str | Path, overwrite: bool = False) -> None:
-    """Write cameras.json. The layout has no principal point; readers take the image centre."""
-    entries = []
-    for position, camera in enumerate(cameras):
-        entries.append(
-            {
-                "id": position,
-                "img_name": camera.name,
-                "width": camera.width,
-                "height": camera.height,
-                "position": camera.position.tolist(),
-                "rotation": camera.viewmat[:3, :3].T.tolist(),
-                "fy": camera.fy,
-                "fx": camera.fx,
-            }
-        )
-    write_text(path, json.dumps(entries, indent=1) + "\n", overwrite)
 
 
 def read_cfg_args(path: str | Path) -> dict[str, Any]:

@@ -22,21 +22,22 @@ from numpy.typing import NDArray
 from scoup.base.atomic import atomic_file
 from scoup.base.digests import array_checksum, is_sealed, sealed
 from scoup.base.errors import FileFormatError, check_format_version
+from scoup.base.existing import existing_file
 from scoup.base.json_node import JsonNode
 from scoup.base.safetensors_damage import safetensors_damage_named
 from scoup.io.image_folder import EXTENSIONS
-from scoup.io.reading import MAX_IMAGE_SIDE, existing_file
+from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.manifest import SCHEMA, VERSION
 from scoup.io.regions.views import REMEDY, ViewRegions
 
-ENDINGS = (".regions",)
+ENDINGS = (".regions",)  # of the files of a view, labels first
 _KEY = "scoup"
 _DEFLATE_LIMIT = 1040  # deflate never packs more bytes than this into one
 
 
 @dataclass(frozen=True)
 class CompactView:
-    """The header of a ``.regions`` file, checked against the file; a ``views.StoredView``."""
+    """A view: the header of its file, checked against the file. Arrays are read when they are needed."""
 
     path: Path
     name: str  # of the image, as the cameras call it
@@ -96,7 +97,7 @@ def stem_of(name: str) -> str:
 
 
 def open_view(folder: Path, stem: str) -> CompactView:
-    """Return the header of a view's file; see ``views.RegionLayout``."""
+    """Return a view whose file is there."""
     path = folder / f"{stem}{ENDINGS[0]}"
     with _opened(path) as stream:
         text = (stream.metadata() or {}).get(_KEY, "{}")
@@ -126,7 +127,7 @@ def open_view(folder: Path, stem: str) -> CompactView:
 
 
 def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False) -> None:
-    """Write a view, embeddings as they are (float16 or float32); see ``views.RegionLayout``."""
+    """Write a view atomically, embeddings as they are (float16 or float32), under a manifest of this fingerprint."""
     from safetensors.numpy import save
 
     levels = list(regions.labels)

@@ -24,14 +24,10 @@ class ConvertReport:
 
     source: Path
     target: Path
-    """The folders."""
-    layout: Layout
-    """The layout of the target."""
-    views: int
-    """Views that were converted."""
-    bytes_before: int
-    bytes_after: int
-    """Sizes of the views' files in the source and in the target."""
+    layout: Layout  # of the target
+    views: int  # that were converted
+    bytes_before: int  # size of the views' files in the source
+    bytes_after: int  # and in the target
 
 
 def convert_regions(

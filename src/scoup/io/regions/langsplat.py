@@ -23,7 +23,7 @@ ENDINGS = ("_s.npy", "_f.npy")
 
 @dataclass(frozen=True, eq=False)
 class LangSplatView:
-    """The two files of a view; a ``views.StoredView``.
+    """A view: the headers of its two files. Arrays are read when they are needed.
 
     Neither file is kept open. Which rows belong to which level is read from the labels on first use, once.
     """
@@ -38,11 +38,11 @@ class LangSplatView:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     levels = FILE_LEVELS
-    manifest, photograph = None, ""
+    manifest, photograph = None, ""  # the files tell neither
 
     @property
     def counts(self) -> dict[str, int]:
-        return {"all": self.rows}
+        return {"all": self.rows}  # the headers do not tell the levels apart
 
     @property
     def labels_path(self) -> Path:
@@ -92,14 +92,14 @@ def stem_of(name: str) -> str:
 
 
 def open_view(folder: Path, stem: str) -> LangSplatView:
-    """Return the headers of a view's files; see ``views.RegionLayout``."""
+    """Return a view whose files are there."""
     planes, rows = _open_planes(folder / f"{stem}_s.npy"), _open_rows(folder / f"{stem}_f.npy")
     height, width = planes.shape[1:]
     return LangSplatView(folder, stem, width, height, *rows.shape)
 
 
 def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False) -> None:
-    """Write a view; levels that are missing stay empty; see ``views.RegionLayout``."""
+    """Write a view atomically; levels that are missing stay empty. The files do not name the manifest."""
     names = [f"{stem}_f.npy", f"{stem}_s.npy"]
     planes, rows = _joined(regions)
     with staged(folder, names, overwrite) as hidden:

@@ -18,14 +18,11 @@ FILE_LEVELS = ("default", *LEVELS)  # order of the planes and of the row blocks
 
 
 def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
-    """Return which embedding rows belong to which level, by the label values.
+    """Return which of ``rows`` embeddings belong to which level, by the label values, global row numbers or -1, of
+    ``planes`` [4, H, W].
 
-    Levels are consecutive blocks in the order of ``FILE_LEVELS``. Rows that no pixel names belong to the
-    level before them.
-
-    Args:
-        planes: [4, H, W] labels, global row numbers or -1.
-        rows: M, the number of embeddings.
+    Levels are consecutive blocks in the order of ``FILE_LEVELS``. Rows that no pixel names belong to the level before
+    them.
     """
     starts: list[int] = []
     end = 0
@@ -82,11 +79,8 @@ def _strips(plane: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def copy_labels(plane: np.ndarray, block: slice, out: NDArray[np.int32]) -> bool:
-    """Return a plane's labels, counted from the first row of their level's block, in ``out`` [H, W]; -1 stays.
-
-    Returns:
-        Whether all labels lie within the block; if not, what is in ``out`` is of no use.
-    """
+    """Put a plane's labels, counted from the first row of their level's block, into ``out`` [H, W]; -1 stays. Return
+    whether all lie within the block; if not, what is in ``out`` is of no use."""
     for some, to in zip(_strips(plane), _strips(out), strict=True):
         with np.errstate(invalid="ignore"):
             to[...] = some

@@ -15,8 +15,8 @@ from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.base.staging import staged
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
-from scoup.io.regions.store import RegionStore
-from scoup.io.regions.views import REMEDY, StoredView, ViewRegions
+from scoup.io.regions.store import RegionStore, StoredView
+from scoup.io.regions.views import REMEDY, ViewRegions
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import LEVELS, RegionMap, Regions, resize_labels
 

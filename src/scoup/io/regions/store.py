@@ -12,19 +12,15 @@ import numpy as np
 
 from scoup.base.atomic import check_output
 from scoup.base.errors import InputError, ScoupError
-from scoup.io.reading import existing_folder
+from scoup.base.existing import existing_folder
 from scoup.io.regions import compact, langsplat
+from scoup.io.regions.compact import CompactView
+from scoup.io.regions.langsplat import LangSplatView
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
-from scoup.io.regions.views import (
-    RegionLayout,
-    StoredView,
-    ViewRegions,
-    match_stems,
-    region_folder,
-    view_stems,
-)
+from scoup.io.regions.views import ViewRegions, match_stems, region_folder, view_stems
 
-_LAYOUTS: dict[Layout, RegionLayout] = {"compact": compact, "langsplat": langsplat}
+StoredView = CompactView | LangSplatView
+_LAYOUTS = {"compact": compact, "langsplat": langsplat}  # modules with the same names for the same things
 
 
 @dataclass(frozen=True)
@@ -50,12 +46,8 @@ class RegionStore:
 
     @classmethod
     def create(cls, folder: Path, manifest: RegionManifest, overwrite: bool = False) -> RegionStore:
-        """Return the store of a manifest, to ``begin`` and write to; a folder with the same manifest is continued.
-
-        Args:
-            folder: made by ``begin`` if it is missing.
-            overwrite: allow another manifest to be there, which ``begin`` replaces.
-        """
+        """Return the store of a manifest, to ``begin``, which makes the folder, and write to; a folder with the same
+        manifest is continued. With ``overwrite`` another manifest may be there, which ``begin`` replaces."""
         cls.check_new(folder, manifest, overwrite)
         return cls(folder, manifest, manifest.layout)
 

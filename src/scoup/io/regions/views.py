@@ -1,13 +1,12 @@
-"""Views in a folder of region features: their names, and what every layout of the files gives and takes."""
+"""The views of a folder of region features: their regions in memory, and the names of their files."""
 
 from __future__ import annotations
 
 import unicodedata
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,92 +29,14 @@ class ViewRegions:
         return sum(len(rows) for rows in self.embeddings.values())
 
 
-class StoredView(Protocol):
-    """A view in a folder. Its headers are checked, its arrays are read when they are needed.
-
-    Attributes:
-        name: of the image; the stem of the files where the layout does not keep the name.
-        levels: stored, in order.
-        width, height: of the label maps.
-        dim: D of the embeddings.
-        counts: level -> number of regions; one entry "all" where the headers do not tell the levels apart.
-        manifest: fingerprint of the manifest it was made under; None where the view does not tell.
-        photograph: SHA-256 of the photograph's file; "" where the view does not tell.
-        labels_path, embeddings_path: of the files, for messages.
-    """
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def levels(self) -> tuple[str, ...]: ...
-    @property
-    def width(self) -> int: ...
-    @property
-    def height(self) -> int: ...
-    @property
-    def dim(self) -> int: ...
-    @property
-    def counts(self) -> dict[str, int]: ...
-    @property
-    def manifest(self) -> str | None: ...
-    @property
-    def photograph(self) -> str: ...
-    @property
-    def labels_path(self) -> Path: ...
-    @property
-    def embeddings_path(self) -> Path: ...
-
-    def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
-        """Return [levels, H, W] labels as stored: rows of each level's own embeddings, or -1."""
-        ...
-
-    def embeddings(self, level: str) -> NDArray[np.floating]:
-        """Return [R, D] embeddings of a level, as stored."""
-        ...
-
-    def read(self) -> ViewRegions:
-        """Return everything the view holds."""
-        ...
-
-
-class RegionLayout(Protocol):
-    """A layout of views in files; the modules ``compact`` and ``langsplat`` are two."""
-
-    @property
-    def ENDINGS(self) -> tuple[str, ...]:
-        """Endings of the files of a view, labels first; all of them must be there."""
-        ...
-
-    def stem_of(self, name: str) -> str:
-        """Return the stem of an image's files, with folders where the layout has them."""
-        ...
-
-    def open_view(self, folder: Path, stem: str) -> StoredView:
-        """Return a view whose files are there."""
-        ...
-
-    def write_view(
-        self, folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False
-    ) -> None:
-        """Write a view atomically.
-
-        Args:
-            manifest: fingerprint of the folder's manifest, "" if there is none.
-        """
-        ...
-
-
 def region_folder(path: Path) -> Path:
     """Return the folder of region features of a scene folder; ``path`` itself where it is none."""
     return path / FOLDER_NAME if (path / FOLDER_NAME).is_dir() else path
 
 
 def view_stems(folder: Path, ending: str, below: bool = False) -> list[str]:
-    """Return the stems of the files with that ending, in order, without the hidden ones that a killed process leaves.
-
-    Args:
-        below: also those in sub-folders, with their paths.
-    """
+    """Return the stems of the files with that ending, in order, without the hidden ones that a killed process leaves;
+    with ``below`` also those in sub-folders, with their paths."""
     paths = (path.relative_to(folder) for path in folder.glob(f"{'**/' * below}*{ending}"))
     return sorted(
         path.as_posix().removesuffix(ending)

@@ -46,11 +46,9 @@ _ARCHIVES = (".gz", ".zip", ".7z", ".tar", ".tgz", ".rar", ".zst", ".xz", ".bz2"
 class SplatSource:
     """A trained splat on disk."""
 
-    path: Path
-    """The file; or a folder, if several files are one splat."""
+    path: Path  # the file; or a folder, if several files are one splat
     kind: SplatFormat
-    preset: Preset
-    """Constants of the rasteriser that it was trained with."""
+    preset: Preset  # constants of the rasteriser that it was trained with
 
 
 def splat_source(path: str | Path) -> SplatSource:
@@ -97,15 +95,8 @@ def is_splat_name(path: str | Path) -> bool:
 
 
 def written_format(path: str | Path, also: str = "") -> SplatFormat:
-    """Return the format in which a splat of this name is written.
-
-    Args:
-        path: the output.
-        also: what else the caller writes, for the message.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the format in which a splat of this name is written; an InputError if there is none, which names what
+    ``also`` can be written."""
     kind = format_of(path)
     if kind is None or kind.write is None:
         written = [ending for each in FORMATS.values() if each.write is not None for ending in each.endings]

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, ScoupError, ScoupWarning
-from scoup.io.reading import existing_file, read_json
+from scoup.base.existing import existing_file
+from scoup.io.reading import read_json
 from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import Gaussians

@@ -29,16 +29,8 @@ def accessor_count(document: GltfDocument, index: Any, what: str) -> int:
 
 
 def _raw_accessor(document: GltfDocument, index: Any, kind: str, what: str) -> tuple[np.ndarray, bool]:
-    """Return a column as it is in its buffer, and whether its integers are normalised.
-
-    Args:
-        index: of the accessor.
-        kind: its type, such as VEC3.
-        what: its name in messages.
-
-    Returns:
-        [N, width] of the type of the file, a view of the buffer.
-    """
+    """Return a column [N, width] as it is in its buffer, a view of it, and whether its integers are normalised;
+    ``kind`` is the type of the accessor, such as VEC3, ``what`` its name in messages."""
     entry = document.entry("accessors", index, what)
     if entry.get("type") != kind:
         raise document.error(f"{what} is not of type {kind}")

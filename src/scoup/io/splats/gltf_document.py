@@ -12,7 +12,8 @@ from urllib.parse import unquote
 
 from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError
-from scoup.io.reading import existing_file, read_bytes
+from scoup.base.existing import existing_file
+from scoup.io.reading import read_bytes
 
 MAGIC = b"glTF"
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.existing import existing_file
 from scoup.io.cameras.training_run import is_gsplat_results
-from scoup.io.reading import existing_file
 from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.torch_file import float_tensor, load_torch

@@ -23,12 +23,8 @@ def is_compressed(names: tuple[str, ...]) -> bool:
 
 
 def read_compressed(path: Path, vertices: np.ndarray) -> Gaussians:
-    """Read the Gaussians of a compressed PLY.
-
-    Args:
-        path: the file, for its elements ``chunk`` (value ranges of each block) and ``sh`` (if it has one).
-        vertices: [N] its packed vertices.
-    """
+    """Read the Gaussians of the packed vertices [N] of a compressed PLY; the file has the value ranges of each block
+    (element ``chunk``) and, maybe, ``sh``."""
     packed = {name: vertices[name] for name in _PACKED}
     if any(column.dtype.kind != "u" or column.dtype.itemsize != 4 for column in packed.values()):
         raise _damaged(path, "has packed properties that are not uint")

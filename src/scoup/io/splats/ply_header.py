@@ -12,7 +12,7 @@ import numpy as np
 
 from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
-from scoup.io.reading import existing_file
+from scoup.base.existing import existing_file
 
 MAX_HEADER_BYTES = 1 << 16
 MAX_PROPERTIES = 4096

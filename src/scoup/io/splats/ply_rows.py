@@ -29,11 +29,7 @@ def read_rows(header: PlyHeader) -> np.ndarray:
 
 def read_large(header: PlyHeader, activate: Callable[[np.ndarray], dict[str, np.ndarray]]) -> Gaussians:
     """Read the Gaussians of the rows that a binary header describes, read in parts, with all values in temporary files.
-
-    Args:
-        header: of a file of any size.
-        activate: values [M, ...] of some rows, by the names of ``Gaussians``.
-    """
+    ``activate`` returns the values [M, ...] of some rows, by the names of ``Gaussians``."""
     arrays: dict[str, np.ndarray] = {}
     count = 0
     for first in range(0, header.count, AT_A_TIME):

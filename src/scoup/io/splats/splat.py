@@ -10,7 +10,7 @@ import numpy as np
 from scoup.base.atomic import atomic_file
 from scoup.base.counts import counted, share_of
 from scoup.base.errors import FileFormatError, refused_read
-from scoup.io.reading import existing_file
+from scoup.base.existing import existing_file
 from scoup.io.splats.activation import keep_finite, unit_quats
 from scoup.io.splats.splat_format import SplatFormat, kind_inside
 from scoup.scene.gaussians import SH_C0, Gaussians

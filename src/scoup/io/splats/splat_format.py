@@ -21,21 +21,13 @@ _BEGINNINGS = {
     b"NGSP": ".spz", b"glTF": ".glb", b"PXR-USDC": "OpenUSD", b"\x93NUMPY": ".npy", b"\xff\xd8\xff": "JPEG",
     b"\x89PNG": "PNG", b"RIFF": "WebP",
 }  # fmt: skip
-_TEXTS = {
-    "<": "a web page or other XML",
-    "{": "JSON",
-    "[": "JSON",
-    "version https://git-lfs": "a pointer of Git LFS",
-}
+_TEXTS = {"<": "a web page or other XML", "{": "JSON", "[": "JSON"}
 _KSPLAT = struct.Struct("<2B2xI8xIH")  # version, sections, splats, level of compression
 
 
 def kind_inside(content: bytes) -> str:
-    """Return the kind of file by its first bytes, for formats that do not begin in a way of their own; "" if unknown.
-
-    Args:
-        content: the first 64 bytes.
-    """
+    """Return the kind of file by its first 64 bytes, for formats that do not begin in a way of their own; "" if
+    unknown."""
     for beginning, kind in _BEGINNINGS.items():
         if content.startswith(beginning):
             return kind

@@ -16,7 +16,8 @@ import numpy as np
 from scoup.base.atomic import atomic_file
 from scoup.base.counts import share_of
 from scoup.base.errors import InputError, ScoupWarning
-from scoup.io.reading import existing_file, read_bytes
+from scoup.base.existing import existing_file
+from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
 from scoup.io.splats.axes import Axis, Columns, flipped, half_turn
 from scoup.io.splats.rotation import rotated_quats, rotated_sh
@@ -49,11 +50,7 @@ def read_spz(path: str | Path) -> Gaussians:
 
 
 def spz_columns(path: Path, content: bytes) -> Columns:
-    """Return the values in the bytes of a .spz file.
-
-    Args:
-        path: for errors.
-    """
+    """Return the values in the bytes of a .spz file; ``path`` is for errors."""
     return _columns(path, content)[1]
 
 

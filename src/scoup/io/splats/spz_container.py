@@ -176,12 +176,8 @@ def _axes(number: int) -> str:
 
 
 def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, int]:
-    """Return the header, its flags, and its last byte.
-
-    Args:
-        start: its first bytes, unpacked.
-        available: bytes of the file, which limit the Gaussians that it can hold.
-    """
+    """Return the header of a file of ``available`` bytes, which limit the Gaussians that it can hold, by its unpacked
+    ``start``; its flags, and its last byte."""
     if len(start) < _START.size:
         raise FileFormatError(path, "is cut short within its header", _DAMAGED)
     magic, version, count, degree, bits, flags, last = _START.unpack_from(start)

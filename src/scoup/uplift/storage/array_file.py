@@ -1,7 +1,10 @@
-"""Arrays with a JSON header in one safetensors file: checked when read, and mapped into memory (docs/formats.md)."""
+"""The files of region sums: arrays with a JSON header in one safetensors file, checked when read, and mapped
+into memory (docs/formats.md).
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -17,9 +20,14 @@ from numpy.typing import NDArray
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, refused_read
+from scoup.base.file_names import slug
+
+ENDING = ".safetensors"
+SCENE = "scene"  # stem of the file that is not a view
 
 _TYPES = {
-    "U8": "uint8", "U16": "uint16", "U32": "uint32", "I32": "int32", "I64": "int64", "F16": "float16", "F32": "float32"
+    "U8": "uint8", "U16": "uint16", "U32": "uint32", "I32": "int32", "I64": "int64", "F16": "float16", "F32": "float32",
+    "F64": "float64",
 }  # fmt: skip
 _NAMES = {np.dtype(kind): name for name, kind in _TYPES.items()}
 _KEY = "scoup"  # of the header in the metadata
@@ -27,6 +35,11 @@ _CHECKSUM = re.compile(rb'\\"checksum\\": \\"([0-9a-f]{8})\\"')
 NO_CHECKSUM = "0" * 8
 _AT_A_TIME = 1 << 24  # bytes read for a checksum
 _REMEDY = "copy it again, or make the region sums again"
+
+
+def view_file(view_name: str) -> str:
+    """Return the name of a view's file: readable, and unique to this view."""
+    return f"view.{slug(view_name)}.{hashlib.sha256(view_name.encode()).hexdigest()[:12]}{ENDING}"
 
 
 @dataclass(frozen=True, eq=False)

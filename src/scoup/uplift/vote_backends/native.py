@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.native import require_core
+from scoup.base.native import refusals, require_core
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
@@ -17,7 +16,7 @@ from scoup.uplift.vote import BATCHES, CodedEntries
 
 
 class Vote:
-    """See ``scoup.uplift.vote.VoteBackend``."""
+    """See ``reference.Vote``."""
 
     batches = BATCHES
 
@@ -37,10 +36,8 @@ class Vote:
                 (part.buckets, part.starts, part.places, part.combinations, part.weights, view.regions)
             )
         tables = [tuple(_array(part) for part in (level.indices, level.weights)) for level in codes]
-        try:
+        with refusals():
             self._vote = require_core().Vote(n_gaussians, _array(grams), arrays, tables)
-        except ValueError as error:
-            raise InputError(str(error)) from None
 
     def round(
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
@@ -53,20 +50,16 @@ class Vote:
             return indices, weights
         known = None if earlier is None else _arrays(earlier)
         threads = torch.get_num_threads()
-        try:
+        with refusals():
             self._vote.round(
                 indices.numpy(), weights.numpy(), known, unit_norm, buckets.start, buckets.stop, threads
             )
-        except ValueError as error:
-            raise InputError(str(error)) from None
         return indices, weights
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
         threads = torch.get_num_threads()
-        try:
+        with refusals():
             found = self._vote.deviations(_arrays(earlier), buckets.start, buckets.stop, threads)
-        except ValueError as error:
-            raise InputError(str(error)) from None
         return [torch.from_numpy(of_level) for of_level in found]
 
 

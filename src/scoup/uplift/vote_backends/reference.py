@@ -18,9 +18,11 @@ BUCKETS_AT_A_TIME = 64
 
 
 class Vote:
-    """See ``scoup.uplift.vote.VoteBackend``."""
+    """The vote of the views for the Gaussians of a scene."""
 
     batches = BATCHES
+    """Shares of the Gaussians that it is given one after another; after each, progress is reported and memory of files
+    is released."""
 
     def __init__(
         self,
@@ -44,6 +46,15 @@ class Vote:
     def round(
         self, keep: int, earlier: EarlierRound | None, unit_norm: bool, buckets: range
     ) -> tuple[Tensor, Tensor]:
+        """Return the ``keep`` largest of w_i = sum over regions of A[i, r] W_r, for the Gaussians of some consecutive
+        buckets.
+
+        Regions count by A alone if there is no ``earlier`` round of all Gaussians. With ``unit_norm`` weights are
+        scaled so that a decoded code has norm 1, instead of to sum 1.
+
+        Returns:
+            indices [n, S, keep] uint8 (uint16 beyond 256 atoms), weights [n, S, keep] float32.
+        """
         found = []
         for some in self.chunks(buckets, keep):
             indices, weights = self.largest(earlier, some, keep)
@@ -82,6 +93,7 @@ class Vote:
         return sums
 
     def deviations(self, earlier: EarlierRound, buckets: range) -> list[Tensor]:
+        """Return, per level, 1 - cosine of each region and each Gaussian of some buckets that meet in a view."""
         found = []
         for level, codes in enumerate(self._codes):
             pairs = [torch.zeros(0, dtype=torch.int64, device=self._device)]

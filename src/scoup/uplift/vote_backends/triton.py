@@ -40,7 +40,7 @@ class SortedEntries:
 
 
 class Vote(reference.Vote):
-    """See ``scoup.uplift.vote.VoteBackend``."""
+    """See ``reference.Vote``."""
 
     batches = 1
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalInteger, OptionalText, OptionGroups
-from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, kept_in, say_tables
+from scoup.cli.options import Flag, Names, OptionalInteger, OptionalText, OptionGroups
+from scoup_lab.cli.evaluate.options import DataSetOptions, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.evaluation import Evaluation

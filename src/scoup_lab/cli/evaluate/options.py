@@ -9,16 +9,23 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import CLIP_MODEL, Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon
+from scoup.cli.options import (
+    CLIP_MODEL,
+    Flag,
+    Model,
+    Names,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+    WritesCommon,
+    arg,
+)
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
     from scoup_lab.evaluate.report import Report
     from scoup_lab.evaluate.scenes import Places, SceneFiles
 
-Names = Annotated[
-    tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
-]
 Rules = Literal["scoup", "langsplatv2", "langsplat"]
 
 
@@ -31,7 +38,7 @@ class DataSetOptions(WritesCommon):
         "output": "out",
     }
 
-    root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT", help_behavior_hint="")]
+    root: Annotated[tyro.conf.Positional[Path], arg(metavar="ROOT")]
     """Folder of the data set, with a folder for each scene."""
     scenes: Names = ()
     """Scenes to score; repeat it for several. Default: all that have labels."""
@@ -43,7 +50,7 @@ class DataSetOptions(WritesCommon):
     """The photographs, with {scene} for the scene's name. Default: images, images_2, images_4 or images_8."""
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
-    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    text: Model = None
     """Text encoder of the labels. Default: text.npz of the scene or of ROOT, else the CLIP model of LangSplat."""
     out: OptionalPath = None
     """Folder for all outputs. Default: eval_<data set> here."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionGroups
-from scoup_lab.cli.evaluate.options import DataSetOptions, Names, Rules, kept_in, say_tables
+from scoup.cli.options import Flag, Names, OptionGroups
+from scoup_lab.cli.evaluate.options import DataSetOptions, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
     from scoup_lab.baselines.method import MethodSettings

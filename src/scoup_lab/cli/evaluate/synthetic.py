@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import OptionGroups, WritesCommon
+from scoup.cli.options import OptionGroups, WritesCommon, arg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +24,10 @@ class Synthetic(WritesCommon):
 
     data_set: Annotated[
         tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360", "scannet"]],
-        tyro.conf.arg(metavar="LAYOUT", help_behavior_hint=""),
+        arg(metavar="LAYOUT"),
     ]
     """Data set whose layout is used: lerf-ovs, 3d-ovs, mipnerf360 or scannet."""
-    root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT", help_behavior_hint="")]
+    root: Annotated[tyro.conf.Positional[Path], arg(metavar="ROOT")]
     """Folder to write into."""
     scenes: int = 2
     """Number of scenes, each with its own seed."""

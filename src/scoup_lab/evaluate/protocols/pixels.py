@@ -71,14 +71,8 @@ class PixelProtocol(Entry):
         rule: MaskRule | None = None,
         levels: Sequence[str] = LEVELS,
     ) -> list[PairScore]:
-        """Score each label of a frame; the truth is brought to the size of the maps by nearest neighbour.
-
-        Args:
-            frame: the truth.
-            maps: [S, Q, H, W] its relevancy in 0..1, labels in its order.
-            rule: how maps become masks and points; by default SCOUP's for this data set.
-            levels: names of the S levels, where only some may answer.
-        """
+        """Score each label of a frame by its relevancy ``maps`` [S, Q, H, W] in 0..1, labels in the frame's order, at
+        levels of these names; the truth is brought to the size of the maps by nearest neighbour."""
         rule = rule or self.rule()
         if maps.dim() != 4 or maps.shape[1] != len(frame.labels):
             raise InputError(

@@ -22,8 +22,7 @@ from torch import Tensor
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, looked_up
 from scoup.scene.gaussians import Gaussians
-from scoup_lab.data.class_names import NYU40
-from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply
+from scoup_lab.data.labelled_points import NYU40, LabelledPoints, read_labelled_ply
 from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList
 from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 

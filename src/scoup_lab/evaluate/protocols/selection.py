@@ -19,37 +19,54 @@ from scoup.query.question import TextVectors
 from scoup.query.votes import select_by_relevancy
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
+from scoup.scene.neighbours import nearest_points
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.metrics import iou
-from scoup_lab.evaluate.protocols.neighbourhood import Neighbourhood
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
 
 PROTOCOL = "3D selection"
 
 
-@dataclass(frozen=True)
-class SelectionPreset:
-    """Constants from relevancy of Gaussians to a silhouette; the defaults are VALA-3D's."""
-
-    name: str = "vala-3d"  # for tables
-    neighbours: int | None = 10  # blend half and half with the mean of this many neighbours; None: do not
-    threshold: float = 0.6  # of the rescaled relevancy
-    silhouette: float = 10 / 255  # a pixel belongs to the silhouette above this opacity
+RULE = "vala-3d"  # whose constants these are, from relevancy of Gaussians to a silhouette
+NEIGHBOURS = 10  # relevancy is blended half and half with the mean of so many neighbours
+THRESHOLD = 0.6  # of the rescaled relevancy
+OPAQUE = 10 / 255  # a pixel belongs to the silhouette above this opacity
 
 
-VALA_3D = SelectionPreset()
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """The nearest neighbours of some of N points."""
+
+    members: Tensor  # [M] int64, the points that have neighbours and may be one
+    nearest: Tensor  # [M, B] int64, the B nearest other members of each, nearest first; B may be 0
+
+    @classmethod
+    def of(cls, points: Tensor, included: Tensor, count: int) -> Neighbourhood:
+        """Find ``count`` nearest neighbours, without the point itself, of points [N, 3] included [N] and finite."""
+        members = (included.cpu() & torch.isfinite(points).all(1).cpu()).nonzero()[:, 0]
+        wanted = min(count, max(len(members) - 1, 0))
+        nearest = nearest_points(points.cpu()[members].double().numpy(), wanted)[0]
+        return cls(members, members[torch.from_numpy(nearest)])
+
+    def blend(self, values: Tensor, included: Tensor) -> Tensor:
+        """Return half of each member's value [S, N] and half of the mean over its neighbours included [S, N]; without
+        any, values stay.
+        """
+        out = values.clone()
+        for level in range(len(values)):
+            counted = included[level].to(values.dtype)
+            nearest = self.nearest.to(values.device)
+            number = counted[nearest].sum(1)
+            mean = (values[level] * counted)[nearest].sum(1) / number.clamp(min=1)
+            own = values[level, self.members]
+            out[level, self.members] = torch.where(number > 0, 0.5 * (own + mean), own)
+        return out
 
 
-def silhouette(
-    gaussians: Gaussians,
-    chosen: Tensor,
-    camera: Camera,
-    raster_preset: str,
-    least: float = VALA_3D.silhouette,
-) -> Tensor:
-    """Return [H, W] boolean: where the chosen Gaussians [N], drawn alone, are more opaque than ``least``.
+def silhouette(gaussians: Gaussians, chosen: Tensor, camera: Camera, raster_preset: str) -> Tensor:
+    """Return [H, W] boolean: where the chosen Gaussians [N], drawn alone, are more opaque than ``OPAQUE``.
 
     Drawn alone means that nothing hides them: a thing behind another one has its whole silhouette.
     """
@@ -58,7 +75,7 @@ def silhouette(
     alone = gaussians.select(chosen)
     projection = raster.project(alone, camera, raster_preset)
     nothing = torch.zeros(len(alone), 1, device=alone.device)
-    return raster.render_channels(projection, nothing)[1] > least
+    return raster.render_channels(projection, nothing)[1] > OPAQUE
 
 
 def score_scene(
@@ -67,7 +84,6 @@ def score_scene(
     frames: Iterable[tuple[LabelledFrame, Camera]],
     chosen: Mapping[str, Tensor],
     raster_preset: str = "inria",
-    preset: SelectionPreset = VALA_3D,
 ) -> SceneScore:
     """Score every label of every frame.
 
@@ -79,22 +95,21 @@ def score_scene(
         for label in frame.labels:
             if label not in chosen:
                 raise InputError(f"frame {frame.name!r}: there is no selection for the label {label!r}")
-            shape = silhouette(gaussians, chosen[label], camera, raster_preset, preset.silhouette).cpu()
+            shape = silhouette(gaussians, chosen[label], camera, raster_preset).cpu()
             # A selection that shows nothing scores 0, even where the truth is empty too.
             score = iou(shape, truth.masks[label]) if shape.any() else 0.0
             pairs.append(PairScore(frame.name, label, score, None, -1, float("nan"), None))
-    return scene_score(scene, preset.name, pairs, PROTOCOL)
+    return scene_score(scene, RULE, pairs, PROTOCOL)
 
 
 def score_method(
     scene: LabelledScene, vectors: TextVectors, fitted: FittedMethod, gaussians: Gaussians, raster_preset: str
 ) -> SceneScore:
     """Select Gaussians for every label by what a method made of a scene, and score the scene."""
-    rule, coded = VALA_3D, fitted.coded()
-    around = Neighbourhood.of(gaussians.means, coded.any(0), rule.neighbours) if rule.neighbours else None
+    coded = fitted.coded()
+    around = Neighbourhood.of(gaussians.means, coded.any(0), NEIGHBOURS)
     chosen = {}
     for label, query in zip(vectors.texts, vectors.queries, strict=True):
         relevancy = fitted.gaussian_relevancy(query[None], vectors.canonical)[:, 0]
-        blended = relevancy if around is None else around.blend(relevancy, coded)
-        chosen[label] = select_by_relevancy(blended, coded, rule.threshold).mask
-    return score_scene(scene.name, gaussians, scene.frames, chosen, raster_preset, rule)
+        chosen[label] = select_by_relevancy(around.blend(relevancy, coded), coded, THRESHOLD).mask
+    return score_scene(scene.name, gaussians, scene.frames, chosen, raster_preset)

@@ -17,7 +17,7 @@ from scoup.base.version import VERSION
 from scoup.io import write_text
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
-from scoup_lab.bench.measuring import Cost, Meter
+from scoup_lab.bench.measure import Cost, Meter
 from scoup_lab.evaluate.evaluation import Say, say_nothing
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.predictions import tensor_digest

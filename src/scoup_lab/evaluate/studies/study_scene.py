@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import torch
 from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
+from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.models.words import with_everyday
 from scoup.query.question import TextVectors
+from scoup.scene.cameras import Camera
+from scoup.scene.codes import rows_of
+from scoup.scene.gaussians import Gaussians
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.data.labels import LabelledFrame
@@ -19,7 +24,6 @@ from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene
 from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import SceneScore
-from scoup_lab.evaluate.studies.coded_gaussians import relevancy_of_coded
 
 
 @dataclass(frozen=True)
@@ -29,8 +33,9 @@ class ScoringRule:
     mask_rule: MaskRule  # constants and choice of the level
     levels: tuple[str, ...] | None = None  # names of those that may answer; None leaves that to the protocol
     everyday: bool = False  # compare with everyday words too (``scoup.models.words``), which no protocol does
-    # draw only the Gaussians that have a code (``coded_gaussians``); of sparse codes only
-    coded: bool = False
+    coded: bool = (
+        False  # draw only the Gaussians that have a code (``relevancy_of_coded``); of sparse codes only
+    )
 
     @property
     def kind(self) -> tuple[bool, bool]:
@@ -113,3 +118,28 @@ def open_study_scene(labelled: LabelledScene, vectors: TextVectors) -> StudyScen
     regions = load_regions(labelled.features, labelled.cameras)
     preset = splat_source(labelled.splat).preset
     return StudyScene(labelled, vectors, RasterisedScene(gaussians, labelled.cameras, regions, preset))
+
+
+def relevancy_of_coded(
+    fitted: FittedField,
+    gaussians: Gaussians,
+    camera: Camera,
+    queries: Tensor,
+    canonical: Tensor,
+    size: tuple[int, int] | None = None,
+) -> Tensor:
+    """Return ``fitted.relevancy`` [S, Q, H, W] where only Gaussians with a code are drawn: at each level the others are
+    taken out of the scene, so that they hide nothing.
+
+    Everywhere else a Gaussian without a code still blends (method.md, stage 2: none is dropped from the scene). Which
+    of the two the paper means where it removes half of the Gaussians by entropy it does not say.
+    """
+    field, levels = fitted.field, []
+    for level, chosen in enumerate(fitted.coded()):
+        info = replace(field.info, levels=(field.levels[level],), n_gaussians=int(chosen.sum()))
+        part = slice(level, level + 1)
+        codes = rows_of(field.code_indices[:, part], chosen), field.code_weights[chosen, part]
+        alone = FittedField(LanguageField(*codes, field.codebook[part], info), fitted.all_kept)
+        projection = raster.project(gaussians.select(chosen), camera, field.info.raster_preset)
+        levels.append(alone.relevancy(projection, queries, canonical, size))
+    return torch.cat(levels)

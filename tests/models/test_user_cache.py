@@ -7,22 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base.user_cache import cache_folder
+from scoup.models.word_cache import cache_folder
 
 
-@pytest.mark.parametrize(
-    ("platform", "variables", "expected"),
-    [
-        ("linux", {}, "home/.cache/scoup"),
-        ("linux", {"XDG_CACHE_HOME": "/xdg"}, "/xdg/scoup"),
-        ("linux", {"XDG_CACHE_HOME": "relative"}, "home/.cache/scoup"),
-        ("darwin", {"XDG_CACHE_HOME": "/xdg"}, "home/Library/Caches/scoup"),
-        ("win32", {}, "home/AppData/Local/scoup"),
-        ("win32", {"LOCALAPPDATA": "/local"}, "/local/scoup"),
-        ("win32", {"SCOUP_CACHE": "/own", "LOCALAPPDATA": "/local"}, "/own"),
-        ("linux", {"SCOUP_CACHE": "own", "XDG_CACHE_HOME": "/xdg"}, "own"),
-    ],
-)
+@pytest.mark.parametrize(("platform", "variables", "expected"), [
+    ("linux", {}, "home/.cache/scoup"),
+    ("linux", {"XDG_CACHE_HOME": "/xdg"}, "/xdg/scoup"),
+    ("linux", {"XDG_CACHE_HOME": "relative"}, "home/.cache/scoup"),
+    ("darwin", {"XDG_CACHE_HOME": "/xdg"}, "home/Library/Caches/scoup"),
+    ("win32", {}, "home/AppData/Local/scoup"),
+    ("win32", {"LOCALAPPDATA": "/local"}, "/local/scoup"),
+    ("win32", {"SCOUP_CACHE": "/own", "LOCALAPPDATA": "/local"}, "/own"),
+    ("linux", {"SCOUP_CACHE": "own", "XDG_CACHE_HOME": "/xdg"}, "own"),
+])  # fmt: skip
 @pytest.mark.skipif(sys.platform == "win32", reason="these paths are not absolute there")
 def test_places(
     monkeypatch: pytest.MonkeyPatch, platform: str, variables: dict[str, str], expected: str
