@@ -24,6 +24,7 @@ STUDIES = Family(
         "lerf-sized": "benchmarks.lerf_sized:LerfSized",
         "gpu": "benchmarks.gpu:Gpu",
         "extract": "benchmarks.extract:Extraction",
+        "photographs": "benchmarks.photographs:Photographs",
         "query": "benchmarks.query:Query",
         "viewer": "benchmarks.viewer:ViewerCost",
         "archive": "benchmarks.archive:Archives",

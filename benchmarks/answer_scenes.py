@@ -105,7 +105,7 @@ def make_scene(name: str, data: Path, size: SceneSize) -> AnswerScene:
     """Return a scene by name: a draw of the kitchen (``DrawName``, ``benchmarks.kitchen_draws``), a scene of real
     models (``benchmarks.real_scenes``), or a layout of ``benchmarks.scenes`` and a seed, such as "shelves-0"."""
     if name in REAL_SCENES:
-        return _real_scene(name, data)
+        return with_splat(RealScene.open(name, data), name)
     draw = DrawName.parse(name)
     if draw is not None:
         return _kitchen_draw(data, draw, size.kitchen_scale)
@@ -127,8 +127,8 @@ def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
     return prepared(str(name), truth.gaussians, truth.cameras, draw.regions, draw.frames, texts)
 
 
-def _real_scene(name: str, data: Path) -> AnswerScene:
-    scene = RealScene.open(name, data)
+def with_splat(scene: RealScene, name: str = "") -> AnswerScene:
+    """Return a scene of real models with its Gaussians."""
     gaussians = scoup.load_gaussians(scene.folder / "point_cloud.splat")
     texts = Texts(scene.canonical, scene.words, scene.everyday, scene.absent)
     found = prepared(name, gaussians, scene.cameras, scene.regions, scene.frames, texts)

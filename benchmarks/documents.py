@@ -32,6 +32,7 @@ from benchmarks.extract import Extraction
 from benchmarks.gpu import Gpu
 from benchmarks.laptop import Laptop
 from benchmarks.lerf_sized import LerfSized
+from benchmarks.photographs import Photographs
 from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
@@ -175,6 +176,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "real": (Real, "real"),
     "concepts": (Concepts, "concepts"),
     "laptop": (Laptop, "laptop"),
+    "photographs": (Photographs, "photographs"),
     "query": (Query, "query"),
     "viewer": (ViewerCost, "viewer"),
     "archive": (Archives, "archive"),

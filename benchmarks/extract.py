@@ -31,10 +31,9 @@ WAYS = {
     ALL_POINTS: replace(_FAST, by_need=False),
     "fast": _FAST,
     "fast, 20 x 20 points": replace(_FAST, points_per_side=20),
-    "fast, with crops": replace(_FAST, crop_layers=1),
 }
 """How MobileSAM is asked, all points first; the preset fast is the default without a GPU."""
-SECOND = "fast, SAM 2 tiny"
+IN_32_BITS, SECOND = "fast, 32 bits", "fast, SAM 2 tiny"
 FOUND = 0.5  # IoU from which a thing has a region, and a region its like
 UNLABELLED = 5  # photographs without labels
 
@@ -62,8 +61,9 @@ class Extraction(Study):
         frames = {frame.name: frame for frame in read_labels(folder / "label")}
         paths = sorted((folder / "images_2").glob("*.jpg"))
         unlabelled = spread([path for path in paths if path.stem not in frames], UNLABELLED)
-        sam = open_sam(str(self.weights))
+        sam = open_sam(str(self.weights), half=True)
         ways: dict[str, tuple[Any, Any]] = {name: (sam, settings) for name, settings in WAYS.items()}
+        ways[IN_32_BITS] = (open_sam(str(self.weights)), _FAST)
         if self.onnx is not None:
             ways[SECOND] = (open_onnx_sam(f"onnx:{self.onnx}"), _FAST)
         for path in [*(path for path in paths if path.stem in frames), *unlabelled]:

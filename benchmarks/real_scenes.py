@@ -52,7 +52,15 @@ class RealScene:
     def open(cls, name: str, data: Path) -> RealScene:
         """Open a scene of ``REAL_SCENES`` from the folder of the data."""
         place, features = REAL_SCENES[name]
-        folder = data / place
+        scene = cls.of_folder(data / place, features, data)
+        if name.startswith("desk"):
+            return scene
+        meanings = json.loads((scene.folder / "words.json").read_text())
+        return replace(scene, counts=true_counts(name.partition("-")[0], scene.cameras, meanings))
+
+    @classmethod
+    def of_folder(cls, folder: Path, features: str, data: Path, chosen: Cameras | None = None) -> RealScene:
+        """Open a scene that lies anywhere, of all or of chosen views, without counts; desk's table has its words."""
         cameras = scoup.load_cameras(folder)
         held_out = folder / "held_out.json"
         labelled = scoup.load_cameras(held_out) if held_out.exists() else cameras
@@ -61,25 +69,21 @@ class RealScene:
             for frame, camera in match_frames(read_labels(folder / "label"), labelled)
         ]
         meanings = json.loads((folder / "words.json").read_text())
-        counts: dict[str, int] = {}
         if held_out.exists():
             frames = [(renamed(frame, meanings), camera) for frame, camera in frames]
-            counts = true_counts(name.partition("-")[0], cameras, meanings)
         encoder = scoup.TextEncoder.open(data / "desk" / "desk_words.npz")
         words = tuple(word for word in encoder.names or () if word not in CANONICAL_PHRASES)
         desk = json.loads((data / "desk" / "words.json").read_text())["absent"]
         return cls(
             folder,
-            cameras,
-            scoup.load_regions(folder / features, cameras),
+            chosen or cameras,
+            scoup.load_regions(folder / features, chosen or cameras),
             frames,
             words,
             torch.nn.functional.normalize(encoder.encode(words), dim=1),
             encoder.canonical(),
-            tuple(desk)
-            if name.startswith("desk")
-            else tuple(word for word in ABSENT.split(",") if word in words),
-            counts,
+            tuple(word for word in ABSENT.split(",") if word in words) if held_out.exists() else tuple(desk),
+            {},
         )
 
 

@@ -89,6 +89,24 @@ def test_weights_find_their_places(model, opened: Sam, encoded: SamImage) -> Non
     assert len(record["segmenter_sha256"]) == 64
 
 
+def test_16_bits_are_used_where_the_cpu_multiplies_them(
+    weights, encoded: SamImage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "mobile_sam.pt"
+    torch.save(weights, path)
+    logits, iou = encoded.predict(POINTS)
+    for there in (False, True):
+        monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda there=there: there)
+        opened = open_sam(str(path), half=True)
+        assert opened.to_dict().get("segmenter_precision") == ("bfloat16" if there else None)
+        found, sure = opened.encode(smooth_image(48, 100)).predict(POINTS)
+        assert found.dtype == sure.dtype == torch.float32
+        assert torch.equal(found, logits) is not there
+        shown, wanted = encoded.without_padding(found[0]), encoded.without_padding(logits[0])
+        assert (shown - wanted).abs().mean() < 0.02 * wanted.abs().mean()
+        torch.testing.assert_close(sure, iou, atol=0.02, rtol=0.02)
+
+
 def test_other_files_are_refused(weights, tmp_path: Path) -> None:
     path = tmp_path / "other.pt"
     with pytest.raises(MissingFileError, match="there is no such checkpoint; fetch https://"):

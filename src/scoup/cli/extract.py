@@ -79,7 +79,7 @@ class Extract(WritesCommon):
     nothing else."""
     preset: Annotated[Literal["langsplat", "fast"] | None, arg()] = None
     """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
-    early filters, 16 bits on a GPU. Default: langsplat on a GPU, fast without one."""
+    early filters, 16 bits where the device can. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
     max_height: int = 1080

@@ -52,7 +52,7 @@ _NAFLEX = "google/siglip2-base-patch16-naflex"
 _TIPS = "google/tipsv2-b14"
 SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     ModelEntry(
-        sam.MOBILE_SAM, _open_sam, size="41 MB", seconds=11.8, file=(mobile_sam.HUB_ID, mobile_sam.FILE),
+        sam.MOBILE_SAM, _open_sam, size="41 MB", seconds=5.1, file=(mobile_sam.HUB_ID, mobile_sam.FILE),
         help="MobileSAM: the default without a GPU", licence="Apache-2.0", extra="models",
     ),
     _sam("sam-vit-b", "sam-vit-base", "SAM ViT-B", "375 MB"),

@@ -85,7 +85,8 @@ def mask_settings(preset: Preset = "langsplat", **changes: Any) -> MaskSettings:
     """Return a preset with changes; changes that are None are ignored.
 
     ``langsplat`` is faithful. ``fast`` uses one grid of points instead of five, leaves out points that would find known
-    masks, filters the model's low-resolution masks before upscaling them, and runs in 16 bits on a GPU.
+    masks, filters the model's low-resolution masks before upscaling them, and runs in 16 bits
+    where the device can.
     """
     if preset not in get_args(Preset):
         raise InputError(f"there is no preset {preset!r}; use one of {', '.join(get_args(Preset))}")

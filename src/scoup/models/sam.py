@@ -101,22 +101,27 @@ class Sam:
     side: int  # of its square images, in pixels
     stretches: bool  # images are stretched to the square (SAM 2 and 3), not padded (SAM)
     normalization: Normalization
-    half: bool = False  # encode images in 16 bits on a GPU
+    half: bool = False  # run in 16 bits on a GPU
     sha256: str = ""  # of a checkpoint that is a file; "" for a model of a commit
 
     @property
     def device(self) -> torch.device:
         return next(self.model.parameters()).device
 
+    @property
+    def _dtype(self) -> torch.dtype:
+        return next(self.model.vision_encoder.parameters()).dtype
+
     def to_dict(self) -> dict[str, Any]:
         checked = {"segmenter_sha256": self.sha256} if self.sha256 else {}
-        return {"segmenter": self.name, "segmenter_revision": self.revision, **checked}
+        precision = {} if self._dtype == torch.float32 else {"segmenter_precision": "bfloat16"}
+        return {"segmenter": self.name, "segmenter_revision": self.revision, **checked, **precision}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
         scaled = scale_to_square(image, self.side, self.stretches)
         values = normalize_and_pad(scaled, self.side, self.normalization)
         with torch.inference_mode(), self._precision():
-            embeddings = self.model.get_image_embeddings(values[None].to(self.device))
+            embeddings = self.model.get_image_embeddings(values[None].to(self.device, self._dtype))
         size = (scaled.shape[0], scaled.shape[1])
         kind = Sam2Image if self.stretches else SamImage
         return kind(self._decoder(embeddings, size), self.side, (image.shape[0], image.shape[1]), size)
@@ -188,6 +193,8 @@ def open_sam(
         side = model.config.prompt_encoder_config.image_size
         side = int(side if isinstance(side, int) else side[0])
         normalization = files.normalization() or (HALF if kind.startswith("sam3") else IMAGENET)
+        if kind == "sam":
+            reduce_precision(model, device, half)
         return Sam(model.to(device), model_id, files.commit, side, kind != "sam", normalization, half)
 
     return load_pretrained(ModelRequest("segmenter", name, WITHOUT_MODEL, model_id, revision), load)
@@ -207,8 +214,16 @@ def _open_mobile_sam(name: str, revision: str | None, device: torch.device | str
         raise request.unusable(str(error)) from error
     except Exception as error:  # torch raises nearly everything for damaged and foreign files
         raise request.unreadable(error) from error
+    reduce_precision(model, device, half)
     side = int(model.config.prompt_encoder_config.image_size)
     return Sam(model.to(device), MOBILE_SAM, "", side, False, IMAGENET, half, sha256)
+
+
+def reduce_precision(model: Any, device: torch.device | str, half: bool) -> None:
+    """Turn a ``SamModel`` to bfloat16 on a CPU that multiplies it, except the predicted IoU, which decides masks."""
+    if half and torch.device(device).type == "cpu" and torch.cpu._is_avx512_bf16_supported():
+        model.vision_encoder.bfloat16()
+        model.mask_decoder.bfloat16().iou_prediction_head.float()
 
 
 def _class_of(transformers: Any, model_type: str) -> Any:

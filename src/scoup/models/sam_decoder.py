@@ -17,7 +17,8 @@ from torch import Tensor
 from torch.nn import functional
 
 OUTSIDE = -20.0  # logits of the padding
-POINTS_AT_ONCE = 2  # more are slower: the tokens of a few images fit into the caches of a CPU
+POINTS_AT_ONCE = {torch.float32: 2, torch.bfloat16: 4}
+"""More are slower: the tokens of a few images fit into the caches of a CPU."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +32,17 @@ class SharedDecoder:
     def predict(self, prompts: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits [P, 3, 4 h, 4 w] and predicted IoU [P, 3] of prompts [P, 2] in pixels of the square."""
         with torch.inference_mode():
-            parts = [self._predict(part) for part in prompts.split(POINTS_AT_ONCE)]
+            parts = [self._predict(part) for part in prompts.split(POINTS_AT_ONCE[self.embedding.dtype])]
         return torch.cat([masks for masks, _ in parts]), torch.cat([iou for _, iou in parts])
 
     @cached_property
     def _image(self) -> _Image:
         model = self.model
         dense = model.prompt_encoder.no_mask_embed.weight.reshape(1, -1, 1, 1)
-        tokens = (self.embedding + dense).flatten(2).transpose(1, 2).contiguous()
-        places = model.get_image_wide_positional_embeddings().flatten(2).transpose(1, 2).contiguous()
+        images = self.embedding + dense, model.get_image_wide_positional_embeddings()
+        tokens, places = (
+            each.to(self.embedding.dtype).flatten(2).transpose(1, 2).contiguous() for each in images
+        )
         first = model.mask_decoder.transformer.layers[0]
         to_image, from_image = first.cross_attn_token_to_image, first.cross_attn_image_to_token
         return _Image(
@@ -59,7 +62,7 @@ class SharedDecoder:
             input_masks=None,
         )[0][0]
         fixed = torch.cat([decoder.iou_token.weight, decoder.mask_tokens.weight])
-        places = torch.cat([fixed[None].expand(len(prompts), -1, -1), sparse], dim=1)
+        places = torch.cat([fixed[None].expand(len(prompts), -1, -1), sparse.to(fixed.dtype)], dim=1)
         transformer = decoder.transformer
         tokens, image = self._first_layer(places)
         placed = image + self._image.places
@@ -72,7 +75,7 @@ class SharedDecoder:
         tokens, places = tokens[:, used], places[:, used]
         seen = _to_image(transformer.final_attn_token_to_image, tokens + places, placed, image)
         tokens = transformer.layer_norm_final_attn(tokens + seen)
-        iou = decoder.iou_prediction_head(tokens[:, 0])[:, 1:]
+        iou = decoder.iou_prediction_head(tokens[:, 0].float())[:, 1:]
         weights = torch.stack([networks[n](tokens[:, n]) for n in range(1, len(networks))], dim=1)
         return self._upscale(image, weights), iou
 
@@ -126,7 +129,7 @@ class SharedDecoder:
         # Both convolutions split a pixel into rows and columns: point, mask, row (3), column (3).
         masks = masks.permute(0, 7, 1, 3, 5, 2, 4, 6).reshape(points, -1, 4 * rows, 4 * columns)
         margin = (0, 4 * (width - columns), 0, 4 * (height - rows))
-        return functional.pad(masks, margin, value=OUTSIDE)
+        return functional.pad(masks.float(), margin, value=OUTSIDE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +193,9 @@ def _from_tokens(attention: Any, scores: Tensor, tokens: Tensor) -> Tensor:
     values = _heads(attention, attention.v_proj(tokens))
     weight = attention.out_proj.weight.view(-1, *values.shape[1::2])  # [D, h, c]
     moved = torch.einsum("bhnc,dhc->bhnd", values, weight).flatten(1, 2)
-    return torch.bmm(shares.transpose(1, 2), moved).add_(attention.out_proj.bias)
+    # Shares of a head add up to 1: the heads add the bias together.
+    moved += attention.out_proj.bias / scores.shape[1]
+    return torch.bmm(shares.transpose(1, 2), moved)
 
 
 def _product(convolution: Any, pixels: Tensor) -> Tensor:

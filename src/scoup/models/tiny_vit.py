@@ -177,6 +177,6 @@ class _Attention(nn.Module):
         count, pixels, channels = windows.shape
         qkv = self.qkv(self.norm(windows)).view(count, pixels, self.heads, -1).transpose(1, 2)
         query, key, value = qkv.chunk(3, dim=-1)
-        bias = self.attention_biases[:, self.bias_numbers]
+        bias = self.attention_biases[None, :, self.bias_numbers]
         mixed = functional.scaled_dot_product_attention(query, key, value, attn_mask=bias)
         return self.proj(mixed.transpose(1, 2).reshape(count, pixels, channels))
