@@ -399,6 +399,11 @@ def test_things_are_named_measured_hidden_and_saved(
     visit.settle()
     assert difference(visit.picture(), render(viewed, ~is_mug)) < ALIKE
     assert pick(visit, "mug") == []  # what is hidden is not clicked
+    visit.page.keyboard.press("m")
+    pick(visit, "mug")  # nor measured
+    visit.page.locator("#message").filter(has_text="Nothing is at this point").wait_for()
+    assert visit.page.locator("#measured").inner_text() == "Click the first point."
+    visit.page.keyboard.press("Escape")
     visit.page.get_by_role("button", name="Show 1 hidden").click()
     assert visit.state()["things"]["hidden"] == []
     visit.page.reload()
