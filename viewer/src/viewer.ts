@@ -43,6 +43,8 @@ export class Viewer {
   private thingPanel: ThingPanel | null = null;
   /** The point that was clicked last, until the camera moves. */
   private clicked: [number, number] | null = null;
+  /** Say again where the place of the panel is. */
+  private sayWhere: () => void = () => {};
   private hovering: Hovering | null = null;
   private readonly outlines: SelectionOutline | null;
   /** Parts of which some are merged; null while that changes. */
@@ -68,7 +70,7 @@ export class Viewer {
       : null;
     this.outlines = scene ? new SelectionOutline(() => this.scene!, () => this.stage.drawn(), this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
-    this.ruler = new Ruler(this.state);
+    this.ruler = new Ruler(this.state, onError);
     listCameras(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
     this.eye.onMove = () => this.moved();
@@ -221,7 +223,7 @@ export class Viewer {
     const place = await this.marked(x, y, () => this.placeAt(x, y));
     if (!place) return;
     showTab("answers");
-    showPlace(place, this.state);
+    this.sayWhere = showPlace(place, this.state);
     if (place.position) this.eye.lookAround(place.position);
   }
 
@@ -268,6 +270,7 @@ export class Viewer {
   private changed(): void {
     this.panel.update();
     this.ruler.update();
+    this.sayWhere();
     this.thingPanel?.update();
     this.stage.update();
     this.outlines?.changed();
