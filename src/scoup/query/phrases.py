@@ -121,6 +121,12 @@ def counted_text(text: str) -> str | None:
     return match[1] if match else None
 
 
+def begins_with_relation(text: str) -> bool:
+    """Return whether a text, such as "near the window", lacks the thing that has the relation."""
+    words = text.lower().split()
+    return any(len(words) > length for length, _ in _relations_at(words, 0))
+
+
 def parse_phrase(text: str) -> Target:
     """Return the phrase that a text is, or the text itself if it names things without relation or order.
 
@@ -138,6 +144,7 @@ def quoted(text: str) -> str:
     is_text = not (set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith("?"))
     try:
         is_text = is_text and counted_text(f"{text} x") is None and parse_phrase(text) == text
+        is_text = is_text and not begins_with_relation(text)
     except InputError:
         is_text = False
     return text if is_text else f'"{text}"'
@@ -180,15 +187,18 @@ def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
     for start in range(1, len(words)):
         if words[start] in _UNKNOWN:
             raise _refusal(" ".join(words), f"unknown relation {words[start]!r}")
-        matches = [
-            (len(form.split()), relation)
-            for relation, forms in RELATIONS.items()
-            for form in forms
-            if list(words[start : start + len(form.split())]) == form.split()
-        ]
-        if matches:
+        if matches := _relations_at(words, start):
             length, relation = max(matches)
             yield start, relation, length
+
+
+def _relations_at(words: Sequence[str], start: int) -> list[tuple[int, str]]:
+    return [
+        (len(form.split()), relation)
+        for relation, forms in RELATIONS.items()
+        for form in forms
+        if list(words[start : start + len(form.split())]) == form.split()
+    ]
 
 
 def _ordered(words: Sequence[str], source: str) -> tuple[Sequence[str], str, int]:
