@@ -125,6 +125,7 @@ def _joined(
         presence=present,
         things=numbers,
         instances=numbers,
+        wanted=expression.wanted,
         excluded=tuple(text for text in expression.texts if text not in needed),
         without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
         parts=parts,
