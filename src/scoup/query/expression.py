@@ -153,7 +153,7 @@ def _names(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
     """Return names without case, and a pattern of those that may be read as phrases or expressions, longest first."""
     parts = {tuple(map(re.escape, name.split())) for name in names if RESERVED & {*name.lower().split()}}
     forms = sorted((r"\s+".join(words) for words in parts if len(words) > 1), key=len, reverse=True)
-    pattern = rf"(?<![^\s(])(?:{'|'.join(forms)})(?![^\s)])" if forms else r"(?!)"
+    pattern = rf"(?<![^\s(])(?:{'|'.join(forms)})(?![^\s),;.])" if forms else r"(?!)"
     return frozenset(name.casefold() for name in names), re.compile(pattern, re.IGNORECASE)
 
 

@@ -59,6 +59,7 @@ RESERVED = frozenset(
     for word in words.split()
 )
 """Words of relations, orders and operators; names with one of them may be read as phrases."""
+_STOPS = " ,;."  # after a noun
 _SPACE = "\0"  # before each word of what stands in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
@@ -141,7 +142,9 @@ def parse_phrase(text: str) -> Target:
 
 def quoted(text: str) -> str:
     """Return a text as it is written: in double quotes where it would be read as a phrase or expression."""
-    is_text = not (set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith("?"))
+    is_text = not (
+        set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith(("?", *_STOPS))
+    )
     try:
         is_text = is_text and counted_text(f"{text} x") is None and parse_phrase(text) == text
         is_text = is_text and not begins_with_relation(text)
@@ -228,13 +231,14 @@ def _rank(word: str) -> int | None:
 
 def _noun(words: Sequence[str], source: str) -> str:
     words = words[1:] if words and words[0].lower() in ARTICLES else words
-    if not words:
+    noun = _joined(words).rstrip(_STOPS)
+    if not noun:
         raise _refusal(source, "a thing is missing")
-    return _joined(words)
+    return noun
 
 
 def _joined(words: Sequence[str]) -> str:
-    return " ".join(words).replace(_SPACE, " ").strip()
+    return " ".join(" ".join(words).replace(_SPACE, " ").split())
 
 
 def _anchor(words: Sequence[str], source: str, depth: int) -> Target:
