@@ -80,6 +80,7 @@ def test_what_is_not_a_phrase_is_refused(text, problem) -> None:
         (["mug between p and q", "cup"], ["mug", "p", "q", "cup"]),
         (["(mug between p and q) or c and d"], ["mug", "p", "q", "c", "d"]),
         (['mug and "near p"'], ["mug", "near p"]),
+        (['"mug." between p, and q'], ["mug.", "p", "q"]),
     ],
 )
 def test_phrases_within_expressions(words, texts) -> None:

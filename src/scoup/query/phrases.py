@@ -59,7 +59,7 @@ RESERVED = frozenset(
     for word in words.split()
 )
 """Words of relations, orders and operators; names with one of them may be read as phrases."""
-_STOPS = " ,;."  # after a noun
+_STOPS = ",;."  # after a noun
 _SPACE = "\0"  # before each word of what stands in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
@@ -231,8 +231,9 @@ def _rank(word: str) -> int | None:
 
 def _noun(words: Sequence[str], source: str) -> str:
     words = words[1:] if words and words[0].lower() in ARTICLES else words
-    noun = _joined(words).rstrip(_STOPS)
-    if not noun:
+    if words and not words[-1].startswith(_SPACE):
+        words = [*words[:-1], words[-1].rstrip(_STOPS)]
+    if not (noun := _joined(words)):
         raise _refusal(source, "a thing is missing")
     return noun
 
