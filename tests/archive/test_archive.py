@@ -179,6 +179,11 @@ def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive) ->
     assert [each.scan for each in archive.find("mug", at_least=2)] == ["kitchen"] * 3 + ["office"] * 2
     assert len(archive.find("mug", at_least=2, top=1)) == 3
     assert archive.find("mug", at_least=4) == []
+    both = archive.find("mug and lamp", at_least=1)
+    assert {(each.scan, each.thing) for each in both} == {
+        (each.scan, each.thing) for each in archive.find("how many mugs and lamps", top=1000)
+    }
+    assert {each.text for each in both} == {"mug", "lamp"}
     assert len(found[0].field()) == len(LanguageField.load(found[0].field_path))
 
 

@@ -22,6 +22,8 @@ NAMES = ("mug", "wooden table", "cup")
         (["power plugs and sockets", "mug"], ("power plugs and sockets", "mug")),
         (["power plugs and mug"], ("power plugs", "mug")),
         (["the Power  plugs and sockets on the desk"], ("Power plugs and sockets", "desk")),
+        (["power plugs and sockets, left of the mug"], ("power plugs and sockets", "mug")),
+        (["mug with power plugs and sockets"], ("mug with power plugs and sockets",)),
         (['mug and "plugs" and (power plugs and sockets)'], ("mug", "plugs", "power plugs and sockets")),
     ],
 )

@@ -15,9 +15,11 @@ from cli_support import run
 from query.planted_room import BACK, FRONT, planted_room
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
+from scoup.models.text import TextEncoder, everyday_vocabulary
 from scoup.query.matching import Choice, compare_things
 from scoup.query.named import AGREES, FIELD_POWER, TOGETHER, Named, joined
 from scoup.query.presence import LIKELY
+from scoup.query.question import naming_question
 from scoup.query.refine import choose_views, refine
 from scoup.scene.cameras import Cameras
 from scoup.scene.names import Detections, NameTable
@@ -110,6 +112,14 @@ def test_names_come_first_in_catalogues_and_lists() -> None:
     assert (by_number[LAMP], by_number[MUG], by_number[LAPTOP]) == ("ball", "mug", "laptop")
     assert {thing.number: thing.text for thing in field.things()}[LAMP] == "ball"
     assert field.catalog(["lamp", "mug"]).things[LAMP].text == "lamp", "only words of the list are names"
+
+
+def test_a_name_that_a_model_gave_is_tried_once() -> None:
+    field = named_room({"Lamp": {LAMP: 0.5}, "lamps": {BALL: 0.5}, "ufo": {BALL: 0.5}})
+    assert naming_question(field).texts == everyday_vocabulary(field.text_encoder())
+    field.text_encoder(TextEncoder("model", 32, lambda phrases: torch.ones(len(phrases), 32)))
+    texts = naming_question(field).texts
+    assert [texts.count(text) for text in ("lamp", "Lamp", "lamps", "ufo")] == [1, 0, 1, 1]
 
 
 class Finder:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -76,6 +79,8 @@ def test_what_is_not_a_phrase_is_refused(text, problem) -> None:
         (["mug Between p and q and not cup"], ["mug", "p", "q", "cup"]),
         (["mug between p and q", "cup"], ["mug", "p", "q", "cup"]),
         (["(mug between p and q) or c and d"], ["mug", "p", "q", "c", "d"]),
+        (['mug and "near p"'], ["mug", "near p"]),
+        (['"mug." between p, and q'], ["mug.", "p", "q"]),
     ],
 )
 def test_phrases_within_expressions(words, texts) -> None:
@@ -83,6 +88,31 @@ def test_phrases_within_expressions(words, texts) -> None:
     assert found.texts == tuple(texts)
     assert len(found.phrases) == ("between" in words[0].lower())
     assert parse_expression([str(found)]) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mug near p and near q", "mug near p and mug near q"),
+        ("what is on p and near q", "what is on p and what is near q"),
+        ("mug and not near p and between p and q", "mug and not mug near p and mug between p and q"),
+        ("how many mugs and cups", "mugs or cups"),
+        ("how many mugs and cups on p", "mugs on p or cups on p"),
+        ("how many mugs and cups on p and not cup near q", "(mugs on p or cups on p) and not cup near q"),
+        ("how many mugs on p and cups", "mugs on p or cups"),
+        ("how many mugs near p and mugs near q", "mugs near p or mugs near q"),
+        ("how many mugs near p and near q", "mugs near p and mugs near q"),
+        ("how many cups and mugs near p and not near q", "cups or (mugs near p and not mugs near q)"),
+    ],
+)
+def test_and_joins_relations_of_a_thing_and_things_of_a_count(text: str, said: str) -> None:
+    found = parse_expression(text)
+    assert parse_expression(str(found)) == found
+    assert found == parse_expression(text.removeprefix("how many ")).as_count() or not found.counted
+    leaves = [str(leaf) for leaf in found.leaves()]
+    rows = torch.tensor(list(product([False, True], repeat=len(leaves))))
+    masks = dict(zip(leaves, rows.T, strict=True))
+    assert found.combine(masks).equal(parse_expression(said).combine(masks))
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
+from scoup.query.answer import Answer
 
 COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}
 
@@ -38,8 +39,10 @@ def test_fields_and_what_they_answer(field: LanguageField, copied: Callable[[Any
         field.answer("word 3"),
         field.location("word 3"),
         field.select("word 3 and not word 4"),
+        field.answer("largest word 3"),
     ):
         assert copied(made).to_dict() == made.to_dict()
+        assert not isinstance(made, Answer) or copied(made).remark() == made.remark()
     labels = field.label(["word 1", "word 2"])
     assert copied(labels).ids.equal(labels.ids)
 

@@ -13,6 +13,9 @@ from hypothesis import strategies as st
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room, with_whole
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.field.language_field import LanguageField
+from scoup.query.ask import apart
+from scoup.query.phrases import parse_phrase
+from scoup.query.relations import resolve
 from support import examples
 
 TABLE, LEFT, RIGHT, LAPTOP, LAMP, BALL, BOWL, APPLE, PEN = range(9)
@@ -188,9 +191,13 @@ def test_directions_are_found_once() -> None:
 
 @pytest.mark.parametrize(("phrase", "found"), [("ball on the bowl", {1}), ("bowl on the ball", set())])
 def test_what_a_level_takes_for_one_thing_is_told_apart(phrase: str, found: set[int]) -> None:
-    """At level m a ball and its bowl are one thing, which answers both words; so their parts do."""
+    """At level m a ball and its bowl are one thing, which answers both words; their parts do if no level was asked."""
     boxes = [Box("bowl", (0, 0, 0.02), (0.4, 0.4, 0.04)), Box("ball", (0, 0, 0.14), (0.2, 0.2, 0.2))]
     field, both = with_whole(planted_room(boxes), [0, 1])
-    for word in ("ball", "bowl"):
-        assert [thing.number for thing in field.things(field.question(word, level="m"))] == [both]
-    assert {thing.number for thing in field.things(field.question(phrase, level="m"))} == found
+    words = field.question(["ball", "bowl"], level="m")
+    of_texts = {word: field.things(words.one(number)) for number, word in enumerate(words.texts)}
+    assert [[thing.number for thing in things] for things in of_texts.values()] == [[both]] * 2
+    target, answers = parse_phrase(phrase), dict(zip(words.texts, field.answer(words), strict=True))
+    parts = apart(field, target, of_texts, answers)
+    assert {thing.number for thing in resolve(field, target, parts, field.frame())} == found
+    assert not field.things(field.question(phrase, level="m"))

@@ -14,7 +14,10 @@ from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room
 from scoup.field.language_field import LanguageField
+from scoup.query.answer import Answer
 from scoup.query.boxes import FARTHEST, PointSets
+from scoup.query.catalog_files import draw_things, viewing_cameras
+from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from scoup.uplift.build import build
@@ -121,6 +124,20 @@ def test_a_table_of_no_things_leaves_the_votes(room) -> None:
     assert field.catalog(["mug", "laptop"]).things == ()
     answer = field.answer(field.question("mug", always=True))
     assert (answer.presence, answer.score, bool(answer.mask.any())) == (True, 0, False)
+
+
+def test_where_nothing_was_found_an_answer_says_so() -> None:
+    mug = Answer("mug", torch.zeros(3, dtype=torch.bool), "m", 0.0, False)
+    assert replace(mug, text="not mug", parts=(mug,), excluded=("mug",)).remark() == "nothing found"
+
+
+def test_a_thing_around_a_camera_has_no_picture_and_ends_nothing(room) -> None:
+    mug, *others = room.things()[1:4]
+    camera = Camera.look_at(mug.position, mug.position + torch.eye(3)[1], "inside", 64, 48, 50)
+    assert list(viewing_cameras(mug, [camera])) == []
+    drawn = [thing.number for thing, _ in draw_things(room, [mug, *others], [camera])]
+    assert others[0].number in drawn
+    assert mug.number not in drawn
 
 
 def test_things_are_copies(room) -> None:

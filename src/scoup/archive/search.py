@@ -69,7 +69,7 @@ class Search:
             )
         vectors = text_vectors(encoder, expression.texts, source)
         least = presence_threshold(len(vectors.everyday), source, present_from)
-        expression = replace(expression, counted=expression.counted or counted)
+        expression = expression.as_count() if counted else expression
         question = Question.from_vectors(vectors.with_everyday(), present_from=least)
         words = compared_words(question)
         others = other_words(question.queries, words)

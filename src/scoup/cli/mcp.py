@@ -46,8 +46,8 @@ class ServeAgents(Common):
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: each field's."""
     words: OptionalPath = None
-    """File of words, one per line, that may be names of things. Default: everyday words, or all names of a word
-    table."""
+    """File of words, one per line, that may be names of things. Default: all names of a word table, else everyday
+    words and names that a model gave."""
     out: OptionalPath = None
     """Folder into which selections may be exported; it is made, and nothing in it is overwritten. Default: exports are
     refused."""

@@ -191,7 +191,8 @@ class NamingOptions(TextOptions):
     option_groups: ClassVar[OptionGroups] = {"words": "words"}
 
     words: OptionalPath = None
-    """Words to name things with, one per line. Default: all words of the table of --text, else everyday words."""
+    """Words to name things with, one per line. Default: all words of the table of --text, else everyday words
+    and names that a model gave."""
 
     def naming_question(self, field: LanguageField) -> Question[Any]:
         """The question of these words."""

@@ -73,6 +73,8 @@ class Answer:
     """The Gaussians that answer are above it, on relevancy rescaled over the scene; None if things answer."""
     parts: tuple[Answer, ...] = ()
     """The answers to the texts of an expression."""
+    wanted: tuple[str, ...] = ()
+    """Texts of an expression that its things answer."""
     excluded: tuple[str, ...] = ()
     """Texts of an expression that stand under "not" only."""
     without: tuple[int, ...] = ()
@@ -121,8 +123,9 @@ class Answer:
             needed = (part for part in self.parts if part.text not in self.excluded)
             absent = [f"{part.text}: {part.remark()}" for part in needed if not part.presence]
             found = ", ".join(f"{part.text}: {len(part.things) or 1}" for part in self.parts if part.presence)
-            return "; ".join(absent) or f"found {found}, but none that is so{seen}"
-        texts = {part.text for part in self.parts} if len(self.asked) == 1 else set[str]()
+            found = f"found {found}, but none that is so{seen}" if found else "nothing found"
+            return "; ".join(absent) or found
+        texts = {part.text for part in self.parts} if len(self.wanted) == 1 else set[str]()
         named = Counter(
             thing.text or f"thing {thing.number}" for thing in self.found if thing.text not in texts
         )

@@ -93,9 +93,9 @@ def _joined(
         of_texts[""] = (
             find_objects(field, named_things(field, question.everything)) if question.everything else []
         )
-        of_leaf = {
-            leaf: resolve(field, leaf, _apart(field, leaf, of_texts, of_text), frame) for leaf in of_leaf
-        }
+        for leaf in of_leaf:  # parts are of other levels
+            own = of_texts if question.level is not None else apart(field, leaf, of_texts, of_text)
+            of_leaf[leaf] = resolve(field, leaf, own, frame)
     masks = {text: part.mask for text, part in of_text.items()}
     for leaf, mine in of_leaf.items():
         if expression.counted or not isinstance(leaf, str):
@@ -125,6 +125,7 @@ def _joined(
         presence=present,
         things=numbers,
         instances=numbers,
+        wanted=expression.wanted,
         excluded=tuple(text for text in expression.texts if text not in needed),
         without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
         parts=parts,
@@ -135,7 +136,7 @@ def _joined(
     )
 
 
-def _apart(
+def apart(
     field: LanguageField,
     leaf: str | Phrase,
     of_texts: Mapping[str, list[Thing]],

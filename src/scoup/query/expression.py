@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from typing import TypeAlias
 
@@ -15,6 +15,7 @@ from scoup.query.phrases import (
     OPERATORS,
     RESERVED,
     Phrase,
+    begins_with_relation,
     counted_text,
     parse_phrase,
     protected,
@@ -33,6 +34,8 @@ class Operation:
 
     operator: str
     parts: tuple[Node, ...]
+    of_one: bool = False
+    """Of "and": the parts after the first began with a relation and took over its text."""
 
 
 Node: TypeAlias = "str | Phrase | Operation"
@@ -86,6 +89,10 @@ class Expression:
     def __str__(self) -> str:
         return f"how many {_text_of(self.root)}" if self.counted else _text_of(self.root)
 
+    def as_count(self) -> Expression:
+        """Return the expression that asks how many: "and" joins what is counted, but for what is under "not"."""
+        return self if self.counted else Expression(_summed(self.root), True)
+
     def combine(self, masks: Mapping[str, Tensor]) -> Tensor:
         """Combine boolean masks of its texts and phrases (by their ``str``), of one shape."""
         return _combined(self.root, masks)
@@ -98,8 +105,9 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
     between spaces; brackets group. A text may have several words. Double quotes make one text of operators, as in
     ``'"salt and pepper"'``. Texts without an operator are combined with ``or``. A text with a relation or an order,
     such as "mug left of the laptop" or "largest mug", is a phrase over things (``scoup.query.phrases``), unless it
-    stands in double quotes. "how many mugs" counts; "how many mugs and cups" counts both. A question mark at the end is
-    left out.
+    stands in double quotes. One that begins with a relation after "and", as in "mug on the table and near the laptop",
+    is about the text before. "how many mugs" counts; "how many mugs and cups" counts both, and a relation of the last
+    is one of all. A question mark at the end is left out.
 
     Args:
         words: texts, operators, or expressions; or one of them.
@@ -137,7 +145,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
     root = reader.union()
     if reader.rest:
         raise reader.refusal(f"{reader.rest[0]!r} is not expected")
-    return Expression(_summed(root) if counted else root, counted)
+    return Expression(root).as_count() if counted else Expression(root)
 
 
 @lru_cache(maxsize=4)
@@ -145,19 +153,27 @@ def _names(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
     """Return names without case, and a pattern of those that may be read as phrases or expressions, longest first."""
     parts = {tuple(map(re.escape, name.split())) for name in names if RESERVED & {*name.lower().split()}}
     forms = sorted((r"\s+".join(words) for words in parts if len(words) > 1), key=len, reverse=True)
-    pattern = rf"(?<![^\s(])(?:{'|'.join(forms)})(?![^\s)])" if forms else r"(?!)"
+    pattern = rf"(?<![^\s(])(?:{'|'.join(forms)})(?![^\s),;.])" if forms else r"(?!)"
     return frozenset(name.casefold() for name in names), re.compile(pattern, re.IGNORECASE)
 
 
 def _summed(node: Node) -> Node:
     """Return what is counted: in a count, "and" joins things to be counted, but for those under "not"."""
-    if not isinstance(node, Operation) or node.operator == "not":
+    if not isinstance(node, Operation) or node.operator == "not" or node.of_one:
         return node
     parts = tuple(_summed(part) for part in node.parts)
     excluded = tuple(part for part in parts if isinstance(part, Operation) and part.operator == "not")
     wanted = tuple(part for part in parts if part not in excluded)
     if node.operator == "or" or len(wanted) < 2:
         return Operation(node.operator, parts)
+    *nouns, last = wanted
+    if (
+        isinstance(last, Phrase)
+        and last.relation
+        and not last.order
+        and all(isinstance(each, str) for each in nouns)
+    ):
+        wanted = (*(replace(last, text=str(noun)) for noun in nouns), last)
     either = Operation("or", wanted)
     return Operation("and", (either, *excluded)) if excluded else either
 
@@ -201,14 +217,20 @@ class _Reader:
         return left
 
     def intersection(self) -> Node:
-        left = self.factor()
+        parts = [self.factor()]
         while self.rest and self.rest[0] == "and":
             self.before = self.rest.pop(0)
-            left = self.combine("and", left, self.factor())
-        return left
+            after = next((token for token in self.rest if token != "not"), "")
+            if (noun := _noun_of(parts[-1])) and after[:1] == "=" and begins_with_relation(after[1:]):
+                last = parts[-1]
+                before = last.parts if isinstance(last, Operation) and last.of_one else (last,)
+                parts[-1] = Operation("and", (*before, self.factor(noun)), of_one=True)
+            else:
+                parts.append(self.factor())
+        return reduce(lambda left, right: self.combine("and", left, right), parts)
 
     def combine(self, operator: str, left: Node, right: Node) -> Node:
-        if isinstance(left, Operation) and left.operator == operator:
+        if isinstance(left, Operation) and left.operator == operator and not left.of_one:
             return Operation(operator, (*left.parts, right))
         self.deeper()
         return Operation(operator, (left, right))
@@ -218,12 +240,13 @@ class _Reader:
         if self.depth > _DEEPEST:
             raise self.refusal("operators are nested too deeply")
 
-    def factor(self) -> Node:
+    def factor(self, noun: str = "") -> Node:
         token = self.rest.pop(0) if self.rest else ""
         if not token or (token in OPERATORS and token not in ("not", "(")):
             where = f" after {self.before!r}" if self.before else f" before {token!r}" if token != ")" else ""
             raise self.refusal(f"a text is missing{where}")
         if token[0] == "=":
+            token = f"={noun} {token[1:]}" if noun else token
             while (
                 token.lower().count(" between ") > token.count(" and ")
                 and self.rest[:1] == ["and"]
@@ -235,7 +258,7 @@ class _Reader:
             return parse_phrase(token[1:])
         before, self.before = self.depth, token if token == "not" else ""
         self.deeper()
-        inner: Node = Operation("not", (self.factor(),)) if token == "not" else self.union()
+        inner: Node = Operation("not", (self.factor(noun),)) if token == "not" else self.union()
         if token == "(" and (not self.rest or self.rest.pop(0) != ")"):
             raise self.refusal("a bracket is not closed")
         self.depth = before
@@ -249,6 +272,13 @@ def _signed(node: Node, sign: bool) -> Iterator[tuple[str | Phrase, bool]]:
         return
     for part in node.parts:
         yield from _signed(part, sign != (node.operator == "not"))
+
+
+def _noun_of(node: Node) -> str:
+    """Return the text that a relation after a part is about, protected; "" if there is none."""
+    if isinstance(node, Operation):
+        return _noun_of(node.parts[0]) if node.of_one else ""
+    return protected(node if isinstance(node, str) else node.text or "thing")
 
 
 def _operators(node: Node) -> list[str]:
@@ -273,5 +303,16 @@ def _text_of(node: Node, outer: str = "") -> str:
         return quoted(node)
     if node.operator == "not":
         return f"not {_text_of(node.parts[0], 'not')}"
-    text = f" {node.operator} ".join(_text_of(part, node.operator) for part in node.parts)
+    texts = [_text_of(part, node.operator) for part in node.parts]
+    if node.of_one:
+        texts[1:] = [_relation_of(part) for part in node.parts[1:]]
+    text = f" {node.operator} ".join(texts)
     return f"({text})" if outer not in ("", node.operator) else text
+
+
+def _relation_of(node: Node) -> str:
+    """Return the text of a part without the noun that it took over."""
+    if isinstance(node, Operation):
+        return f"not {_relation_of(node.parts[0])}"
+    assert isinstance(node, Phrase)
+    return str(node).removeprefix(f"{replace(node, relation='', anchors=())} ")

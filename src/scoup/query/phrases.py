@@ -59,6 +59,7 @@ RESERVED = frozenset(
     for word in words.split()
 )
 """Words of relations, orders and operators; names with one of them may be read as phrases."""
+_STOPS = ",;."  # after a noun
 _SPACE = "\0"  # before each word of what stands in double quotes
 _DEEPEST = 8  # relations within relations
 KNOWN_PHRASES = (
@@ -121,6 +122,12 @@ def counted_text(text: str) -> str | None:
     return match[1] if match else None
 
 
+def begins_with_relation(text: str) -> bool:
+    """Return whether a text, such as "near the window", lacks the thing that has the relation."""
+    words = text.lower().split()
+    return any(len(words) > length for length, _ in _relations_at(words, 0))
+
+
 def parse_phrase(text: str) -> Target:
     """Return the phrase that a text is, or the text itself if it names things without relation or order.
 
@@ -135,9 +142,12 @@ def parse_phrase(text: str) -> Target:
 
 def quoted(text: str) -> str:
     """Return a text as it is written: in double quotes where it would be read as a phrase or expression."""
-    is_text = not (set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith("?"))
+    is_text = not (
+        set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith(("?", *_STOPS))
+    )
     try:
         is_text = is_text and counted_text(f"{text} x") is None and parse_phrase(text) == text
+        is_text = is_text and not begins_with_relation(text)
     except InputError:
         is_text = False
     return text if is_text else f'"{text}"'
@@ -180,15 +190,18 @@ def _relations(words: Sequence[str]) -> Iterator[tuple[int, str, int]]:
     for start in range(1, len(words)):
         if words[start] in _UNKNOWN:
             raise _refusal(" ".join(words), f"unknown relation {words[start]!r}")
-        matches = [
-            (len(form.split()), relation)
-            for relation, forms in RELATIONS.items()
-            for form in forms
-            if list(words[start : start + len(form.split())]) == form.split()
-        ]
-        if matches:
+        if matches := _relations_at(words, start):
             length, relation = max(matches)
             yield start, relation, length
+
+
+def _relations_at(words: Sequence[str], start: int) -> list[tuple[int, str]]:
+    return [
+        (len(form.split()), relation)
+        for relation, forms in RELATIONS.items()
+        for form in forms
+        if list(words[start : start + len(form.split())]) == form.split()
+    ]
 
 
 def _ordered(words: Sequence[str], source: str) -> tuple[Sequence[str], str, int]:
@@ -218,13 +231,15 @@ def _rank(word: str) -> int | None:
 
 def _noun(words: Sequence[str], source: str) -> str:
     words = words[1:] if words and words[0].lower() in ARTICLES else words
-    if not words:
+    if words and not words[-1].startswith(_SPACE):
+        words = [*words[:-1], words[-1].rstrip(_STOPS)]
+    if not (noun := _joined(words)):
         raise _refusal(source, "a thing is missing")
-    return _joined(words)
+    return noun
 
 
 def _joined(words: Sequence[str]) -> str:
-    return " ".join(words).replace(_SPACE, " ").strip()
+    return " ".join(" ".join(words).replace(_SPACE, " ").split())
 
 
 def _anchor(words: Sequence[str], source: str, depth: int) -> Target:

@@ -176,13 +176,15 @@ def make_question(
 
 def naming_question(field: LanguageField, words: Sequence[str] = ()) -> Question[Any]:
     """Return the question of the words that name things, each as it is; by default all names of the field's word table,
-    or everyday words, and the names that a model gave to its things."""
+    or everyday words and the names that a model gave to its things."""
     encoder = field.text_encoder()
 
     def made() -> Question[Any]:
         given = None if field.thing_table is None else field.thing_table.names
-        known = () if given is None else (text for text in given.texts if text in encoder)
-        every = words or (*everyday_vocabulary(encoder), *known)
+        every = words or everyday_vocabulary(encoder)
+        if not words and given is not None and encoder.names is None:  # a table has no more than its names
+            folded = {word.casefold() for word in every}
+            every = (*every, *(text for text in given.texts if text.casefold() not in folded))
         return make_question(field, literal([*dict.fromkeys(every)]))
 
     return field.kept((naming_question, tuple(words), encoder), made)
