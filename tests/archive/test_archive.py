@@ -465,10 +465,14 @@ def other_parquet(column: str) -> Callable[[Path], None]:
         other_parquet("REPLACE ([{'thing': 99999, 'gaussians': 1}] AS shares)"),
     ],
 )
-def test_a_damaged_scan_is_named(archive: scoup.Archive, damage: Callable[[Path], Any]) -> None:
+def test_a_damaged_scan_is_named_and_replaced(
+    archive: scoup.Archive, fields: dict[str, LanguageField], damage: Callable[[Path], Any]
+) -> None:
     damage(archive.folder / "office.parquet")
     with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
         scoup.Archive(archive.folder).find("mug")
+    archive.add(fields["office"])
+    assert "office" in {each.scan for each in archive.find("mug")}
 
 
 @pytest.mark.parametrize(

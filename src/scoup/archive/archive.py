@@ -179,8 +179,11 @@ class Archive:
             )
         file = file_of(self.folder, name)
         about = self._check_model(field)
-        if file.exists() and (old := self._kept.records([name])[0].field_path) != path and old.exists():
-            raise InputError(f"{path}: the scan {name} of this archive is of {old}; rename one of the fields")
+        if file.exists():
+            with suppress(FileFormatError):  # a damaged scan is replaced
+                if (old := self._kept.records([name])[0].field_path) != path and old.exists():
+                    problem = f"the scan {name} of this archive is of {old}"
+                    raise InputError(f"{path}: {problem}; rename one of the fields")
         place = relative_place(file.resolve(), path) or ""
         sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
         record = ScanRecord(name, file, place, field.embedding_model, *sizes, "", torch.zeros(0))
