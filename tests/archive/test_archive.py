@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +27,7 @@ from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive import kept_scans
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
-from scoup.archive.read_scans import ScanBlock, read_block
+from scoup.archive.read_scans import ScanBlock, read_block, read_records
 from scoup.archive.results_page import results_page
 from scoup.archive.scan_files import ScanRecord
 from scoup.archive.search import ImageSearch, Search
@@ -271,6 +272,56 @@ def flipped(path: Path, place: int) -> None:
     data = bytearray(path.read_bytes())
     data[place] ^= 1
     path.write_bytes(data)
+
+
+def test_threads_ask_while_scans_are_removed_and_replaced(
+    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_scans, "LEAST_KEPT", 1)
+    files = sorted(archive.folder.glob("*.parquet"))[:2]
+    contents = [file.read_bytes() for file in files]
+    done, errors = threading.Event(), list[Exception]()
+
+    def ask() -> None:
+        try:
+            while not done.is_set():
+                for found in (archive.find("lamp"), archive.find("lamp", "floor < 9"), archive.scans()):
+                    assert found
+        except Exception as error:
+            errors.append(error)
+
+    askers = [threading.Thread(target=ask, daemon=True) for _ in range(4)]
+    for asker in askers:
+        asker.start()
+    for _ in range(100):
+        for file, content in zip(files, contents, strict=True):
+            file.unlink()
+            time.sleep(0.003)
+            new = archive.folder / ".new"
+            new.write_bytes(content)
+            new.replace(file)
+            time.sleep(0.003)
+    done.set()
+    for asker in askers:
+        asker.join()
+    assert errors == []
+    assert {each.scan for each in archive.find("lamp")} == set(fields)
+
+
+def test_scans_are_listed_again_if_one_has_gone(
+    archive: scoup.Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = ["office"]
+
+    def reading(files: Sequence[Path], connection: Any) -> list[ScanRecord]:
+        while gone:
+            (archive.folder / f"{gone.pop()}.parquet").unlink()
+        return read_records(files, connection)
+
+    monkeypatch.setattr(kept_scans, "read_records", reading)
+    assert set(archive.scans()) == {"hall", "kitchen"}
+    gone.append("hall")
+    assert {each.scan for each in archive.find("mug")} == {"kitchen"}
 
 
 def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
