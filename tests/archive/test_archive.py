@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -219,11 +220,11 @@ def test_what_has_not_changed_is_read_once(
 
     def reading(records: Sequence[ScanRecord], connection: Any) -> ScanBlock:
         read.append([record.name for record in records])
+        time.sleep(0.1)  # other threads wait
         return read_block(records, connection)
 
     monkeypatch.setattr(kept_scans, "read_block", reading)
-    for where in (None, "floor = 1", None):
-        archive.find("mug", where=where)
+    run_threads([partial(archive.find, "mug", where) for where in (None, "floor = 1", None)])
     archive.add(fields["hall"], floor=7)
     archive.find("mug")
     archive.remove("kitchen")
@@ -268,6 +269,14 @@ def test_what_was_read_of_many_scans_is_kept(
     assert (warm.find("mug"), found()) == ([], [])
 
 
+def run_threads(calls: Sequence[Callable[[], Any]]) -> None:
+    threads = [threading.Thread(target=call, daemon=True) for call in calls]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
 def flipped(path: Path, place: int) -> None:
     data = bytearray(path.read_bytes())
     data[place] ^= 1
@@ -290,20 +299,19 @@ def test_threads_ask_while_scans_are_removed_and_replaced(
         except Exception as error:
             errors.append(error)
 
-    askers = [threading.Thread(target=ask, daemon=True) for _ in range(4)]
-    for asker in askers:
-        asker.start()
-    for _ in range(100):
-        for file, content in zip(files, contents, strict=True):
-            file.unlink()
-            time.sleep(0.003)
-            new = archive.folder / ".new"
-            new.write_bytes(content)
-            new.replace(file)
-            time.sleep(0.003)
-    done.set()
-    for asker in askers:
-        asker.join()
+    def replace_files() -> None:
+        try:
+            for file, content in [*zip(files, contents, strict=True)] * 100:
+                file.unlink()
+                time.sleep(0.003)
+                new = archive.folder / ".new"
+                new.write_bytes(content)
+                new.replace(file)
+                time.sleep(0.003)
+        finally:
+            done.set()
+
+    run_threads([ask] * 4 + [replace_files])
     assert errors == []
     assert {each.scan for each in archive.find("lamp")} == set(fields)
 
@@ -325,15 +333,8 @@ def test_scans_are_listed_again_if_one_has_gone(
 
 
 def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
-    paths = [field.path for field in fields.values()] * 2
-    writers = [
-        threading.Thread(target=lambda path=path: scoup.Archive(tmp_path / "a").add(str(path)))
-        for path in paths
-    ]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
+    paths = [str(field.path) for field in fields.values()] * 2
+    run_threads([lambda path=path: scoup.Archive(tmp_path / "a").add(path) for path in paths])
     assert set(scoup.Archive(tmp_path / "a").scans()) == set(fields)
 
 
