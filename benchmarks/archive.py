@@ -18,7 +18,8 @@ from benchmarks.archive_scans import Floats, TrueScan, World
 from benchmarks.data import data_folder
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.study import Record, Study
-from scoup.query.matching import ComparedTable, choose_things
+from scoup.archive.search import rank_of
+from scoup.query.matching import HUB_SHARE, ComparedTable, choose_things
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import bootstrap_interval
 
@@ -26,7 +27,7 @@ FIRST = 10  # scans, for the recall
 TEXT = "teapot"
 
 
-RULES = {"cosine": "plain cosine", "own": "score in its own scan (`scoup archive`)"}
+RULES = {"cosine": "plain cosine", "own": "score in its own scan", "rank": "score and lead (`scoup archive`)"}
 """Key -> title of what scans are ordered by."""
 
 
@@ -81,28 +82,32 @@ def _figures(world: World, scans: Sequence[TrueScan]) -> Record:
     """Return per text the figures of each rule, and the AUC of each rule over all scans and texts."""
     queries, everyday = world.of(world.asked), world.of(world.everyday)
     there = np.array([[bool(scan.boxes.get(word)) for word in world.asked] for scan in scans])
-    rows, placed = [], {"fits": np.zeros(there.shape), "cosines": np.zeros(there.shape)}
+    scores = {rule: np.zeros(there.shape) for rule in RULES}
+    placed = {rule: np.zeros(there.shape) for rule in RULES}
     for number, true in enumerate(scans):
         scan = true.scan
         known = ComparedTable.known(scan.table, everyday, scan.hubs, scan.counts, scan.shared)
         fits = known.fits(queries)
-        cosines = torch.where(known.usable[:, None], known.embeddings @ queries.T, -torch.inf).max(0)
-        things = [[] if choice is None else choice.things.tolist() for choice in choose_things(known, fits)]
-        best = [of[int(fits[of, text].argmax())] for text, of in enumerate(things)]
-        for name, chosen in (("fits", best), ("cosines", cosines.indices.tolist())):
-            placed[name][number] = [
-                true.contains(word, thing) for word, thing in zip(world.asked, chosen, strict=True)
-            ]
-        rows.append((fits[best, range(len(best))], cosines.values, scan.record.best_fits))
-    fits, cosines, null = (torch.stack(part).double().numpy() for part in zip(*rows, strict=True))
-    scores = {"cosine": cosines, "own": (null[:, None] < fits[:, :, None]).mean(2) + 1e-6 * fits}
+        chosen = torch.zeros_like(fits, dtype=torch.bool)
+        for text, choice in enumerate(choose_things(known, fits)):
+            if choice is not None:
+                chosen[choice.things, text] = True
+        null = scan.record.best_fits.sort().values
+        own = torch.searchsorted(null, fits.contiguous()).double() / len(null)
+        leads = fits - (1 - HUB_SHARE) * known.hubs[:, None] / scan.table.spread
+        cosines = torch.where(known.usable[:, None], known.embeddings @ queries.T, -torch.inf).double()
+        of_things = {"own": own + 1e-6 * fits, "rank": rank_of(own, leads)}
+        of_things = {rule: torch.where(chosen, of, -torch.inf) for rule, of in of_things.items()}
+        for rule, of in {"cosine": cosines, **of_things}.items():
+            scores[rule][number], things = (each.numpy() for each in of.max(0))
+            placed[rule][number] = [true.contains(*each) for each in zip(world.asked, things, strict=True)]
     texts: Record = {}
     for text in np.flatnonzero(there.any(0) & ~there.all(0)):
         mine = there[:, text]
         texts[world.asked[text]] = {
             rule: [
                 *_ranking(score[:, text], mine),
-                float(placed["cosines" if rule == "cosine" else "fits"][mine, text].mean()),
+                float(placed[rule][mine, text].mean()),
             ]
             for rule, score in scores.items()
         }

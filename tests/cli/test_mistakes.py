@@ -261,6 +261,7 @@ UNREAD = {
     "a.lcc": ("x", "splats in .lcc files are not read; convert it with splat-transform (splat-transform a.lcc a.ply), "
               "or open it in the SuperSplat editor"),
     "a.usdz": ("x", ".usdz files are not read, whether they hold a splat or a mesh; export the trained splat as PLY"),
+    "a.usd": ("x", ".usd files are not read, whether they hold a splat or a mesh; export the trained splat as PLY"),
     "a.las": ("x", "a .las file contains a mesh or a point cloud, not a trained splat; use the splat that training"),
     "a.ply.gz": ("x", "is an archive; unpack it"),
     "list/transforms.json": ('[{"file_path": "a.png"}]',

@@ -49,11 +49,15 @@ def test_relevancy_equals_decoding_to_d_dimensions(scene, tmp_path, n_atoms):
     back = LanguageField.load(tmp_path / "f.scoup", gaussians)
     queries, canonical = unit(torch.randn(3, 16)), unit(torch.randn(4, 16))
     actual = back.relevancy(cameras[0], queries, canonical)
+    own = back.gaussian_relevancy(queries, canonical)
     for s, level in enumerate(back.levels):
         features = back.render_features(cameras[0], level)
         against = (features @ canonical.T).amax(-1, keepdim=True)
         expected = torch.sigmoid(10 * (features @ queries.T - against)).permute(2, 0, 1)
         assert torch.allclose(actual[s], expected, atol=1e-4)
+        decoded = back.gaussian_features(level)
+        best = (decoded @ canonical.T).amax(1, keepdim=True)
+        assert torch.allclose(own[s].T, torch.sigmoid(10 * (decoded @ queries.T - best)), atol=1e-4)
 
 
 def test_eight_bit_weights_are_close(field, tmp_path):

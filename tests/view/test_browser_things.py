@@ -236,7 +236,14 @@ def test_clicks_select_things_their_groups_and_parts(visit: Visit) -> None:
 
 @both_pages
 def test_a_known_length_says_how_many_metres_a_unit_has(visit: Visit) -> None:
-    plain, said = visit.picture(), visit.page.locator("#measured")
+    said, away = visit.page.locator("#measured"), visit.page.locator("#place dd").last
+    pick(visit, "mug")
+    visit.page.get_by_role("button", name="What is here?").click()
+    away.filter(has_text=" units away").wait_for()
+    visit.page.get_by_role("button", name="Clear").click()
+    visit.page.mouse.move(0, 0)
+    visit.settle()
+    plain = visit.picture()
     visit.page.keyboard.press("m")
     for name, wanted in (("kettle", "Click the second point."), ("book", "Length ")):
         pick(visit, name)
@@ -247,10 +254,19 @@ def test_a_known_length_says_how_many_metres_a_unit_has(visit: Visit) -> None:
     visit.settle()
     changed = np.abs(visit.picture().astype(int) - plain).max(2) > 30
     assert 40 < changed.sum() < 400  # a line
-    visit.page.get_by_label("True length in metres").press_sequentially("0,6")
+    known, message = visit.page.get_by_label("True length in metres"), visit.page.locator("#message")
+    known.press_sequentially("0,6")
     option = visit.page.locator("#metres-per-unit").inner_text().removeprefix("Copy ")
     assert float(option.removeprefix("--metres-per-unit ")) == pytest.approx(0.6 / float(length), rel=0.01)
-    assert said.inner_text() == "Length 0.6 m"
+    for bad in ("abc", "1,234.5", "-1", "0"):
+        known.fill(bad)
+        known.press("Enter")
+        assert "must be a number above 0" in message.inner_text(), bad
+        assert known.get_attribute("aria-invalid") == "true"
+        assert said.inner_text() == "Length 0.6 m"  # the scale is kept
+    known.fill("0.6")
+    assert (message.inner_text(), known.get_attribute("aria-invalid")) == ("", "false")
+    assert away.inner_text().endswith(" m away")
     visit.ask("kettle")
     assert option in visit.page.evaluate("window.scoupViewer.command()")
     visit.remove("kettle")
@@ -399,6 +415,11 @@ def test_things_are_named_measured_hidden_and_saved(
     visit.settle()
     assert difference(visit.picture(), render(viewed, ~is_mug)) < ALIKE
     assert pick(visit, "mug") == []  # what is hidden is not clicked
+    visit.page.keyboard.press("m")
+    pick(visit, "mug")  # nor measured
+    visit.page.locator("#message").filter(has_text="Nothing is at this point").wait_for()
+    assert visit.page.locator("#measured").inner_text() == "Click the first point."
+    visit.page.keyboard.press("Escape")
     visit.page.get_by_role("button", name="Show 1 hidden").click()
     assert visit.state()["things"]["hidden"] == []
     visit.page.reload()

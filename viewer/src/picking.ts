@@ -75,15 +75,17 @@ export interface Words {
 }
 
 /** What the scene says is along a ray: the words that fit the sum of the codes best, level by level. */
-export function placeAlong(scene: Scene, ray: THREE.Ray, pixel: number, words: Words): Place {
-  const painted = hits(scene, ray, pixel);
+export function placeAlong(scene: Scene, ray: THREE.Ray, painted: Painted[], words: Words): Place {
+  const levels = painted.length ? scene.metadata.levels.map((level, s) => wordsAt(scene, painted, s, level, words)) : [];
+  return { ...middle(ray, painted), levels };
+}
+
+/** The point of a ray with half of what is painted along it; null where nothing is. */
+export function middle(ray: THREE.Ray, painted: Painted[]): Pick<Place, "position" | "distance"> {
   const total = painted.reduce((sum, { weight }) => sum + weight, 0);
-  if (!(total > 0)) return { position: null, distance: null, levels: [] };
   let light = 0;
-  const middle = painted.find(({ weight }) => (light += weight) >= total / 2) ?? painted[0];
-  const levels = scene.metadata.levels.map((level, s) => wordsAt(scene, painted, s, level, words));
-  const point = ray.at(middle.distance, new THREE.Vector3());
-  return { position: point.toArray(), distance: middle.distance, levels };
+  const distance = painted.find(({ weight }) => (light += weight) >= total / 2)?.distance ?? null;
+  return { position: distance === null ? null : ray.at(distance, new THREE.Vector3()).toArray(), distance };
 }
 
 function wordsAt(scene: Scene, painted: Painted[], s: number, level: string, words: Words): Place["levels"][number] {

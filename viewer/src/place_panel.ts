@@ -4,7 +4,8 @@ import { button, byId, copy, element } from "./dom";
 import { levelFact, showFacts } from "./panel";
 import type { State } from "./state";
 
-export function showPlace(place: Place, state: State): void {
+/** Show a place; call what is returned once lengths have another unit. */
+export function showPlace(place: Place, state: State): () => void {
   const panel = byId("place");
   panel.hidden = false;
   const close = button("✕", hidePlace, { "aria-label": "Close" });
@@ -12,7 +13,7 @@ export function showPlace(place: Place, state: State): void {
   if (place.position === null) {
     panel.replaceChildren(heading, "nothing: no Gaussian contributes to this point.");
     panel.scrollIntoView({ block: "nearest" });
-    return;
+    return () => {};
   }
   const list = element("dl");
   for (const { level, confidence, words } of place.levels) {
@@ -25,9 +26,16 @@ export function showPlace(place: Place, state: State): void {
     list.append(title, said);
   }
   const position = place.position.map((part) => part.toPrecision(5)).join(", ");
-  list.append(element("dt", {}, "position, distance"), element("dd", {}, `(${position}), ${state.lengths(place.distance!)} away`));
+  const where = element("dd");
+  const sayWhere = () => {
+    const said = `(${position}), ${state.lengths(place.distance!)} away`;
+    if (where.textContent !== said) where.textContent = said; // which is read aloud
+  };
+  sayWhere();
+  list.append(element("dt", {}, "position, distance"), where);
   panel.replaceChildren(heading, list, button("Copy position", () => void copy(`[${position}]`)));
   panel.scrollIntoView({ block: "nearest" });
+  return sayWhere;
 }
 
 export function hidePlace(): void {

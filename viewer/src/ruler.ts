@@ -8,12 +8,9 @@ export class Ruler {
   private readonly known = byId<HTMLInputElement>("known-length");
   private readonly option = byId("metres-per-unit");
 
-  constructor(private readonly state: State) {
+  constructor(private readonly state: State, private readonly say: (sentence: string) => void) {
     this.button.addEventListener("click", () => this.toggle());
-    this.known.addEventListener("input", () => {
-      const unit = Number(this.known.value.replace(",", ".")) / lengthOf(state.measured!);
-      state.set({ metresPerUnit: unit > 0 && unit < Infinity ? Number(unit.toPrecision(4)) : null });
-    });
+    for (const event of ["input", "change"]) this.known.addEventListener(event, () => this.read(event === "change"));
     this.option.addEventListener("click", () => void copy(this.option.textContent!.replace("Copy ", "")));
   }
 
@@ -27,7 +24,24 @@ export class Ruler {
     const { measured } = this.state;
     if (!measured) return; // ended meanwhile
     this.known.value = "";
+    this.mark(false);
     this.state.set({ measured: measured.length === 1 ? [...measured, point] : [point] });
+  }
+
+  /** Take the true length that is typed; a bad one changes nothing, and is marked once it is whole. */
+  private read(isWhole: boolean): void {
+    const { measured } = this.state;
+    if (measured?.length !== 2) return; // the field loses the focus as it is hidden
+    const typed = this.known.value.trim().replace(",", ".");
+    const unit = Number(typed) / lengthOf(measured);
+    const isBad = typed !== "" && !(unit > 0 && unit < Infinity);
+    this.mark(isBad && isWhole);
+    if (!isBad) this.state.set({ metresPerUnit: typed ? Number(unit.toPrecision(4)) : null });
+  }
+
+  private mark(isBad: boolean): void {
+    this.known.setAttribute("aria-invalid", String(isBad));
+    this.say(isBad ? "The true length must be a number above 0, such as 0.6." : "");
   }
 
   update(): void {

@@ -11,7 +11,7 @@ import type { ExportedPage } from "./exported";
 import { Hovering } from "./hovering";
 import { listenToKeys } from "./keys";
 import { Panel } from "./panel";
-import { hits, placeAlong, type Painted } from "./picking";
+import { hits, middle, placeAlong, type Painted } from "./picking";
 import { Parts } from "./parts";
 import { hidePlace, showPlace } from "./place_panel";
 import { owned, plyOf, selected } from "./ply";
@@ -43,6 +43,8 @@ export class Viewer {
   private thingPanel: ThingPanel | null = null;
   /** The point that was clicked last, until the camera moves. */
   private clicked: [number, number] | null = null;
+  /** Say again where the place of the panel is. */
+  private sayWhere: () => void = () => {};
   private hovering: Hovering | null = null;
   private readonly outlines: SelectionOutline | null;
   /** Parts of which some are merged; null while that changes. */
@@ -68,7 +70,7 @@ export class Viewer {
       : null;
     this.outlines = scene ? new SelectionOutline(() => this.scene!, () => this.stage.drawn(), this.eye, this.state, this.canvas) : null;
     this.panel = new Panel(this.state, metadata, !scene);
-    this.ruler = new Ruler(this.state);
+    this.ruler = new Ruler(this.state, onError);
     listCameras(metadata.cameras, source, (camera) => void this.flyTo(camera));
     this.state.onChange = () => this.changed();
     this.eye.onMove = () => this.moved();
@@ -210,29 +212,29 @@ export class Viewer {
 
   /** The Gaussians that are seen at a point, without those that are hidden. */
   private along(x: number, y: number): Painted[] {
-    const { clientWidth: width, clientHeight: height } = this.canvas;
-    const ray = this.eye.ray(x, y, width, height);
-    const pixel = 1 / this.eye.record(width, height).K[4];
-    return hits(this.scene!, ray, pixel, (gaussian) => this.state.things!.hides(this.scene!, gaussian));
+    const pixel = 1 / this.camera().K[4];
+    return hits(this.scene!, this.ray(x, y), pixel, (gaussian) => this.state.things?.hides(this.scene!, gaussian) ?? false);
   }
+
+  private readonly ray = (x: number, y: number) => this.eye.ray(x, y, this.canvas.clientWidth, this.canvas.clientHeight);
 
   /** Say what is at a point of the picture, in its own pixels. */
   async point(x: number, y: number): Promise<void> {
-    const place = await this.marked(x, y);
+    const place = await this.marked(x, y, () => this.placeAt(x, y));
     if (!place) return;
     showTab("answers");
-    showPlace(place, this.state);
+    this.sayWhere = showPlace(place, this.state);
     if (place.position) this.eye.lookAround(place.position);
   }
 
   private async measure(x: number, y: number): Promise<void> {
-    const place = await this.marked(x, y);
+    const place = await this.marked(x, y, () => (this.scene ? middle(this.ray(x, y), this.along(x, y)) : this.placeAt(x, y)));
     if (place?.position) this.ruler.add(place.position);
     else if (place) this.say("Nothing is at this point: click on something.");
   }
 
   /** Mark a point and find what is there; null if that fails, or if another point is clicked meanwhile. */
-  private async marked(x: number, y: number): Promise<Place | null> {
+  private async marked<Found>(x: number, y: number, find: () => Found | Promise<Found>): Promise<Found | null> {
     this.say("");
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const marker = byId("marker");
@@ -242,7 +244,7 @@ export class Viewer {
     marker.hidden = false;
     const number = ++this.clicks;
     try {
-      const place = await this.placeAt(x, y, width, height);
+      const place = await find();
       return number === this.clicks ? place : null;
     } catch (error) {
       this.say((error as Error).message);
@@ -250,11 +252,9 @@ export class Viewer {
     }
   }
 
-  private async placeAt(x: number, y: number, width: number, height: number): Promise<Place> {
-    if (this.server) return this.server.point(this.eye.record(width, height), [x, y]);
-    const page = this.source as ExportedPage;
-    const pixel = 1 / this.eye.record(width, height).K[4];
-    return placeAlong(this.scene!, this.eye.ray(x, y, width, height), pixel, await page.clickWords());
+  private async placeAt(x: number, y: number): Promise<Place> {
+    if (this.server) return this.server.point(this.camera(), [x, y]);
+    return placeAlong(this.scene!, this.ray(x, y), this.along(x, y), await (this.source as ExportedPage).clickWords());
   }
 
   say(sentence: string): void {
@@ -270,6 +270,7 @@ export class Viewer {
   private changed(): void {
     this.panel.update();
     this.ruler.update();
+    this.sayWhere();
     this.thingPanel?.update();
     this.stage.update();
     this.outlines?.changed();

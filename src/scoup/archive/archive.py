@@ -27,7 +27,7 @@ from scoup.archive.scan_files import (
     connect,
     write_scan,
 )
-from scoup.archive.search import Asked, Encode, ImageSearch, Rank, Search, words_digest
+from scoup.archive.search import Asked, Encode, ImageSearch, Search, words_digest
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.atomic import write_text
 from scoup.base.errors import (
@@ -372,7 +372,7 @@ class Archive:
     def _best(
         self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None, top: int
     ) -> list[FoundThing]:
-        best: list[tuple[Rank, FoundThing]] = []
+        best: list[tuple[float, FoundThing]] = []
         for bound, asked in self._ranked(search, wanted):
             if len(best) >= top and best[-1][0] >= bound:
                 break  # all that follow are lower
@@ -381,7 +381,7 @@ class Archive:
 
     def _ranked(
         self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None
-    ) -> Iterator[tuple[Rank, Asked]]:
+    ) -> Iterator[tuple[float, Asked]]:
         """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
         places = self._kept.places()
         bounds = {block: search.bounds(block) for block in {block for block, _ in places.values()}}
@@ -434,7 +434,7 @@ class Archive:
         return Scan(record, table, known.counts, known.shared, known.hubs, places)
 
 
-def _found(asked: Asked, wanted: dict[str, set[int]] | None) -> Iterator[tuple[Rank, FoundThing]]:
+def _found(asked: Asked, wanted: dict[str, set[int]] | None) -> Iterator[tuple[float, FoundThing]]:
     """Yield the things of a scan that answer and are wanted, best first."""
     scan, record = asked.scan, asked.scan.record
     for number, text in asked.things():

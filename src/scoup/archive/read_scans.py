@@ -121,6 +121,11 @@ class ScanBlock:
         lowered = HUB_SHARE * of["hub"] * self.scales + doubts(of["regions"], of["stability"])
         return lowered.masked_fill((of["gaussians"] <= 0) | (of["mass"] <= 0), torch.inf)
 
+    @cached_property
+    def rest_of_hubs(self) -> Tensor:
+        """[T] float32: a thing's lead is its fit less this: what ``lowered`` leaves of its cosines with words."""
+        return (1 - HUB_SHARE) * torch.from_numpy(self.columns["hub"]) * self.scales
+
     def cosines(self, queries: Tensor) -> Tensor:
         """Return the cosines [T, Q] of all things with unit vectors [Q, D]."""
         vectors = torch.from_numpy(self.columns["vector"])

@@ -12,12 +12,14 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.console import Console
 from scoup.cli.options import (
+    Model,
     OptionalInteger,
     OptionalNumber,
     OptionalPath,
     OptionalText,
     OptionGroups,
     WritesCommon,
+    arg,
 )
 
 if TYPE_CHECKING:
@@ -34,22 +36,17 @@ class SearchArchive(WritesCommon):
         "search": "image where top at_least presence text page",
     }
 
-    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+    folder: Annotated[tyro.conf.Positional[Path], arg(metavar="DIR")]
     """Folder of the archive; made when the first scan is added."""
-    question: Annotated[
-        tyro.conf.Positional[str | None], tyro.conf.arg(metavar="TEXT", help_behavior_hint="")
-    ] = None
+    question: tyro.conf.Positional[OptionalText] = None
     """What to find: a text, or a phrase such as "mug left of the laptop"."""
-    add: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FIELD [FIELD ...]", help_behavior_hint="")] = ()
+    add: Annotated[tuple[Path, ...], arg(metavar="FIELD [FIELD ...]")] = ()
     """Add .scoup files as scans, each named as its file; a scan that is there is replaced."""
-    remove: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = ()
+    remove: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
     """Remove scans; their fields stay."""
-    list_scans: Annotated[bool, tyro.conf.arg(name="list", help_behavior_hint="")] = False
+    list_scans: Annotated[bool, arg(name="list")] = False
     """List the scans."""
-    columns: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
-        tyro.conf.arg(name="set", metavar="NAME=VALUE", help_behavior_hint=""),
-    ] = ()
+    columns: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(name="set", metavar="NAME=VALUE")] = ()
     """With --add, a column of the scans for --where, such as floor=2; repeat it for several."""
     image: OptionalPath = None
     """Find what looks like the object in a picture, in place of TEXT. Needs the embedding model of the archive."""
@@ -61,7 +58,7 @@ class SearchArchive(WritesCommon):
     """Only scans with so many instances, those with the most first. Default: every thing that answers."""
     presence: OptionalNumber = None
     """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
-    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: that of the first field."""
     page: OptionalPath = None
     """Write what was found to this HTML file, with pictures. Each thing links to itself in the page of its scan that

@@ -21,7 +21,7 @@ import tyro
 from scoup.base.counts import counted
 from scoup.cli.build_options import BuildOptions
 from scoup.cli.console import Console, with_options
-from scoup.cli.options import OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import Model, OptionalPath, OptionalText, OptionGroups, arg
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
@@ -45,17 +45,17 @@ class Batch(BuildOptions):
         "output": "out archive text",
     }
 
-    scans: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCANS", help_behavior_hint="")]
+    scans: Annotated[tyro.conf.Positional[Path], arg(metavar="SCANS")]
     """Folder with a folder per scan: a splat and its scene, as for scoup build."""
     out: Path
     """Folder of the fields, each named as its scan."""
     archive: OptionalPath = None
     """Archive to which the fields are added, for scoup archive."""
-    text: Annotated[OptionalText, tyro.conf.arg(metavar="TABLE|MODEL", help_behavior_hint="")] = None
+    text: Model = None
     """Text encoder of the archive, as for scoup archive."""
     jobs: int = 1
     """Scans at a time, each in a process of its own."""
-    ray: Annotated[OptionalText, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    ray: Annotated[OptionalText, arg(metavar="ADDRESS")] = None
     """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
     nodes need scoup, and this folder, SCANS and --out under the same paths."""
     model: OptionalText = None

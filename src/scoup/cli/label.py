@@ -13,7 +13,7 @@ from scoup.base.counts import counted
 from scoup.base.file_names import unique_slugs
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, OptionGroups
+from scoup.cli.options import Names, OptionalPath, OptionGroups, arg
 from scoup.cli.query_options import AnswerOptions, CameraOptions, check_texts
 
 if TYPE_CHECKING:
@@ -39,9 +39,7 @@ class Label(AnswerOptions, CameraOptions):
         "output": "out outputs",
     }
 
-    texts: Annotated[
-        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="WORD [WORD ...]", help_behavior_hint="")
-    ] = ()
+    texts: Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="WORD [WORD ...]")] = ()
     """Things, for example "kettle" "mug left of the laptop" (docs/things.md), numbered from 0 in this order."""
     words: OptionalPath = None
     """File of further words, one per line, each taken as it is."""
@@ -53,9 +51,7 @@ class Label(AnswerOptions, CameraOptions):
     colours of the words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. usd:
     labels.usdc, a prim with label and box per thing. clouds: a point cloud per word. maps: a PNG with palette for each
     camera, and coco.json."""
-    camera: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
-    ] = ()
+    camera: Names = ()
     """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
 
     def run(self, console: Console) -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
-
-import tyro
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.base.counts import counted
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalNumber, OptionalPath, OptionalText, OptionGroups
+from scoup.cli.options import Flag, Names, OptionalNumber, OptionalPath, OptionalText, OptionGroups, Texts
 from scoup.cli.query_options import AnswerOptions, CameraOptions, check_metres, check_texts
 
 if TYPE_CHECKING:
@@ -36,9 +34,7 @@ class Select(AnswerOptions, CameraOptions):
         "output": "out edit color opacity picture metres_per_unit",
     }
 
-    texts: Annotated[
-        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="TEXT [TEXT ...]", help_behavior_hint="")
-    ]
+    texts: Texts
     """What to look for: "kettle", "mug and not handle", mug + cup - handle. Texts without and, or, not, + or - between
     them are combined with or. "mug left of the laptop", "largest box" and "second chair from the left" select things by
     relation or order (docs/things.md). A text in inner double quotes is taken literally."""
@@ -61,9 +57,7 @@ class Select(AnswerOptions, CameraOptions):
     """Add Gaussians within this distance of the selection, in scene units."""
     picture: OptionalPath = None
     """Write a .png of the scene before, the selection, and the scene after."""
-    camera: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME", help_behavior_hint="")
-    ] = ()
+    camera: Names = ()
     """Of --picture: name of a camera. Default: the one that sees most of the selection."""
     metres_per_unit: OptionalNumber = None
     """Length of the scene's unit in metres, to print positions and sizes in metres, too."""

@@ -115,8 +115,7 @@ class Sam:
 
     def to_dict(self) -> dict[str, Any]:
         checked = {"segmenter_sha256": self.sha256} if self.sha256 else {}
-        precision = {} if self._dtype == torch.float32 else {"segmenter_precision": "bfloat16"}
-        return {"segmenter": self.name, "segmenter_revision": self.revision, **checked, **precision}
+        return {"segmenter": self.name, "segmenter_revision": self.revision, **checked}
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
         scaled = scale_to_square(image, self.side, self.stretches)
@@ -222,8 +221,12 @@ def _open_mobile_sam(name: str, revision: str | None, device: torch.device | str
 
 
 def reduce_precision(model: Any, device: torch.device | str, half: bool) -> None:
-    """Turn a ``SamModel`` to bfloat16 on a CPU that multiplies it, except the predicted IoU, which decides masks."""
-    if half and torch.device(device).type == "cpu" and torch.cpu._is_avx512_bf16_supported():
+    """Turn a ``SamModel`` to bfloat16 on a CPU that multiplies it, except the predicted IoU, which decides masks.
+
+    As 16 bits of a GPU, they are no setting: machines of both kinds may make the views of one folder.
+    """
+    is_supported = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)  # a private name of torch
+    if half and torch.device(device).type == "cpu" and is_supported():
         model.vision_encoder.bfloat16()
         model.mask_decoder.bfloat16().iou_prediction_head.float()
 
