@@ -7,9 +7,12 @@ import json
 import os
 import re
 import shutil
+import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +29,7 @@ from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive import kept_scans
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
-from scoup.archive.read_scans import ScanBlock, read_block
+from scoup.archive.read_scans import ScanBlock, read_block, read_records
 from scoup.archive.results_page import results_page
 from scoup.archive.scan_files import ScanRecord
 from scoup.archive.search import ImageSearch, Search
@@ -226,11 +229,11 @@ def test_what_has_not_changed_is_read_once(
 
     def reading(records: Sequence[ScanRecord], connection: Any) -> ScanBlock:
         read.append([record.name for record in records])
+        time.sleep(0.1)  # other threads wait
         return read_block(records, connection)
 
     monkeypatch.setattr(kept_scans, "read_block", reading)
-    for where in (None, "floor = 1", None):
-        archive.find("mug", where=where)
+    run_threads([partial(archive.find, "mug", where) for where in (None, "floor = 1", None)])
     archive.add(fields["hall"], floor=7)
     archive.find("mug")
     archive.remove("kitchen")
@@ -275,22 +278,73 @@ def test_what_was_read_of_many_scans_is_kept(
     assert (warm.find("mug"), found()) == ([], [])
 
 
+def run_threads(calls: Sequence[Callable[[], Any]]) -> None:
+    threads = [threading.Thread(target=call, daemon=True) for call in calls]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
 def flipped(path: Path, place: int) -> None:
     data = bytearray(path.read_bytes())
     data[place] ^= 1
     path.write_bytes(data)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no file that is open")
+def test_threads_ask_while_scans_are_removed_and_replaced(
+    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_scans, "LEAST_KEPT", 1)
+    files = sorted(archive.folder.glob("*.parquet"))[:2]
+    contents = [file.read_bytes() for file in files]
+    done, errors = threading.Event(), list[Exception]()
+
+    def ask() -> None:
+        try:
+            while not done.is_set():
+                for found in (archive.find("lamp"), archive.find("lamp", "floor < 9"), archive.scans()):
+                    assert found
+        except Exception as error:
+            errors.append(error)
+
+    def replace_files() -> None:
+        try:
+            for file, content in [*zip(files, contents, strict=True)] * 100:
+                file.unlink()
+                time.sleep(0.003)
+                new = archive.folder / ".new"
+                new.write_bytes(content)
+                new.replace(file)
+                time.sleep(0.003)
+        finally:
+            done.set()
+
+    run_threads([ask] * 4 + [replace_files])
+    assert errors == []
+    assert {each.scan for each in archive.find("lamp")} == set(fields)
+
+
+def test_scans_are_listed_again_if_one_has_gone(
+    archive: scoup.Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = ["office"]
+
+    def reading(files: Sequence[Path], connection: Any) -> list[ScanRecord]:
+        while gone:
+            (archive.folder / f"{gone.pop()}.parquet").unlink()
+        return read_records(files, connection)
+
+    monkeypatch.setattr(kept_scans, "read_records", reading)
+    assert set(archive.scans()) == {"hall", "kitchen"}
+    gone.append("hall")
+    assert {each.scan for each in archive.find("mug")} == {"kitchen"}
+
+
 def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
-    paths = [field.path for field in fields.values()] * 2
-    writers = [
-        threading.Thread(target=lambda path=path: scoup.Archive(tmp_path / "a").add(str(path)))
-        for path in paths
-    ]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
+    paths = [str(field.path) for field in fields.values()] * 2
+    run_threads([lambda path=path: scoup.Archive(tmp_path / "a").add(path) for path in paths])
     assert set(scoup.Archive(tmp_path / "a").scans()) == set(fields)
 
 
@@ -394,13 +448,17 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
     tool, image = archive_tool(archive), base64.b64encode(Path(f"{MUG}.png").read_bytes()).decode()
     told = tool(image=image, limit=2)["things"]
     assert [each["thing"] for each in told] == [each["thing"] for each in wanted]
+    no_picture = "^`image` is not a JPEG or PNG; pass a picture in base64$"  # without a path
     for arguments, said in (
-        ({"image": "?"}, "not base64"),
-        ({"image": "aaaa"}, "image: "),
+        ({"image": "?"}, no_picture),
+        ({"image": "aaaa"}, no_picture),
+        ({"image": image[:400]}, no_picture),
         ({"image": image, "text": "mug"}, "without `image`"),
+        ({"image": "", "text": "mug"}, "without `image`"),
+        ({"image": ""}, "expected an image or a text"),
         ({}, "expected an image or a text"),
     ):
-        with pytest.raises((InputError, FileFormatError), match=said):
+        with pytest.raises(InputError, match=said):
             tool(**arguments)
     # What a lamp is a part of, and its parts, are left out.
     ((block, number),) = archive._kept.places().values()
@@ -473,10 +531,14 @@ def other_parquet(column: str) -> Callable[[Path], None]:
         other_parquet("REPLACE ([{'thing': 99999, 'gaussians': 1}] AS shares)"),
     ],
 )
-def test_a_damaged_scan_is_named(archive: scoup.Archive, damage: Callable[[Path], Any]) -> None:
+def test_a_damaged_scan_is_named_and_replaced(
+    archive: scoup.Archive, fields: dict[str, LanguageField], damage: Callable[[Path], Any]
+) -> None:
     damage(archive.folder / "office.parquet")
     with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
         scoup.Archive(archive.folder).find("mug")
+    archive.add(fields["office"])
+    assert "office" in {each.scan for each in archive.find("mug")}
 
 
 @pytest.mark.parametrize(

@@ -168,8 +168,7 @@ def test_a_sample_that_is_not_valid_is_an_error(tmp_path: Path) -> None:
         target_of(Reader(FILE, lambda folder: fail(folder / FILE)), tmp_path)
 
 
-NOT_SHARED = {"spz, unpacked", "config.yml", "cfg.yml", "region sums", "scene of region sums",
-              "archive.json", "scan of an archive"}  # fmt: skip
+NOT_SHARED = {"spz, unpacked", "config.yml", "cfg.yml", "archive.json"}
 
 
 @pytest.mark.parametrize("name", [name for name in READERS if name not in NOT_SHARED])

@@ -90,7 +90,10 @@ def test_a_folder_is_not_searched_on_the_hub(tmp_path: Path) -> None:
     with pytest.raises(ScoupError, match=r"'short' cannot be loaded \(damaged\); .* or do without$"):
         load_pretrained(request, load)
     assert [files.model_id for files in calls] == [str(tmp_path)]
-    (tmp_path / "model.safetensors").write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
+    for name in ("tf_model.h5", "model.fp16.safetensors", "model.safetensors"):
+        with pytest.raises(ScoupError, match="damaged"):  # files that are not read do not matter
+            load_pretrained(request, load)
+        (tmp_path / name).write_text("version https://git-lfs.github.com/spec/v1\nsize 9\n")
     with pytest.raises(FileFormatError, match=r"model\.safetensors: is a pointer of Git LFS"):
         load_pretrained(request, load)
 

@@ -124,9 +124,11 @@ def test_other_files_are_refused(weights, tmp_path: Path) -> None:
             ScoupError, match=r"other.pt' cannot be loaded: it (is not MobileSAM|contains no weights)"
         ):
             open_sam(str(path))
-    path.write_bytes(b"no archive")
-    with pytest.raises(ScoupError, match="cannot be loaded"):
-        open_sam(str(path))
+    pointer = b"version https://git-lfs.github.com/spec/v1\n"
+    for content, said in ((b"no archive", "cannot be loaded"), (pointer, "is a pointer of Git LFS")):
+        path.write_bytes(content)
+        with pytest.raises(ScoupError, match=said):
+            open_sam(str(path))
 
 
 def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:

@@ -124,8 +124,10 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     refused(MissingFileError, "there is no such folder", "none")
     refused(MissingFileError, r"contains 0 files named \*encoder\*")
     save_encoder(tmp_path, second=True)
-    (tmp_path / "a_decoder.onnx").write_bytes(b"no model")
-    refused(FileFormatError, r"a_decoder.onnx: cannot be loaded")
+    pointer = b"version https://git-lfs.github.com/spec/v1\n"
+    for content, said in ((b"no model", "cannot be loaded"), (pointer, "is a pointer of Git LFS")):
+        (tmp_path / "a_decoder.onnx").write_bytes(content)
+        refused(FileFormatError, rf"a_decoder.onnx: {said}")
     (tmp_path / "a_decoder.onnx").unlink()
     save_decoder(tmp_path, second=False)
     refused(FileFormatError, "does not take its encoder")

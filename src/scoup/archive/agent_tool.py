@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import Any
 
-from scoup.archive.archive import Archive
+from scoup.archive.archive import Archive, FoundThing
 from scoup.base.errors import InputError
 from scoup.models.text import LONGEST
 
@@ -36,20 +36,17 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
         instances. Positions are in the units of each scan. In place of `text`, `image` is a picture of one object: a
         JPEG or PNG of up to 45 kB in base64. The score is then the cosine with it.
         """
-        asked = image is not None or text.strip()
-        if not asked or len(text) > LONGEST or not 1 <= limit <= MOST_FOUND:
+        if not (image or text.strip()) or len(text) > LONGEST or not 1 <= limit <= MOST_FOUND:
             raise InputError(
                 f"expected an image or a text of 1 to {LONGEST} characters, and a limit of 1 to {MOST_FOUND}"
             )
         if image is not None and (text.strip() or at_least is not None):
             raise InputError("`text` and `at_least` are for calls without `image`")
-        with one_at_a_time, TemporaryDirectory() as folder:
+        with one_at_a_time:
             if image is None:
                 found = archive.find(text, where, limit, at_least)
             else:
-                path = Path(folder, "image")
-                path.write_bytes(_decoded(image))
-                found = archive.find_image(path, where, limit)
+                found = _found_like(image, archive, where, limit)
         records = [each.to_dict() for each in found]
         for record in records:
             del record["field"]  # a path of this machine
@@ -58,8 +55,13 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
     return find_in_archive
 
 
-def _decoded(image: str) -> bytes:
-    try:
-        return base64.b64decode(image, validate=True)
-    except ValueError as error:
-        raise InputError(f"`image` is not base64 ({error})") from error
+def _found_like(image: str, archive: Archive, where: str | None, limit: int) -> list[FoundThing]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "image")
+        try:
+            path.write_bytes(base64.b64decode(image, validate=True))
+            return archive.find_image(path, where, limit)
+        except ValueError as error:  # of base64, or of Scoup
+            if isinstance(error, InputError) and getattr(error, "path", None) != path:
+                raise
+            raise InputError("`image` is not a JPEG or PNG; pass a picture in base64") from error

@@ -5,10 +5,10 @@ from __future__ import annotations
 import heapq
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -154,7 +154,7 @@ class Archive:
         Raises:
             FileFormatError: a file is damaged; the error names it.
         """
-        return {record.name: record for record in self._kept.records(scan_names(self.folder))}
+        return {record.name: record for record in self._kept.read_now(self._kept.records)}
 
     def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
         """Add a field as the scan that has the name of its file; the scan of that name is replaced.
@@ -179,8 +179,11 @@ class Archive:
             )
         file = file_of(self.folder, name)
         about = self._check_model(field)
-        if file.exists() and (old := self._kept.records([name])[0].field_path) != path and old.exists():
-            raise InputError(f"{path}: the scan {name} of this archive is of {old}; rename one of the fields")
+        if file.exists():
+            with suppress(FileFormatError):  # a damaged scan is replaced
+                if (old := self._kept.records([name])[0].field_path) != path and old.exists():
+                    problem = f"the scan {name} of this archive is of {old}"
+                    raise InputError(f"{path}: {problem}; rename one of the fields")
         place = relative_place(file.resolve(), path) or ""
         sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
         record = ScanRecord(name, file, place, field.embedding_model, *sizes, "", torch.zeros(0))
@@ -230,7 +233,7 @@ class Archive:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")
         encoder = self.text_encoder()
         search = Search.of(question, encoder, self._encode(encoder), at_least is not None, present_from)
-        wanted = None if where is None else self._wanted(where)
+        wanted = self._wanted(where)
         if at_least is None:
             return self._best(search, wanted, top)
         counted = [[*_found(asked, wanted)] for _, asked in self._ranked(search, wanted)]
@@ -254,7 +257,7 @@ class Archive:
         if top < 1:
             raise InputError(f"`top` must be 1 or more, got {top}")
         search = ImageSearch(Path(image).name, self._embedded(Path(image)))
-        return self._best(search, None if where is None else self._wanted(where), top)
+        return self._best(search, self._wanted(where), top)
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
         """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
@@ -390,11 +393,13 @@ class Archive:
         for bound, place in sorted(ranked, key=lambda each: each[0], reverse=True):
             yield bound, search.ask(self._kept.scan(*place))
 
-    def _wanted(self, where: str) -> dict[str, set[int]]:
-        """Return the things of each scan for which a condition holds."""
+    def _wanted(self, where: str | None) -> dict[str, set[int]] | None:
+        """Return the things of each scan for which a condition holds; None without a condition."""
+        return None if where is None else self._kept.read_now(partial(self._matching, where))
+
+    def _matching(self, where: str, names: Iterable[str]) -> dict[str, set[int]]:
         import duckdb
 
-        names = scan_names(self.folder)
         files = [str(file_of(self.folder, name)) for name in names]
         wanted: dict[str, set[int]] = {}
         if not files:

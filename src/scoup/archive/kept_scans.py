@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from threading import Lock
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from scoup.archive.read_scans import ScanBlock, read_block, read_records
 from scoup.archive.scan_files import ScanRecord, header_of, record_of
-from scoup.base.errors import ScoupError
+from scoup.base.errors import FileFormatError, ScoupError
 from scoup.uplift.storage.array_file import read_arrays, write_arrays
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ Stamp: TypeAlias = "tuple[int, int]"
 """Time and size of a file."""
 Place: TypeAlias = "tuple[ScanBlock, int]"
 """A scan: its block, and its number there."""
+Found = TypeVar("Found")
 
 
 def scan_names(folder: Path) -> list[str]:
@@ -57,12 +59,13 @@ class KeptScans:
         check: Callable[[Sequence[ScanRecord]], None],
     ) -> None:
         self._folder, self._connection, self._check = folder, connection, check
+        self._lock = Lock()  # of all that follow
         self._stamps: dict[str, Stamp] = {}
         self._places: dict[str, Place] = {}
         self._stored: ScanBlock | None = None  # what the file contains
         self.scan = lru_cache(SCANS_KEPT)(ScanBlock.scan)
 
-    def records(self, names: Sequence[str]) -> list[ScanRecord]:
+    def records(self, names: Iterable[str]) -> list[ScanRecord]:
         """Read the metadata of scans, and check them."""
         records = read_records([file_of(self._folder, name) for name in names], self._connection())
         self._check(records)
@@ -70,11 +73,33 @@ class KeptScans:
 
     def places(self) -> dict[str, Place]:
         """Return the scans as they are now, by name."""
+        with self._lock:
+            return self.read_now(self._updated)
+
+    def read_now(self, read: Callable[[dict[str, Stamp]], Found]) -> Found:
+        """Return ``read(stamps)`` of the scans as they are now; again if it failed and they have changed.
+
+        Where the error names a scan, that one must have changed: others may be added all the time.
+        """
+        while True:
+            stamps = self._listed()
+            try:
+                return read(stamps)
+            except Exception as error:  # DuckDB has its own
+                now = self._listed()
+                names = {error.path.stem} if isinstance(error, FileFormatError) else {*stamps, *now}
+                if all(stamps.get(name) == now.get(name) for name in names):
+                    raise
+
+    def _listed(self) -> dict[str, Stamp]:
         stamps: dict[str, Stamp] = {}
         for name in scan_names(self._folder):
             with suppress(FileNotFoundError):  # removed meanwhile
                 state = os.stat(f"{self._folder}/{name}{ENDING}")
                 stamps[name] = state.st_mtime_ns, state.st_size
+        return stamps
+
+    def _updated(self, stamps: dict[str, Stamp]) -> dict[str, Place]:
         if not self._stamps:
             self._read()
         if stamps != self._stamps:
@@ -83,9 +108,9 @@ class KeptScans:
             if new:
                 block = read_block(self.records(new), self._connection())
                 places = places | {name: (block, number) for number, name in enumerate(new)}
-            self._stamps, self._places = stamps, {name: places[name] for name in stamps}
+            self._places = self._written(stamps, {name: places[name] for name in stamps})
+            self._stamps = stamps
             self.scan.cache_clear()  # it has the old blocks
-            self._write()
         return self._places
 
     def _read(self) -> None:
@@ -102,19 +127,17 @@ class KeptScans:
             self._places = {name: (block, number) for number, (name, _, _) in enumerate(scans)}
             self._stamps = {name: (time, size) for name, (time, size), _ in scans}
 
-    def _write(self) -> None:
-        sizes = [(block, block.records[number].n_things) for block, number in self._places.values()]
+    def _written(self, stamps: dict[str, Stamp], places: dict[str, Place]) -> dict[str, Place]:
+        """Return scans, which are written if many differ from those in the file, as one block then."""
+        sizes = [(block, block.records[number].n_things) for block, number in places.values()]
         same = sum(size for block, size in sizes if block is self._stored)
         stored = 0 if self._stored is None else self._stored.starts[-1]
         total = sum(size for _, size in sizes)
         if not total or total + stored - 2 * same < max(LEAST_KEPT, SHARE_KEPT * total):
-            return
-        self._stored = block = ScanBlock.joined([*self._places.values()])
-        self._places = {name: (block, number) for number, name in enumerate(self._places)}
+            return places
+        self._stored = block = ScanBlock.joined([*places.values()])
         headers = map(header_of, block.records)
-        header = {
-            "version": VERSION,
-            "scans": [*zip(self._stamps, self._stamps.values(), headers, strict=True)],
-        }
+        header = {"version": VERSION, "scans": [*zip(stamps, stamps.values(), headers, strict=True)]}
         with suppress(ScoupError):  # a folder that is only read
             write_arrays(self._folder / KEPT, header, block.columns, overwrite=True)
+        return {name: (block, number) for number, name in enumerate(places)}

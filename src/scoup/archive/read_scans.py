@@ -20,6 +20,7 @@ from torch import Tensor
 
 from scoup.archive.scan_files import PLACE, Scan, ScanRecord, record_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base.existing import refuse_pointer
 from scoup.query.matching import HUB_SHARE, doubts
 from scoup.scene.names import NameTable
 from scoup.scene.things import ThingTable, cosine_spread
@@ -279,6 +280,7 @@ def _read(
         file = file_of(items[0])
         if not file.is_file():
             raise MissingFileError.of(file, "a scan of an archive") from error
+        refuse_pointer(file)
         reason = (str(error) or type(error).__name__).splitlines()[0][:200]
         remedy = "add its field again, or remove the file"
         raise FileFormatError(file, f"is damaged, or not a scan of an archive ({reason})", remedy) from error

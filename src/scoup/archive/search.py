@@ -140,14 +140,16 @@ class AskedScan:
 
     @classmethod
     def of(cls, search: Search, scan: Scan) -> AskedScan:
-        if search.digest not in scan.compared:
+        compared = scan.compared.get(search.digest)
+        if compared is None:
             record = scan.record
             known_words = record.words == search.digest and len(record.best_fits) == len(search.words)
             hubs = scan.hubs if known_words else hub_cosines(scan.table, search.words)
             table = ComparedTable.known(scan.table, search.words, hubs, scan.counts, scan.shared)
+            compared = table, record.best_fits if known_words else table.best_fits
             scan.compared.clear()
-            scan.compared[search.digest] = table, record.best_fits if known_words else table.best_fits
-        known, best_fits = scan.compared[search.digest]
+            scan.compared[search.digest] = compared
+        known, best_fits = compared
         fits = known.fits(search.question.queries.float().cpu())
         scores = [NullScores(best_fits[: len(others)], others) for others in search.others]
         named = named_texts(scan.table, replace(search.question, near=search.near(scan.record)))

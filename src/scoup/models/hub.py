@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"  # before the name of a model of open_clip
 ONNX = "onnx:"  # before the path of an exported model
+_READ = re.compile(r"[^.]*\.(safetensors|json|txt)")  # of a folder; "model.fp16.safetensors" is not
 _SINCE = {"siglip2": "4.50", "tipsv2": "5.14"}  # of transformers
 _PATIENCE = (
     5.0  # seconds within which a hub that can be reached answers; its own client would try for a minute
@@ -178,7 +180,8 @@ def load_pretrained(request: ModelRequest, load: Callable[[Pretrained], Loaded])
         )
     if os.path.isdir(request.source):
         for file in sorted(Path(request.source).iterdir()):
-            refuse_pointer(file)
+            if _READ.fullmatch(file.name):
+                refuse_pointer(file)
     transformers = request.package("transformers", "models")
 
     def load_with(options: dict[str, Any]) -> Loaded:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from scoup.base.digests import file_sha256
 from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base.existing import refuse_pointer
 from scoup.models.hub import ONNX, ModelRequest
 from scoup.models.normalization import IMAGENET
 from scoup.models.sam import (
@@ -134,6 +135,7 @@ def _model_file(folder: Path, role: str) -> Path:
 
 def open_session(runtime: Any, path: Path) -> Any:
     """Load an ONNX model, with as many threads as torch has."""
+    refuse_pointer(path)
     options = runtime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
     options.log_severity_level = 4  # errors are raised, not printed

@@ -17,6 +17,7 @@ from torch.nn import functional
 
 from scoup.base.digests import file_sha256
 from scoup.base.errors import MissingFileError, ScoupError
+from scoup.base.existing import refuse_pointer
 from scoup.models import mobile_sam
 from scoup.models.hub import ModelRequest, Pretrained, hub_file, load_pretrained
 from scoup.models.normalization import HALF, IMAGENET, Normalization
@@ -206,6 +207,7 @@ def _open_mobile_sam(name: str, revision: str | None, device: torch.device | str
     request = ModelRequest("segmenter", name, WITHOUT_MODEL, mobile_sam.HUB_ID, revision, by_hand)
     transformers = request.package("transformers", "models")
     path = hub_file(request, mobile_sam.FILE) if name == MOBILE_SAM else Path(name)
+    refuse_pointer(path)
     try:
         model = mobile_sam.sam_of_checkpoint(transformers, path)
         sha256 = file_sha256(path)

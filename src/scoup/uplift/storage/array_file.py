@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, InputError, refused_read
+from scoup.base.existing import refuse_pointer
 from scoup.base.file_names import slug
 
 ENDING = ".safetensors"
@@ -89,6 +90,7 @@ def read_arrays(path: Path, written: bool = False) -> StoredArrays:
     head = data[8 : 8 + length].tobytes() if length < len(data) else b""
     found = _CHECKSUM.search(head)
     if found is None:
+        refuse_pointer(path)
         raise FileFormatError(path, "is not a file of region sums", "check the path")
     checksum = zlib.crc32(with_checksum(head, NO_CHECKSUM))
     for first in range(8 + length, 0 if written else len(data), _AT_A_TIME):
