@@ -21,7 +21,6 @@ from typing import Any
 
 import tyro
 
-from benchmarks.agents import Agents
 from benchmarks.answers import Real
 from benchmarks.archive import Archives
 from benchmarks.archive_times import ArchiveTimes
@@ -170,7 +169,6 @@ def scannet() -> str:
 
 
 STUDIES: dict[str, tuple[type[Study], str]] = {
-    "agents": (Agents, "agents"),
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
     "extract": (Extraction, "extract"),
