@@ -62,14 +62,14 @@ class ArchiveTimes(Study):
         heads = [f"{of['things']:,} things in {of['scans']:,} scans" for of in columns]
         first, *_ = columns
         body = [
-            *([what, *(f"{of['seconds'][what][1]:.2f} s" for of in columns)] for what in first["seconds"]),
+            *([what, *(f"{of['seconds'][what][0]:.2f} s" for of in columns)] for what in first["seconds"]),
             *(
                 [f"memory: {what}", *(f"{of['memory in MB'][what]:,.0f} MB" for of in columns)]
                 for what in first["memory in MB"]
             ),
             ["files", *(f"{of['files in MB']:,.0f} MB" for of in columns)],
         ]
-        return markdown(["processor time", *heads], body)
+        return markdown(["wall time", *heads], body)
 
 
 def _times(world: World, count: int, folder: Path) -> Record:
