@@ -131,6 +131,19 @@ def assert_answers_are_those_of(
             assert one.to_dict()["box"] == thing.to_dict()["box"]
 
 
+def test_things_are_counted_as_in_the_fields(
+    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
+) -> None:
+    places = torch.arange(len(fields["office"].gaussians))
+    few = fields["office"][(places < 1000) | (places % 30 == 0)]  # later things keep less than ten Gaussians
+    few.save(tmp_path / "few.scoup")
+    archive.add(few)
+    counts = {name: len(field.things()) for name, field in {**fields, "few": few}.items()}
+    assert archive.counts() == counts
+    assert few.thing_table is not None
+    assert 0 < counts["few"] < len(few.thing_table)
+
+
 def test_names_that_a_model_gave_answer_as_in_the_field(
     fields: dict[str, LanguageField], tmp_path: Path
 ) -> None:

@@ -47,6 +47,7 @@ from scoup.io.images import open_image, rgb_image
 from scoup.models.text import TextEncoder
 from scoup.query.boxes import OrientedBox
 from scoup.query.matching import compare_things
+from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import encode_texts, warn_of_another_model
 from scoup.query.things import things_of_table
 
@@ -155,6 +156,15 @@ class Archive:
             FileFormatError: a file is damaged; the error names it.
         """
         return {record.name: record for record in self._kept.read_now(self._kept.records)}
+
+    def counts(self) -> dict[str, int]:
+        """Return how many things each scan has, as ``field.things()`` counts them; errors as of ``scans``."""
+
+        def read(names: Iterable[str]) -> dict[str, int]:
+            listed = self._matching(f"gaussians >= {LEAST_GAUSSIANS}", names)
+            return {name: len(listed.get(name, ())) for name in names}
+
+        return self._kept.read_now(read)
 
     def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
         """Add a field as the scan that has the name of its file; the scan of that name is replaced.

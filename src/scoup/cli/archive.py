@@ -145,15 +145,15 @@ def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
 
 
 def _list(archive: Archive, console: Console, in_full: bool) -> None:
-    records = archive.scans()
+    records, counts = archive.scans(), archive.counts()
     if in_full:
         for name, record in records.items():
             own = "".join(f", {key} = {value}" for key, value in record.columns.items())
-            console.say(f"{name}: {counted(record.n_things, 'thing')} of {record.field_path}{own}")
-    things = sum(record.n_things for record in records.values())
-    console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {counted(things, 'thing')}")
+            console.say(f"{name}: {counted(counts[name], 'thing')} of {record.field_path}{own}")
+    things = counted(sum(counts.values()), "thing")
+    console.say(f"{archive.folder}: {counted(len(records), 'scan')}, {things}")
     scans = [
-        {"scan": name, "things": each.n_things, "field": each.field_path, "columns": dict(each.columns)}
+        {"scan": name, "things": counts[name], "field": each.field_path, "columns": dict(each.columns)}
         for name, each in records.items()
     ]
     console.result({"archive": archive.folder, "scans": scans})
