@@ -22,7 +22,7 @@ def test_features_become_a_field_that_can_be_queried():
     np.save("features.npy", field.gaussian_features("m").numpy())
     command = shlex.split("convert features.npy new.scoup --gaussians scene/point_cloud.ply --n-atoms 8")
     out = printed(*command, "--model", "scene/words.npz")
-    assert "new.scoup: 150 Gaussians, 8 atoms, levels m, m: mean cosine" in out
+    assert "new.scoup: 150 Gaussians, 8 atoms, levels m (mean cosine" in out
     assert run_json("info", "new.scoup")["geometry"].endswith("point_cloud.ply")
     texts = field.question("kettle", encoder="scene/words.npz")
     pair = [LanguageField.load(path).gaussian_relevancy(texts.queries, texts.canonical)[level, 0]

@@ -204,10 +204,13 @@ class Convert(WritesCommon):
     def _save(self, console: Console, field: LanguageField, embed_geometry: bool) -> None:
         field.save(self.target, self.overwrite, embed_geometry=embed_geometry)
         cosines = field.info.provenance.get("mean_cosine", {})
-        kept = "".join(f", {level}: mean cosine {cosine:.3f}" for level, cosine in cosines.items())
+        levels = [
+            f"{level} (mean cosine {cosines[level]:.3f})" if level in cosines else level
+            for level in field.levels
+        ]
         console.say(
             f"{self.target}: {counted(len(field), 'Gaussian')}, {counted(field.n_atoms, 'atom')}, "
-            f"levels {', '.join(field.levels)}{kept}"
+            f"levels {', '.join(levels)}"
         )
         console.result(
             {
