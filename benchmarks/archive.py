@@ -19,7 +19,7 @@ from benchmarks.data import data_folder
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.study import Record, Study
 from scoup.archive.search import rank_of
-from scoup.query.matching import HUB_SHARE, ComparedTable, choose_things
+from scoup.query.matching import ComparedTable, choose_things
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import bootstrap_interval
 
@@ -94,9 +94,8 @@ def _figures(world: World, scans: Sequence[TrueScan]) -> Record:
                 chosen[choice.things, text] = True
         null = scan.record.best_fits.sort().values
         own = torch.searchsorted(null, fits.contiguous()).double() / len(null)
-        leads = fits - (1 - HUB_SHARE) * known.hubs[:, None] / scan.table.spread
         cosines = torch.where(known.usable[:, None], known.embeddings @ queries.T, -torch.inf).double()
-        of_things = {"own": own + 1e-6 * fits, "rank": rank_of(own, leads)}
+        of_things = {"own": own + 1e-6 * fits, "rank": rank_of(own, known.leads(fits))}
         of_things = {rule: torch.where(chosen, of, -torch.inf) for rule, of in of_things.items()}
         for rule, of in {"cosine": cosines, **of_things}.items():
             scores[rule][number], things = (each.numpy() for each in of.max(0))

@@ -7,6 +7,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import torch
@@ -161,9 +162,12 @@ class AskedScan:
         fit, named = float(self.fits[thing, number]), self.named[number]
         score = self.scores[number](fit)
         score = score if named is None else named.score(score, thing)
-        lead = fit - (1 - matching.HUB_SHARE) * float(self.known.hubs[thing]) / self.known.things.spread
         known = torch.tensor(math.nan if score is None else score, dtype=torch.float64)
-        return score, float(rank_of(known, torch.tensor(lead)))
+        return score, float(rank_of(known, self._leads[thing, number]))
+
+    @cached_property
+    def _leads(self) -> Tensor:
+        return self.known.leads(self.fits)
 
     def things(self) -> list[tuple[int, str]]:
         """Return the numbers of the things that answer, each once and with the text it answers, best first."""

@@ -106,6 +106,10 @@ class ComparedTable:
         lowered = cosines - HUB_SHARE * self.hubs[rows, None]
         return lowered / self.things.spread - self.doubt[rows, None]
 
+    def leads(self, fits: Tensor) -> Tensor:
+        """Return how much better things fit texts than the everyday words that fit them best, [T, Q], of their fits."""
+        return fits - (1 - HUB_SHARE) * self.hubs[:, None] / self.things.spread
+
     @cached_property
     def best_fits(self) -> Tensor:
         """The best fit of each everyday word with a thing that it does not name, [B] float32.
