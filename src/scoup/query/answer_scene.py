@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer, AskedText, RunnerUp
 from scoup.query.matching import compare_things
@@ -28,7 +27,6 @@ def answer_scene(field: LanguageField, question: Question[Any]) -> list[Answer]:
     Raises:
         InputError: the vectors do not fit the field, or the threshold is not 0 to 1.
     """
-    check_arguments("answer_scene", field=(field, LanguageField), question=(question, Question))
     return list(each_answer(field, question))
 
 
@@ -49,7 +47,7 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
     if known is None:
         yield from _by_votes(field, question)
         return
-    fits = known.fits(question.queries.float().cpu())
+    fits = known.fits(question.queries)
     scores, names = null_scores(question, known.best_fits), named_texts(field.thing_table, question)
     for number, choice in enumerate(choose(known, fits, names, question.level)):
         text, score, named = question.texts[number], scores[number], names[number]

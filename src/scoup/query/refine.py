@@ -125,7 +125,7 @@ def choose_views(
     question = make_question(field, literal(list(texts)))
     known = compare_things(field, question)
     assert known is not None
-    fits = known.fits(question.queries.float().cpu())[known.usable]
+    fits = known.fits(question.queries)[known.usable]
     weights = (fits - fits.amax(0)).exp().amax(1) + SOME / max(1, len(fits))
     sizes = field.kept(
         (_apparent_sizes, *(camera.fingerprint() for camera in cameras)),

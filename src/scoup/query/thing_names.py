@@ -95,7 +95,7 @@ def named_things(field: LanguageField, words: Question[Any] | None) -> list[Thin
         field: with or without things.
         words: that may be names (``naming_question``); None: there is no encoder, and only a model's names are known.
     """
-    things = field.kept(Thing, lambda: all_things(field))
+    things = all_things(field)
     if words is None:
         return list(things)
     names, unnamed = thing_names(field, words), ThingName(("",), None)
