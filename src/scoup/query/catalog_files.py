@@ -109,8 +109,7 @@ def draw_things(
 def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
     """Return the camera that sees a thing largest, if any sees it, and one of its own, which looks at it from the side
     of the nearest camera, and from so near that it fills half; none of its own for a thing around that camera."""
-    best = _best_view(thing, cameras)
-    found = [] if best is None else [cameras[best]]
+    found = _best_view(thing, cameras)
     near = min(cameras, key=lambda each: float((each.position - thing.position).norm()))
     ahead = torch.nn.functional.normalize(thing.position - near.position, dim=0)
     eye = thing.position - ahead * max(thing.size, 1e-3) * near.fx / min(near.width, near.height)
@@ -128,21 +127,20 @@ def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
     return (share > COVERED * alpha.clamp(min=0.1)).cpu()
 
 
-def _best_view(thing: Thing, cameras: Sequence[Camera]) -> int | None:
-    """The camera whose image the thing's box fills most; None where none sees its middle."""
+def _best_view(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
+    """Return the camera whose image the thing's box fills most, if any sees its middle."""
     corners = torch.cat([thing.position[None], thing.box.corners()])
-    sizes = []
-    for camera in cameras:
-        seen = corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-        if float(seen[:, 2].min()) <= 0:
-            sizes.append(0.0)
-            continue
-        pixels = (seen @ camera.K.T)[:, :2] / seen[:, 2:]
+
+    def share(camera: Camera) -> float:
+        pixels, depths = camera.pixels(corners)
+        if float(depths.min()) <= 0 or not bool(camera.shows(corners[:1])):
+            return 0.0
+        low, high = pixels.aminmax(dim=0)
         size = pixels.new_tensor([camera.width, camera.height])
-        inside = bool(((pixels[0] >= 0) & (pixels[0] < size)).all())
-        low, high = (pixels.amin(0).clamp(min=0) / size, (pixels.amax(0) / size).clamp(max=1))
-        sizes.append(float((high - low).clamp(min=0).prod()) if inside else 0.0)
-    return sizes.index(max(sizes)) if max(sizes, default=0.0) > 0 else None
+        return float(((high / size).clamp(max=1) - low.clamp(min=0) / size).clamp(min=0).prod())
+
+    shares = [share(camera) for camera in cameras]
+    return [cameras[shares.index(max(shares))]] if max(shares) > 0 else []
 
 
 def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:

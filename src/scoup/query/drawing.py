@@ -193,11 +193,8 @@ def _preview(field: LanguageField) -> Picture | None:
     """The codes of the middle level in the first camera; None without a camera or geometry."""
     if field.cameras is None or not len(field.cameras) or not len(field):
         return None
-    camera = field.cameras[0]
-    scale = min(1.0, PREVIEW[0] / camera.width)
-    camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
     try:
-        view = field.at(camera)
+        view = field.at(0, min(1.0, PREVIEW[0] / field.cameras[0].width))
     except InputError:  # the geometry was moved; show the facts alone
         return None
     return code_drawing(field, len(field.levels) // 2, plain=True)(view)

@@ -158,13 +158,9 @@ def _apparent_sizes(field: LanguageField, cameras: Cameras) -> Tensor:
     radii = (squares / counts.clamp(min=1) - middles.square().sum(1)).clamp(min=0).sqrt()
     sizes = []
     for camera in cameras:
-        viewmat, K = camera.viewmat.float(), camera.K.float()
-        x, y, depth = (middles @ viewmat[:3, :3].T + viewmat[:3, 3]).T
-        u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]
-        inside = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        size = K[0, 0] * radii / depth / (LARGE * max(camera.width, camera.height))
-        sizes.append(torch.where(inside & (counts > 0), size.clamp(max=1), 0.0))
-    return torch.stack(sizes)
+        size = camera.fx * radii / camera.pixels(middles)[1] / (LARGE * max(camera.width, camera.height))
+        sizes.append(torch.where(camera.shows(middles) & (counts > 0), size.clamp(max=1), 0.0))
+    return torch.stack(sizes).float()
 
 
 def _photograph(camera: Camera) -> NDArray[np.uint8] | None:
