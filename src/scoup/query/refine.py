@@ -147,15 +147,10 @@ def _apparent_sizes(field: LanguageField, cameras: Cameras) -> Tensor:
     assert table is not None
     means = field.gaussians.means.float().cpu()
     means = torch.where(means.isfinite(), means, 0.0)
-    sums, squares, counts = torch.zeros(len(table), 3), torch.zeros(len(table)), torch.zeros(len(table))
-    for owners in table.owners.cpu().T:
-        mine = (owners >= 0).nonzero()[:, 0]
-        of = owners[mine].long()
-        sums.index_add_(0, of, means[mine])
-        squares.index_add_(0, of, means[mine].square().sum(1))
-        counts.index_add_(0, of, torch.ones(len(of)))
-    middles = sums / counts.clamp(min=1)[:, None]
-    radii = (squares / counts.clamp(min=1) - middles.square().sum(1)).clamp(min=0).sqrt()
+    counts = table.sums(torch.ones(len(means)))
+    middles = torch.stack([table.sums(axis) for axis in means.T], 1) / counts.clamp(min=1)[:, None]
+    squares = table.sums(means.square().sum(1)) / counts.clamp(min=1)
+    radii = (squares - middles.square().sum(1)).clamp(min=0).sqrt()
     sizes = []
     for camera in cameras:
         size = camera.fx * radii / camera.pixels(middles)[1] / (LARGE * max(camera.width, camera.height))
