@@ -61,7 +61,6 @@ def refine(
     texts: str | Sequence[str],
     model: ConceptModel | str,
     cameras: Cameras | None = None,
-    most_views: int = MOST_VIEWS,
 ) -> Refined:
     """Look for texts in photographs of a field with a model, and name the things of the field that it finds.
 
@@ -73,7 +72,6 @@ def refine(
         texts: to look for.
         model: or its name (``scoup.models.concepts.CONCEPTS``).
         cameras: with their photographs; by default the field's own. A camera without one is rendered.
-        most_views: to look at.
 
     Raises:
         InputError: the field has no things or no cameras.
@@ -89,7 +87,7 @@ def refine(
     model = open_concepts(model, device=field.codebook.device) if isinstance(model, str) else model
     views: list[tuple[Camera, Detections]] = []
     rendered = 0
-    for camera in choose_views(field, words, cameras, most_views):
+    for camera in choose_views(field, words, cameras):
         image = _photograph(camera)
         rendered += image is None
         views.append((camera, model.detect(_render(field, camera) if image is None else image, words)))

@@ -16,7 +16,7 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import null_scores
+from scoup.query.answer_scene import text_scores
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.matching import ComparedTable, compare_things
 from scoup.query.named import named_texts, voted_names
@@ -162,15 +162,10 @@ def text_fits(field: LanguageField, answer: Answer) -> tuple[ComparedTable, list
 
 def scored_things(field: LanguageField, answer: Answer, numbers: Sequence[int]) -> list[Thing]:
     """Return things by their numbers, with the text of an answer and their scores for it."""
-    known, fits = text_fits(field, answer)
-    (score,) = null_scores(answer.asked[0].question, known.best_fits)
-    (named,) = named_texts(field.thing_table, answer.asked[0].question)
-    scores = {
-        number: score(fits[number]) if named is None else named.score(score(fits[number]), number)
-        for number in numbers
-    }
+    (known, fits), question = text_fits(field, answer), answer.asked[0].question
+    (score,) = text_scores(question, known.best_fits, named_texts(field.thing_table, question))
     return [
-        replace(thing, text=answer.text, score=scores[thing.number or 0])
+        replace(thing, text=answer.text, score=score(fits[thing.number or 0], thing.number))
         for thing in things_of_table(field, numbers)
     ]
 
