@@ -315,11 +315,8 @@ def _seen(one: _Capture, other: _Capture, asked: NDArray[np.bool_]) -> Array:
     Args:
         asked: [M] boolean, the points that count.
     """
-    places, reach, seen = (
-        torch.from_numpy(one.places[asked]),
-        one.reach[asked],
-        np.zeros(int(asked.sum()), bool),
-    )
+    places, reach = torch.from_numpy(one.places[asked]), one.reach[asked]
+    seen = np.zeros(len(places), bool)
     for camera in other.field.cameras or ():
         small = camera.scaled(min(1.0, SIDE / max(camera.width, camera.height)))
         pixels, depths = (each.numpy() for each in small.pixels(places))

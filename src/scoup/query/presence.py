@@ -83,7 +83,7 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
 
 
 class TextScore:
-    """The score of one text, of its fit against the best fits of everyday words.
+    """The score of one text for a fit: against the best fits of everyday words, and by its name if it has one.
 
     Args:
         best_fits: [B] of the words in this scene.
