@@ -252,14 +252,14 @@ def check_further_queries(device: str) -> None:
         maps, known = pixel_relevancy(projection, there, asked.to(device), canonical.to(device), known)
         with NoWaiting():
             single = further_relevancy(projection, there, known, asked.to(device))
-        if known.graph is not None:
+        if known.one_query is not None:
             assert maps.equal(single)
         expected, _ = pixel_relevancy(
             reference, FieldCodes(here.indices, missing, codebook), asked, canonical, None
         )
         for found in (maps, single):
             assert_close(found.cpu().movedim((2, 3), (0, 1)), expected.movedim((2, 3), (0, 1)), 50.0, sure)
-    assert (known.graph is not None) == (device != "cpu")
+    assert (known.one_query is not None) == (device != "cpu")
 
 
 SMALL_CHECKS = (

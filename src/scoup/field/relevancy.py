@@ -7,6 +7,7 @@ and level, or a render of one channel per level: each Gaussian's own product W A
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,7 +15,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.cuda_graph import GraphedFunction
+from scoup.base.cuda_graph import graphed
 from scoup.base.errors import InputError
 from scoup.scene.code_sums import (
     atom_products,
@@ -121,11 +122,12 @@ class PixelCosines:
     inverse_norms: Tensor  # [H, W, S], 0 without a code
     canonical: Tensor  # [P, D], the phrases of the last query
     best: Tensor  # [H, W, S], their largest cosine
-    graph: GraphedFunction | None = None  # on a GPU: the maps [S, 1, H, W] of one query [1, D]
+    # On a GPU: the maps [S, 1, H, W] of one query [1, D] beside these phrases, as a CUDA graph.
+    one_query: Callable[[Tensor], Tensor] | None = None
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all tensors, without what the graph keeps: some 80 bytes per Gaussian."""
+        """Bytes of all tensors, without what a CUDA graph keeps: some 80 bytes per Gaussian."""
         return self.inverse_norms.nbytes + self.canonical.nbytes + self.best.nbytes
 
 
@@ -141,18 +143,19 @@ def pixel_relevancy(
     same_phrases = known is not None and torch.equal(known.canonical, canonical)
     vectors = queries if same_phrases else torch.cat([queries, canonical])
     if known is None or len(vectors) * len(codes.codebook) > MOST_CHANNELS:
-        return _rendered_in_full(projection, codes, queries, canonical)
+        maps, found = _rendered_in_full(projection, codes, queries, canonical)
+        return maps, known if known is not None and same_phrases else found
     if not same_phrases:
         cosines = _channel_cosines(projection, codes, vectors, known.inverse_norms)
         of_queries, others = cosines[..., : len(queries)], cosines[..., len(queries) :]
         known = PixelCosines(known.inverse_norms, canonical.clone(), others.amax(-1))
         return _maps(of_queries, known.best), known
     if projection.backend == "triton" and queries.is_cuda and len(queries) == 1:
-        graph = known.graph
-        if graph is None:
-            graph = GraphedFunction(partial(further_relevancy, projection, codes, known), queries)
-            known = replace(known, graph=graph)
-        return graph(queries), known
+        one_query = known.one_query
+        if one_query is None:
+            one_query = graphed(partial(further_relevancy, projection, codes, known), queries)
+            known = replace(known, one_query=one_query)
+        return one_query(queries), known
     return further_relevancy(projection, codes, known, queries), known
 
 

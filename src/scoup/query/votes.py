@@ -24,6 +24,7 @@ from scoup.base.native import native_core
 from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import FieldCodes, GaussianCosines
 from scoup.query.question import Question
+from scoup.scene.codes import rows_of
 
 BINS = 100
 MOST_TEXTS, MOST_BYTES = 16, 192 << 20
@@ -129,7 +130,7 @@ class SampledVotes:
     def __init__(self, field: LanguageField, question: Question) -> None:
         rows = true_rows(field.coded())
         rows = rows[:: max(1, -(-len(rows) // MOST_SAMPLED))]
-        codes = FieldCodes(field.code_indices[rows], field.code_weights[rows], field.codebook)
+        codes = FieldCodes(rows_of(field.code_indices, rows), field.code_weights[rows], field.codebook)
         canonical = question.canonical.to(field.codebook.device)
         self._coded = codes.coded()
         self._cosines = GaussianCosines.of(codes, codes.inverse_norms(), canonical)
@@ -198,9 +199,8 @@ def plain_stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tenso
         if spans[number].isfinite().all():
             # A little lower than needed, for rounding.
             counted = row[row >= low + (high - low) * LOWEST_SHARE - 1e-6]
-            counts[number] = (
-                torch.histc(rescale(counted, low, high).float(), BINS, 0, 1).double().cpu().long()
-            )
+            for part in rescale(counted, low, high).float().split(1 << 24):  # float32 counts no further
+                counts[number] += torch.histc(part, BINS, 0, 1).cpu().long()
     return spans, counts
 
 
