@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import RUN, refused, run, write_scene
+from cli_support import RUN, run, write_scene
 from query.planted_room import CLUTTER, ROOM, planted_room
 from query.test_named import BALL, LAMP, MUG, named_room
 from scoup.archive.archive import Archive
@@ -44,10 +44,10 @@ def tools(folder: Path) -> SceneTools:
     return SceneTools({"f": LanguageField.load(folder / "f.scoup")}, folder / "out", 0.5)
 
 
-@pytest.mark.parametrize("words", [None, ("lamp", "mug", "laptop")])
-def test_page_catalogue_and_agents_give_things_one_name(words: tuple[str, ...] | None) -> None:
+@pytest.mark.parametrize("words", [(), ("lamp", "mug", "laptop")])
+def test_page_catalogue_and_agents_give_things_one_name(words: tuple[str, ...]) -> None:
     field = named_room({"ball": {LAMP: 0.5}, "pen": {MUG: 0.01}, "Tiffany": {BALL: 0.6}})
-    every = naming_question(field, words or ())
+    every = naming_question(field, words)
     places = [
         {thing.number: thing.text for thing in field.catalog(every).things},
         {row["number"]: row["name"] or "" for row in ViewedField(field, words=words).things()},
@@ -259,11 +259,3 @@ def test_errors_name_no_folders(tools: SceneTools, folder: Path):
 
     said = anyio.run(talk)
     assert said == "Error executing tool broken: a.ply: is not f.scoup, and/or https://a.b/c/d"
-
-
-def test_what_cannot_be_served_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(folder)
-    assert "different names" in refused("mcp", "f.scoup", "f.scoup")
-    assert "f.scoup: is a file; name a folder" in refused("mcp", "f.scoup", "--out", "f.scoup")
-    Path("list.txt").write_text("dragon\n")
-    assert "no text embedding named 'dragon'" in refused("mcp", "f.scoup", "--words", "list.txt")

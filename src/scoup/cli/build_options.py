@@ -6,7 +6,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+from scoup.base.atomic import check_output
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.option_groups import borrow_options
 from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon, arg
@@ -100,12 +102,11 @@ class ViewOptions(WritesCommon):
         return cameras, load_regions(features, cameras), features
 
 
-def check_field_name(out: Path) -> None:
-    """Refuse a name that no field may have."""
-    from scoup.base.errors import InputError
-
+def check_field_output(out: Path, overwrite: bool) -> None:
+    """Refuse a name that no field may have, and one that is taken."""
     if out.suffix.lower() != ".scoup":
-        raise InputError(f"{out}: expected a name that ends in .scoup; choose another")
+        raise InputError(f"{out}: expected a name that ends in .scoup, for it is a field; choose another")
+    check_output(out, overwrite)
 
 
 def report_field(

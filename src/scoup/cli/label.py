@@ -84,8 +84,7 @@ class Label(AnswerOptions, CameraOptions):
         """The words of the command line and of the list, each once."""
         from scoup.view.vocabulary import read_words
 
-        listed = () if self.words is None else read_words(self.words)
-        words = tuple(dict.fromkeys((*self.texts, *listed)))
+        words = tuple(dict.fromkeys((*self.texts, *read_words(self.words))))
         check_texts(words)
         return words
 

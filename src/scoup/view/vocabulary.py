@@ -24,8 +24,10 @@ from scoup.view.scene_data import NO_OWNER
 _NONE = 255  # of a certainty
 
 
-def read_words(path: Path) -> tuple[str, ...]:
-    """Read a list of words, one per line; empty lines and repetitions are left out."""
+def read_words(path: Path | None) -> tuple[str, ...]:
+    """Read a list of words, one per line, without empty lines and repetitions; None contains no words."""
+    if path is None:
+        return ()
     text = read_text(existing_file(path, "a list of words"))
     words = tuple(dict.fromkeys(" ".join(line.split()) for line in text.splitlines() if line.strip()))
     if not words:
