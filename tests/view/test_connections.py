@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import random
 import socket
-import sys
 import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
-from subprocess import PIPE
 from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-
-from children import child
 
 pytest.importorskip("uvicorn", reason="needs scoup[view]")
 from starlette.responses import Response
@@ -193,30 +188,3 @@ def test_the_address_with_the_most_connections_makes_room() -> None:
     assert connections.idlest(found[:4]) is found[2]
     assert connections.idlest(found[:4], but=found[2]) is found[1]
     assert connections.idlest(found[3:4]) is None
-
-
-FEW_FILES = """
-import resource, sys
-from starlette.responses import Response
-from view_samples import PAGE, viewed_field
-from scoup.view import viewer
-viewer.page_files = lambda: PAGE
-with viewer.Viewer(viewed_field(count=40), port=0) as opened:
-    resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
-    print(opened.address, flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="limits of Unix")
-def test_a_burst_beyond_the_limit_of_open_files_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
-    with child([sys.executable, "-c", FEW_FILES], stdin=PIPE) as process, ExitStack() as stack:
-        assert process.stdout is not None
-        viewer: Any = SimpleNamespace(address=process.stdout.readline().strip())
-        for _ in range(80):
-            stack.enter_context(connect(viewer, "GET PATH"))
-        assert answers(viewer)
-        _, err = process.communicate()
-    assert err.count("\n") == 1
-    assert "new connections were refused (Too many open files); raise the limit of open files" in err
