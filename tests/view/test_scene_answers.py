@@ -37,7 +37,7 @@ def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: flo
     relevancy = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
     low, high = answer.spans[level].tolist()
     rescaled = ((relevancy - low) / max(high - low, 1e-9)).clamp(0, 1)
-    return (rescaled > threshold) & viewed.codes.coded()[level]
+    return (rescaled > threshold) & viewed.field.coded_levels()[level]
 
 
 def verdict(answer: Answer | PageAnswer) -> dict[str, object]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -95,9 +95,9 @@ class View(TextOptions):
             for what, count in (("scene", report.scene_bytes), ("words", report.words_bytes))
         )
         console.say(
-            f"{out}: {_size(report.n_bytes)} ({sizes}, before base64), {counted(report.words, 'word')}"
+            f"{out}: {_size(report.bytes)} ({sizes}, before base64), {counted(report.words, 'word')}"
         )
-        console.result(report.to_dict())
+        console.result(asdict(report))
 
     def _serve(self, console: Console) -> int:
         """Serve until the process is interrupted or terminated: both are the usual end."""

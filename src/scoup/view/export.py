@@ -29,21 +29,11 @@ FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js", "things.j
 class ExportReport:
     """Sizes of an exported page."""
 
-    path: Path  # the file or folder
-    n_bytes: int  # of all of it
+    out: Path  # the file or folder
+    bytes: int  # of all of it
     scene_bytes: int  # splat and codes, compressed
     words_bytes: int  # the vocabulary, compressed
     words: int  # how many can be asked
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            "out": str(self.path),
-            "bytes": self.n_bytes,
-            "scene_bytes": self.scene_bytes,
-            "words_bytes": self.words_bytes,
-            "words": self.words,
-        }
 
 
 def export_page(
