@@ -216,8 +216,9 @@ except KeyboardInterrupt as stop:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("count", [40, 160, 640, 1200])
+@pytest.mark.parametrize(("number", "count"), [
+    (signal.SIGINT, 40), (signal.SIGTERM, 160), (signal.SIGINT, 640), (signal.SIGTERM, 1200)
+])  # fmt: skip
 def test_a_stop_while_libraries_are_imported_is_quiet(number: int, count: int) -> None:
     arguments = ("query", "f.scoup", "kettle", "--out", "answers")
     done = finished([PYTHON, "-c", AT_AN_IMPORT, int(number), count, *arguments])

@@ -156,19 +156,6 @@ def test_every_verb_that_writes(scene: Path, verb: str) -> None:
         assert {name: Path(name).read_bytes() for name in made} == contents
 
 
-@pytest.mark.usefixtures("here")
-@pytest.mark.parametrize("verb", SLOW)
-def test_the_first_write_of_verbs_that_take_long(verb: str) -> None:
-    before = entries(Path())
-    with largest_file(0):
-        code, _, err = run(*VERBS[verb])
-    assert code == 2
-    assert len(err.splitlines()) == 1
-    assert err.startswith(f"error: {'demo/scene/' if verb == 'demo' else 'data/table'}")
-    assert "point_cloud.ply: cannot be written (File too large); free some space" in err
-    assert entries(Path()) == before
-
-
 @pytest.mark.slow
 def test_an_evaluation(here: Path, synthetic_data_sets: Path) -> None:
     evaluate = ("eval", "lerf-ovs", synthetic_data_sets / "lerf-ovs", "--n-atoms", 8, "--scenes", "table")
