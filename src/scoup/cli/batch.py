@@ -44,7 +44,7 @@ class Batch(BuildOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "scan": "model segmenter embedder jobs ray",
+        "scan": "jobs ray",
         "output": "out archive text",
     }
 
@@ -61,12 +61,6 @@ class Batch(BuildOptions):
     ray: Annotated[OptionalText, arg(metavar="ADDRESS")] = None
     """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
     nodes need scoup, and this folder, SCANS and --out under the same paths."""
-    model: OptionalText = None
-    """Model of the region embeddings, as for scoup build."""
-    segmenter: OptionalText = None
-    """Segmenter for scans without regions, as for scoup extract."""
-    embedder: OptionalText = None
-    """Embedder for scans without regions, as for scoup extract."""
 
     def run(self, console: Console) -> int:
         """Build what is missing, add it to the archive, report."""
@@ -146,10 +140,9 @@ class Batch(BuildOptions):
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
         passed = ["--device", self.device, "--overwrite"]
-        for option in dict.fromkeys((*self.given(), "--model", "--segmenter", "--embedder")):
+        for option in self.given():
             value = getattr(self, option[2:].replace("-", "_"))
-            if value is not None:
-                passed += [option] if value is True else [option, str(value)]
+            passed += [option] if value is True else [option, str(value)]
         return passed
 
     def _write(self, records: dict[str, dict[str, Any]]) -> None:

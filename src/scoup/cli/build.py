@@ -55,7 +55,6 @@ class Build(BuildOptions, ViewOptions):
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "gaussians raster_preset",
-        "scene without regions": "segmenter embedder",
         "coding": "codebook",
         "region sum": "keep_sums sums part",
         "output": "out",
@@ -67,16 +66,8 @@ class Build(BuildOptions, ViewOptions):
     """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
-    model: OptionalText = None
-    """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
-    Default: the model that the features name, else, for embeddings of 512 dimensions,
-    laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
-    segmenter: OptionalText = None
-    """Segmenter for a scene without regions, as for scoup extract."""
-    embedder: OptionalText = None
-    """Embedder for a scene without regions, as for scoup extract."""
     codebook: OptionalPath = None
     """An earlier field of the scene, whose codebook codes the regions; only --k of the options of coding counts then.
     For photographs that came later. Default: a new codebook is learned."""

@@ -11,7 +11,7 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.option_groups import borrow_options
-from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon, arg
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon, arg
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 
 if TYPE_CHECKING:
@@ -30,12 +30,21 @@ class BuildOptions(WritesCommon):
     """How a field is made."""
 
     option_groups: ClassVar[OptionGroups] = {
+        "scene without regions": "segmenter embedder",
         "region sum": "scale",
         "coding": "n_atoms k solver effort epochs tolerance",
         "vote": "keep rounds",
         "output": "weight_bits embed_geometry",
     }
 
+    model: OptionalText = None
+    """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
+    Default: the model that the features name, else, for embeddings of 512 dimensions,
+    laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
+    segmenter: OptionalText = None
+    """Segmenter for a scene without regions, as for scoup extract."""
+    embedder: OptionalText = None
+    """Embedder for a scene without regions, as for scoup extract."""
     preset: Literal["default", "paper"] = "default"
     """default gives the best answers (128 atoms, exact coding, two rounds of the vote); paper is the method as
     published (64 atoms, Adam, one round). Options of coding and vote override it."""

@@ -94,9 +94,7 @@ class View(TextOptions):
             f"{what} {_size(count)}"
             for what, count in (("scene", report.scene_bytes), ("words", report.words_bytes))
         )
-        console.say(
-            f"{out}: {_size(report.bytes)} ({sizes}, before base64), {counted(report.words, 'word')}"
-        )
+        console.say(f"{out}: {_size(report.bytes)} ({sizes}, before base64), {counted(report.words, 'word')}")
         console.result(asdict(report))
 
     def _serve(self, console: Console) -> int:
