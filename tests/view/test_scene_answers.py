@@ -20,10 +20,10 @@ from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.votes import level_thresholds
 from scoup.scene.things import NO_THING, TENSORS, ThingTable
-from scoup.view.scene_answers import VERDICT, PageAnswer
+from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
-from scoup.view.vocabulary import read_words, vocabulary_answers, words_data
+from scoup.view.vocabulary import read_words, words_data
 
 
 @pytest.fixture(scope="module")
@@ -249,10 +249,7 @@ class _Model:
 
 def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     texts = viewed.question(WORDS)
-    seen: list[int] = []
-    answers = vocabulary_answers(viewed.field, texts, lambda stage, done, total: seen.append(done))
-    assert seen[0] == 0
-    assert seen[-1] == len(WORDS)
+    answers = list(scene_answers(viewed.field, texts))
     tensors, metadata = unpacked(words_data(viewed.field, answers))
     assert metadata["names"] == list(WORDS)
     assert tensors["scores"].shape == (len(WORDS), 2, 9)
