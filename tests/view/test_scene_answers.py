@@ -72,18 +72,6 @@ def members(viewed: ViewedField, things: list[int] | None) -> torch.Tensor:
     return torch.isin(viewed.field.thing_table.owners, torch.tensor(things)).any(1)
 
 
-def test_things_level_presence_and_gaussians_are_those_of_select(of_things: ViewedField) -> None:
-    for answer in of_things.answers(WORDS):
-        texts = of_things.question([answer.text])
-        wanted = answer_scene(of_things.field, texts)[0]
-        assert of_things.field.levels[answer.level] == wanted.level
-        assert verdict(answer) == verdict(wanted)
-        anyway = answer_scene(of_things.field, of_things.question([answer.text], always=True))[0]
-        assert answer.chosen_things == list(anyway.things)
-        assert torch.equal(members(of_things, answer.chosen_things), anyway.mask)
-        assert json.loads(json.dumps(answer.to_dict()))["chosen_things"] == answer.chosen_things
-
-
 def test_an_expression_is_present_where_the_page_has_things_to_draw(of_things: ViewedField) -> None:
     for text, things in (("thing 7 and thing 1", []), ("thing 7 and not thing 1", [7])):
         answer = of_things.answers([text])[0]
@@ -92,7 +80,7 @@ def test_an_expression_is_present_where_the_page_has_things_to_draw(of_things: V
 
 def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
     for answer in of_things.answers(WORDS):
-        for level, chosen in enumerate(answer.things):
+        for level, chosen in [(None, answer.chosen_things), *enumerate(answer.things)]:
             question = of_things.question([answer.text], always=True, level=level)
             wanted = answer_scene(of_things.field, question)[0]
             assert chosen == list(wanted.things)
@@ -215,11 +203,6 @@ def test_where_no_gaussian_has_a_code_nothing_is_infinite_in_the_record() -> Non
         level_thresholds(torch.zeros(2, 0), torch.zeros(2, 0, dtype=torch.bool))[1].tolist()
         == [[0.5, 0.5]] * 2
     )
-
-
-def test_unknown_words_are_named(viewed: ViewedField) -> None:
-    with pytest.raises(UnknownNameError, match="thing 77"):
-        viewed.answers(["thing 77"])
 
 
 def test_the_vocabulary_is_the_table_without_its_phrases_or_a_list(
