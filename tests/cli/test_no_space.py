@@ -40,9 +40,7 @@ resource = pytest.importorskip("resource")
 SMALL = ("--n-gaussians", "2000", "--width", "48", "--height", "36", "--views", "2")
 VERBS = {
     "build": ("build", "scene", *QUICK, "--out", "new/a.scoup"),
-    "build with sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "a.sums"),
     "build from sums": ("build", "scene", *QUICK, "--out", "a.scoup", "--sums", "kept.sums"),
-    "build with geometry": ("build", "scene", *QUICK, "--out", "a.scoup", "--embed-geometry"),
     "build, part": ("build", "scene", "--keep-sums", "a.sums", "--part", "1/2"),
     "build, more views": ("build", "scene", *QUICK, "--out", "a.scoup", "--keep-sums", "few.sums", "--codebook",
                           "f.scoup"),
@@ -54,7 +52,6 @@ VERBS = {
     "select": ("select", "f.scoup", "kettle", "--always", "--out", "a.ply"),
     "render": ("render", "f.scoup", "--out", "pictures", "--camera", "all"),
     "animation": ("render", "f.scoup", "--out", "a.gif", "--camera", "all"),
-    "animation, WebP": ("render", "f.scoup", "--out", "a.webp", "--camera", "all"),
     "regions": ("regions", "scene", "--view", "view_00", "--width", "300", "--out", "a.png"),
     "demo": ("demo", *SMALL, "--out", "demo"),
     "synthetic": ("eval", "synthetic", "lerf-ovs", "data", *SMALL, "--scenes", "1", "--labelled", "1"),
@@ -131,9 +128,8 @@ def remove(names: set[str]) -> None:
 
 
 SLOW = ("demo", "synthetic")
-LIKE_OTHERS = ("build with geometry", "build with sums", "animation, WebP")
 TIMED = ("bench", "demo", "synthetic")  # what these write holds times, or takes long
-ALL = [pytest.param(verb, marks=pytest.mark.slow if verb in SLOW + LIKE_OTHERS else ()) for verb in VERBS]
+ALL = [pytest.param(verb, marks=pytest.mark.slow if verb in SLOW else ()) for verb in VERBS]
 
 
 @pytest.mark.parametrize("verb", ALL)
