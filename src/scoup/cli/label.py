@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -95,7 +95,7 @@ class Label(AnswerOptions, CameraOptions):
             self.outputs == USUAL and not self.camera and self.scene is None and not field.cameras
         ):
             return []
-        return (self if self.camera else replace(self, camera=("all",))).open_cameras(field)
+        return self.open_cameras(field, "all")
 
 
 def _report(

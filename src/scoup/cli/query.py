@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -213,11 +213,10 @@ class Query(AnswerOptions, CameraOptions):
         """Write the videos that are wanted; their names."""
         from scoup.pictures.video import save_video
         from scoup.query.drawing import heat_frames, moving_cameras
-        from scoup.scene.cameras import Cameras
 
         if self.video == "none":
             return []
-        everywhere = Cameras(replace(self, camera=("all",)).open_cameras(field))
+        everywhere = self.all_cameras(field)
         written = []
         for name, place in zip(self._video_names(), places, strict=True):
             if self.video == "turntable" and place.position is None:

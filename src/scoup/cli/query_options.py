@@ -100,11 +100,10 @@ class CameraOptions(FieldOptions):
     scale: float = 1.0
     """Size of the pictures relative to the cameras' own."""
 
-    def open_cameras(self, field: LanguageField) -> list[Camera]:
-        """The cameras named.
+    def all_cameras(self, field: LanguageField) -> Cameras:
+        """The cameras of --scene, or of the field, at the size of --scale.
 
         Raises:
-            UnknownNameError: there is no camera of that name.
             InputError: there are no cameras, or the pictures would be too large.
         """
         from scoup.io import load_cameras
@@ -121,8 +120,16 @@ class CameraOptions(FieldOptions):
             raise InputError(
                 f"--scale {self.scale}: must be above 0 and at most {most:.3g} for these cameras"
             )
-        cameras = cameras.scaled(self.scale) if self.scale != 1 else cameras
-        if "all" in self.camera:
+        return cameras.scaled(self.scale) if self.scale != 1 else cameras
+
+    def open_cameras(self, field: LanguageField, default: str = "") -> list[Camera]:
+        """The cameras named; where none is named the default: all, or the first; further errors of ``all_cameras``.
+
+        Raises:
+            UnknownNameError: there is no camera of that name.
+        """
+        cameras = self.all_cameras(field)
+        if "all" in (self.camera or (default,)):
             return list(cameras)
         try:
             found = [cameras[name] for name in self.camera] or [cameras[0]]

@@ -173,15 +173,12 @@ class Select(AnswerOptions, CameraOptions):
 
     def _draw(self, field: LanguageField, whole: Answer, left: Gaussians) -> None:
         """Write the picture, if it is wanted."""
-        from dataclasses import replace
-
         from scoup.io import save_png
         from scoup.query.edits import best_camera, edit_picture
 
         if self.picture is None:
             return
-        cameras = (self if self.camera else replace(self, camera=("all",))).open_cameras(field)
-        camera = best_camera(field, whole.mask, cameras)
+        camera = best_camera(field, whole.mask, self.open_cameras(field, "all"))
         save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
 
     def _report(self, console: Console, whole: Answer, written: int, place: Place) -> None:
