@@ -83,22 +83,6 @@ def readme() -> str:
     return markdown(["mIoU", *columns], rows)
 
 
-def extraction() -> str:
-    """Return what each way of cutting photographs into masks finds, and its CPU time."""
-    names = {
-        "fast": "MobileSAM, preset `fast` (default on a CPU)",
-        "fast, 32 bits": "the same on a CPU without AVX-512 BF16",
-        "32 x 32 points, all": "MobileSAM, all 32 x 32 points",
-        "fast, SAM 2 tiny": "SAM 2 tiny, preset `fast`",
-    }
-    found = {row["way"]: row for row in record("extract")["rows"]}
-    rows = [
-        [title, *(f"{found[way][key]:.3f}" for key in ("things", "iou")), f"{found[way]['seconds']:.1f}"]
-        for way, title in names.items()
-    ]
-    return markdown(["masks", "objects with a region", "mean IoU", "CPU seconds per photograph"], rows)
-
-
 def single_steps() -> str:
     """Return the time of steps of scenes as large as LERF's."""
     dense = record("embed")["rows"]["clip/dense"]
@@ -186,7 +170,6 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
-    "readme, extraction": extraction,
     "single steps": single_steps,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
     "scales": lambda: scales(record),
@@ -205,6 +188,7 @@ HIDDEN = {
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "baselines": "visible-centre-pixel|top-contributors",
+    "real": "from 0.[235]",
     "lerf sized": "GB moved|by copying|GFLOP|by multiplying",
     "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
