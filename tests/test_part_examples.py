@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("quick_python")
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 TOOLS = (ROOT / "docs" / "many_scenes.md").read_text().partition("## Other tools")[2]
-RECIPES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```$", TOOLS, re.M | re.S))
+RECIPES = dict(re.findall(r"^### ([^\n]+)\n(?:(?!^### ).)*?^```\w+\n(.*?)^```$", TOOLS, re.M | re.S))
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="there is no program make")
 SCOUP = """#!/bin/sh
 exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
