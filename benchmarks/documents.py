@@ -186,7 +186,7 @@ HIDDEN = {
     "segmenters": "sam-vit-[bl]|sam2.1-(small|base-plus)",
     "extract": "at level [sml]",
     "bench": "100,000",
-    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
+    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under|near|between|inside): .*",
     "baselines": "visible-centre-pixel|top-contributors",
     "real": "from 0.[235]",
     "archive times": "shell, help|same texts again|memory: (import of torch alone|shell, help)",
@@ -195,6 +195,8 @@ HIDDEN = {
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",
     "query": "location in the scene, (same text again|ten further .*)",
+    "photographs": "blurred of the chosen",
+    "scales": "scale 0.35",
     "viewer": "exported words.*|program, bytes",
 }
 """Headings and first cells of the columns and rows that only the record has."""
