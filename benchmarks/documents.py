@@ -139,19 +139,6 @@ def models(of: Registry[ModelEntry]) -> str:
     return markdown(list(rows[0]), [list(row.values()) for row in rows], left=len(rows[0]))
 
 
-def scannet() -> str:
-    """Return mIoU by class on ScanNet's points: every system with its interval."""
-    rows = [
-        [
-            system,
-            f"{100 * of['overall']['mIoU']:.1f}",
-            "{:.1f} to {:.1f}".format(*(100 * end for end in of["intervals"]["mIoU"])),
-        ]
-        for system, of in record("eval-scannet")["systems"].items()
-    ]
-    return markdown(["ScanNet points, 19 classes", "mIoU", "95 % interval"], rows)
-
-
 STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
@@ -175,7 +162,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "scales": lambda: scales(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
-    "scannet": scannet,
     "bench": bench,
     "segmenters": lambda: models(SEGMENTERS),
     "embedders": lambda: models(EMBEDDERS),
