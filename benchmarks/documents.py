@@ -36,9 +36,6 @@ from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
-from scoup.base.registry import Registry
-from scoup.extract.registry import EMBEDDERS, SEGMENTERS
-from scoup.models.entry import ModelEntry
 from scoup_lab.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -133,12 +130,6 @@ def bench() -> str:
     return markdown(["Gaussians", "stage", *head], [*body.values()])
 
 
-def models(of: Registry[ModelEntry]) -> str:
-    """Return the table of segmenters or embedders, as `scoup extract --list` prints it."""
-    rows = [{**entry.cells(), "what it is": entry.help} for entry in of.values()]
-    return markdown(list(rows[0]), [list(row.values()) for row in rows], left=len(rows[0]))
-
-
 STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
@@ -163,13 +154,10 @@ TABLES: dict[str, Callable[[], str]] = {
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
     "bench": bench,
-    "segmenters": lambda: models(SEGMENTERS),
-    "embedders": lambda: models(EMBEDDERS),
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""
 HIDDEN = {
-    "segmenters": "sam-vit-[bl]|sam2.1-(small|base-plus)",
     "extract": "at level [sml]",
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under|near|between|inside): .*",
