@@ -163,7 +163,7 @@ HIDDEN = {
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under|near|between|inside): .*",
     "baselines": "visible-centre-pixel|top-contributors",
     "real": "from 0.[235]",
-    "archive times": "shell, help|same texts again|memory: (import of torch alone|shell, help)",
+    "archive times": "150,062 .*|shell, help|same texts again|memory: (import of torch alone|shell, help)",
     "lerf sized": "GB moved|by copying|GFLOP|by multiplying",
     "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
