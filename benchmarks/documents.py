@@ -82,14 +82,8 @@ def readme() -> str:
 
 def single_steps() -> str:
     """Return the time of steps of scenes as large as LERF's."""
-    dense = record("embed")["rows"]["clip/dense"]
     build, query = record("lerf_sized"), record("query")["least"]
     rows = [
-        [
-            "embeddings, CLIP ViT-B/16, `dense:MODEL`",
-            f"{dense['regions']} regions of one photograph of 988 x 731",
-            f"{dense['cpu_seconds']:.1f} CPU s",
-        ],
         ["`scoup build`", "1M Gaussians, 200 views of 988 x 731", f"{build['total_s']:.0f} s, 2 threads"],
         [
             "`scoup query`, one text and view",
