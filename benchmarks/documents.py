@@ -100,9 +100,9 @@ REAL_COLUMNS = {
     **{name: f"**{name}**" for name in ("table", "shelves", "hall", "yard")},
 }
 README_COLUMNS = {
-    "kitchen draws, desk's statistics": "simulated: kitchen, as desk",
-    "kitchen draws, CLIP's statistics": "kitchen, as CLIP",
-    "kitchen draws": "kitchen, as before",
+    "kitchen draws, desk's statistics": "simulated: kitchen, desk's statistics",
+    "kitchen draws, CLIP's statistics": "kitchen, CLIP's statistics",
+    "kitchen draws": "kitchen",
     "procedural": "procedural",
 }
 
