@@ -165,7 +165,7 @@ HIDDEN = {
     "query": "location in the scene, (same text again|ten further .*)|relevancy, .*",
     "photographs": "blurred of the chosen",
     "scales": "scale 0.35",
-    "viewer": "exported words.*|program, bytes",
+    "viewer": "exported words.*|program, bytes|scoup info, s",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 
