@@ -154,10 +154,12 @@ TABLES: dict[str, Callable[[], str]] = {
 HIDDEN = {
     "extract": "at level [sml]",
     "bench": "100,000",
-    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under|near|between|inside): .*|bytes per .*",
+    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|bytes per .*|"
+    r"(right of|behind|under|near|between|inside): .*",
     "baselines": "visible-centre-pixel|top-contributors",
     "real": "from 0.[235]",
-    "archive times": "150,062 .*|shell, help|write one scan|same texts again|memory: (import of torch alone|shell, help)",
+    "archive times": "150,062 .*|shell, help|write one scan|same texts again|"
+    "memory: (import of torch alone|shell, help)",
     "lerf sized": "GB moved|by copying|GFLOP|by multiplying",
     "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
