@@ -44,3 +44,11 @@ def square_root(values: Tensor) -> Tensor:
 def take_rows(rows: Tensor, chosen: Tensor) -> Tensor:
     """[n, D]: some of the rows [R, D], by number [n]; an array, see ``elementwise``."""
     return torch.from_numpy(rows.numpy().take(chosen.numpy(), 0))
+
+
+def unit(vectors: Tensor, otherwise: Tensor) -> Tensor:
+    """[N, D] scaled to unit norm; rows of ``otherwise`` in place of those without a direction."""
+    norms = square_root(ordered_sum(product(vectors, vectors), 1))[:, None]
+    scaled = quotient(vectors, norms.clamp(min=1e-6))
+    whole = norms > 1e-6
+    return scaled if bool(whole.all()) else torch.where(whole, scaled, otherwise)

@@ -25,18 +25,14 @@ import torch
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.arithmetic import elementwise, ordered_sum, product, quotient, square_root, take_rows
-from scoup.coding.backends import (
-    CodingBackend,
-    RowCodes,
-    as_sparse_codes,
-    coding_backend,
-)
-from scoup.coding.exact_start import starting_atoms, unit
-from scoup.scene.codes import SparseCodes
+from scoup.coding.arithmetic import elementwise, ordered_sum, product, quotient, square_root, take_rows, unit
+from scoup.coding.backends import CodingBackend, RowCodes, as_sparse_codes, coding_backend
+from scoup.coding.codebook import Solution
+from scoup.coding.kmeans import spherical_kmeans
 
 BETAS = (0.9, 0.99)
 EPSILON = 1e-8
+START_ITERATIONS = 2  # of k-means
 RESEED_EVERY = 25  # steps
 RESEED_UNTIL = 0.7  # share of the steps
 RARE = 2e-4  # atoms used by a smaller share of rows are placed anew
@@ -61,18 +57,6 @@ FAST = ExactSettings(steps=100, passes=0)
 EFFORTS = {"fast": FAST, "best": BEST}
 
 
-@dataclass(frozen=True, eq=False)
-class ExactSolution:
-    """The result of the solver."""
-
-    atoms: Tensor  # [L, D] float32, unit norm
-    codes: SparseCodes  # of the rows
-    steps: int  # and passes run
-    losses: tuple[
-        float, ...
-    ]  # mean over all rows before the passes, after each kept one, and at the end; never rises
-
-
 def solve_exact(
     rows: Tensor,  # [R, D]
     n_atoms: int,
@@ -81,7 +65,7 @@ def solve_exact(
     settings: ExactSettings = BEST,
     progress: Progress = no_progress,
     backend: str | None = None,
-) -> ExactSolution:
+) -> Solution:
     """Learn unit atoms and K-sparse codes of unit rows (method.md, stage 1) by exact coding.
 
     The work is done on the CPU, wherever the rows are. The same seed gives the same bytes; with the compiled core,
@@ -99,18 +83,18 @@ def solve_exact(
         progress("sparse coding", done, total)
     codes = as_sparse_codes(learner.final_codes(), n_atoms, k, rows.device)
     progress("sparse coding", total, total)
-    return ExactSolution(learner.atoms.to(rows.device), codes, done, tuple(learner.losses))
+    return Solution(learner.atoms.to(rows.device), codes, done, tuple(learner.losses))
 
 
 class Learner:
-    """The codebook while it is learned from unit rows; ``losses`` as in ``ExactSolution``."""
+    """The codebook while it is learned from unit rows; ``losses`` as in ``Solution``."""
 
     def __init__(self, rows: Tensor, n_atoms: int, k: int, seed: int, backend: CodingBackend) -> None:
         self.rows = rows
         self._k = k
         self._random = torch.Generator().manual_seed(seed)
         self._backend = backend
-        self.atoms = starting_atoms(rows, n_atoms, self._random, backend)
+        self.atoms = spherical_kmeans(rows, n_atoms, self._random, backend, START_ITERATIONS)
         self._codes: RowCodes | None = None
         self.losses: list[float] = []
 
