@@ -36,6 +36,13 @@ class Photograph:
     mask: Path | None = None
     """Of an image that is 0 where there are no regions; of instant-ngp's, where there are."""
 
+    def digest(self) -> str:
+        """Return the SHA-256 of the file; "" if it cannot be read, which is reported when its turn comes."""
+        try:
+            return file_sha256(self.path)
+        except ScoupError:
+            return ""
+
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
