@@ -95,12 +95,6 @@ def test_sizes_of_codebook_and_code(backend: str, n_atoms: int, k: int) -> None:
     assert int(solution.codes.indices.long().max()) < n_atoms
 
 
-def test_a_thousand_atoms(core: ModuleType) -> None:
-    rows = clip_like(1500, 32, objects=200)
-    solution = solve_exact(rows, 1024, 16, 0, ExactSettings(steps=2, passes=1), backend="native")
-    assert report_on(rows, solution.atoms, solution.codes).loss < 0.01
-
-
 def test_opposite_rows_may_stay_without_a_code(backend: str) -> None:
     rows = torch.cat([clip_like(40, 6), -clip_like(40, 6)])
     solution = solve_exact(rows, 1, 1, 0, QUICK, backend=backend)  # one atom cannot serve both

@@ -21,7 +21,7 @@ from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
 from scoup.uplift.storage.array_file import view_file
-from support import KINDS, random_gaussians, small_scene
+from support import small_scene
 
 
 @pytest.fixture(scope="module")
@@ -127,17 +127,6 @@ def test_many_combinations_are_kept_in_parts(scene, kept, monkeypatch):
     for backend in ("native", "reference"):
         found, expected = (scoup.vote(each, codes, codebook, 2, 3, backend=backend) for each in (sums, kept))
         torch.testing.assert_close(found.weights, expected.weights, atol=1e-5, rtol=0)
-
-
-def test_gaussians_that_cannot_be_drawn_have_no_entries(scene):
-    _, cameras, regions = scene
-    gaussians = random_gaussians(80, 4, KINDS)
-    sums = region_sums(gaussians, cameras, regions)
-    for level in range(3):
-        matrix = sums.matrix(level).toarray()
-        assert np.isfinite(matrix).all()
-        assert not matrix[(gaussians.opacities == 0).numpy()].any()
-        assert not matrix[~torch.isfinite(gaussians.means).all(1).numpy()].any()
 
 
 def test_what_was_complete_stays(scene, kept, path):
