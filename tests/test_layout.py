@@ -21,7 +21,7 @@ EXPORTING = {"scoup", "scoup.base.errors", "scoup.coding", "scoup.io", "scoup.pi
 INNER = {
     "base": "atomic backends counts digests existing json_node native progress records registry staging version",
     "cli": "console options family",
-    "coding": "kmeans",
+    "coding": "backends kmeans",
     "field": "part_sizes relevancy",
     "io": "images reading regions.views splats.ply",
     "models": "word_table words",

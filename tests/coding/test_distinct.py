@@ -39,25 +39,11 @@ def test_ten_values_among_500_rows_are_coded_without_loss() -> None:
     assert (book.report.epochs, book.report.dead_atoms) == (0, pytest.approx(118 / 128))
 
 
-def test_learned_codes_of_the_same_rows_are_mixtures() -> None:
-    """The reason for all this; if it fails, ``scoup.coding.distinct`` may be superfluous."""
-    codes = solve_exact(values(10)[classes(500, 10)], 128, 4).codes
-    assert float(codes.weights[:, 0].mean()) < 0.9
-
-
 def test_every_backend_gives_the_same(backend: str) -> None:
     rows = values(10)[classes(300, 10)]
     first, second = fit_codes(rows, 32, 4), fit_codes(rows, 32, 4, seed=3, backend=backend)
     assert first.atoms.equal(second.atoms)
     assert first.codes.indices.equal(second.codes.indices)
-
-
-def test_the_order_of_the_rows_names_the_atoms_only() -> None:
-    rows = values(12)[classes(200, 12)]
-    order = torch.randperm(200, generator=torch.Generator().manual_seed(0))
-    here, there = fit_codes(rows, 40, 3), fit_codes(rows[order], 40, 3)
-    decoded = here.atoms[here.codes.indices[:, 0].long()]
-    assert decoded[order].equal(there.atoms[there.codes.indices[:, 0].long()])
 
 
 def test_near_copies_are_one_value_and_others_are_not() -> None:

@@ -9,15 +9,14 @@ from types import ModuleType
 
 import pytest
 import torch
-from coders import assert_one_at_each, clip_like, clusters
+from coders import clip_like
 from torch import Tensor
 
 from children import finished
 from scoup.coding import exact, fit_codes
-from scoup.coding.adam import AdamSettings, solve_adam
+from scoup.coding.adam import solve_adam
 from scoup.coding.backends import coding_backend
 from scoup.coding.exact import FAST, ExactSettings, Learner, solve_exact
-from scoup.coding.exact_start import starting_atoms
 from scoup.coding.reference import code
 from scoup.coding.report import report_on
 from support import threads_of_torch
@@ -28,7 +27,7 @@ QUICK = ExactSettings(steps=30, batch=100, passes=3)
 
 def test_ends_below_adam(backend: str) -> None:
     rows = clip_like(300, 32, objects=40)
-    adam = solve_adam(rows, 16, 3, settings=AdamSettings(epochs=500))
+    adam = solve_adam(rows, 16, 3, epochs=500)
     adam_loss = report_on(rows, adam.atoms, adam.codes).loss
     efforts = exact.EFFORTS.items()
     losses = {name: solve_exact(rows, 16, 3, 0, each, backend=backend).losses[-1] for name, each in efforts}
@@ -96,12 +95,6 @@ def test_sizes_of_codebook_and_code(backend: str, n_atoms: int, k: int) -> None:
     assert int(solution.codes.indices.long().max()) < n_atoms
 
 
-def test_a_thousand_atoms(core: ModuleType) -> None:
-    rows = clip_like(1500, 32, objects=200)
-    solution = solve_exact(rows, 1024, 16, 0, ExactSettings(steps=2, passes=1), backend="native")
-    assert report_on(rows, solution.atoms, solution.codes).loss < 0.01
-
-
 def test_opposite_rows_may_stay_without_a_code(backend: str) -> None:
     rows = torch.cat([clip_like(40, 6), -clip_like(40, 6)])
     solution = solve_exact(rows, 1, 1, 0, QUICK, backend=backend)  # one atom cannot serve both
@@ -120,12 +113,6 @@ def test_rare_atoms_are_placed_at_badly_coded_rows() -> None:
     assert len(learner.reseed(torch.arange(4), rows, torch.ones(50))) == 0  # nothing to mend
     assert learner.atoms.equal(before)
     assert len(learner.reseed(torch.arange(4), rows[:2], cosines[-2:])) == 2  # fewer rows than atoms
-
-
-def test_the_start_spreads_over_clusters(backend: str) -> None:
-    centres, rows = clusters(1000)
-    atoms = starting_atoms(rows, 6, torch.Generator().manual_seed(3), coding_backend(backend))
-    assert_one_at_each(centres, atoms)
 
 
 def test_same_seed_same_bytes(backend: str) -> None:

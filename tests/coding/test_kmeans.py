@@ -6,39 +6,44 @@ import itertools
 
 import pytest
 import torch
-from coders import assert_one_at_each, clusters
+from coders import assert_one_at_each, clip_like, clusters
 from torch import Tensor
 
+from scoup.coding.backends import coding_backend
 from scoup.coding.kmeans import spherical_kmeans
-from support import unit
 
 
-def rows_of(count: int, dim: int, seed: int = 1) -> Tensor:
-    return unit(torch.randn(count, dim, generator=torch.Generator().manual_seed(seed)))
+def centres_of(
+    rows: Tensor, count: int, seed: int = 0, iterations: int = 2, backend: str = "reference"
+) -> Tensor:
+    random = torch.Generator().manual_seed(seed)
+    return spherical_kmeans(rows, count, random, coding_backend(backend), iterations)
 
 
-def test_finds_well_separated_clusters() -> None:
-    centres, rows = clusters(20)
-    atoms = spherical_kmeans(rows, 6, seed=3)
+@pytest.mark.parametrize("of_each", [20, 1000])  # all rows, and more than the sample
+def test_finds_well_separated_clusters(backend: str, of_each: int) -> None:
+    centres, rows = clusters(of_each)
+    atoms = centres_of(rows, 6, 3, backend=backend)
     torch.testing.assert_close(torch.linalg.vector_norm(atoms, dim=1), torch.ones(6))
     assert_one_at_each(centres, atoms)
 
 
 def test_lloyd_never_worsens_the_fit() -> None:
-    rows = rows_of(300, 8)
-    fits = [float((rows @ spherical_kmeans(rows, 10, 0, n).T).amax(1).mean()) for n in range(8)]
+    rows = clip_like(300, 8, objects=60)
+    fits = [float((rows @ centres_of(rows, 10, 0, n).T).amax(1).mean()) for n in range(8)]
     assert all(later >= earlier - 1e-6 for earlier, later in itertools.pairwise(fits))
 
 
 @pytest.mark.parametrize(("count", "distinct"), [(1, 1), (3, 3), (50, 1), (50, 2)])
-def test_identical_and_few_rows(count: int, distinct: int) -> None:
-    rows = rows_of(distinct, 5, 0)[torch.arange(count) % distinct]
-    atoms = spherical_kmeans(rows, 8, seed=0)
+def test_identical_and_few_rows(backend: str, count: int, distinct: int) -> None:
+    rows = clip_like(distinct, 5)[torch.arange(count) % distinct]
+    atoms = centres_of(rows, 8, backend=backend)
     assert atoms.shape == (8, 5)
     torch.testing.assert_close((rows @ atoms.T).amax(1), torch.ones(count))
 
 
-def test_same_seed_same_atoms() -> None:
-    rows = rows_of(200, 8)
-    assert spherical_kmeans(rows, 12, 5).equal(spherical_kmeans(rows, 12, 5))
-    assert not spherical_kmeans(rows, 12, 5).equal(spherical_kmeans(rows, 12, 6))
+def test_same_seed_same_atoms(backend: str) -> None:
+    rows = clip_like(200, 8, objects=60)
+    first, again, other = (centres_of(rows, 12, seed, backend=backend) for seed in (5, 5, 6))
+    assert first.equal(again)
+    assert not first.equal(other)

@@ -192,58 +192,6 @@ def test_points_with_known_masks_are_left_out_and_no_others(seed: int, side: int
     assert all((found[level].dense() == whole[level].dense()).all() for level in found)
 
 
-class Tiles:
-    """A point model of a picture whose colours are objects: a point's object is its mask s, m half of the picture."""
-
-    def __init__(self, unsure: int = -1) -> None:
-        self.unsure = unsure  # colour of an object of which s is not sure
-        self.points = 0
-
-    def to_dict(self) -> dict[str, Any]:
-        return {"segmenter": "tiles"}
-
-    def encode(self, image: np.ndarray) -> Tiles:
-        self.colors = torch.from_numpy(image[..., 0].copy())
-        return self
-
-    def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        self.points += len(points)
-        columns, rows = points.long().T
-        own = self.colors[rows, columns]
-        masks = torch.ones(len(points), 3, *self.colors.shape)
-        masks[:, 0] = self.colors == own[:, None, None]
-        half = torch.arange(self.colors.shape[1]) < self.colors.shape[1] // 2
-        masks[:, 1] = (half == half[columns][:, None])[:, None]
-        sure = torch.ones(len(points), 3)
-        sure[own == self.unsure, 0] = 0
-        return masks * 20 - 10, sure
-
-    def without_padding(self, logits: Tensor) -> Tensor:
-        return logits
-
-    def upscale(self, logits: Tensor) -> Tensor:
-        return logits
-
-
-@pytest.mark.parametrize(("unsure", "side", "most"), [(-1, 5, 240), (0, 9, 500)])
-def test_by_need_finds_the_objects_of_the_whole_grid(unsure: int, side: int, most: int) -> None:
-    """Twenty squares on a ground: all are found, with some of 1024 points, also where the ground itself is unsure."""
-    image = np.zeros((96, 128, 3), np.uint8)
-    for number in range(20):
-        row, column = 19 * (number // 5) + 7, 25 * (number % 5) + 5
-        image[row : row + side, column : column + side] = number + 1
-    chosen = replace(mask_settings("fast"), least_area=0, inside=2.0)
-    whole, needed = Tiles(unsure), Tiles(unsure)
-    expected = automatic_masks(image, whole, replace(chosen, by_need=False))
-    found = automatic_masks(image, needed, chosen)
-    assert len(expected["s"]) == (21 if unsure < 0 else 20)
-    assert whole.points == 1024
-    assert needed.points < most
-    for level in expected:
-        sets = [{mask.tobytes() for mask in some[level].dense()} for some in (expected, found)]
-        assert sets[0] == sets[1], level
-
-
 @pytest.mark.parametrize("side", [1, 2, 7, 20, 32])
 def test_points_from_coarse_to_fine(side: int) -> None:
     rounds = np.stack(coarse_to_fine(side))

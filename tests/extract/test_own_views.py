@@ -13,7 +13,7 @@ from PIL import Image
 
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.extract.own_views import choose_cameras, save_views
-from scoup.extract.view_choice import Score, Scores, not_from_behind
+from scoup.extract.view_choice import Scores, not_from_behind
 from scoup.pictures import contact_sheet
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Cameras
@@ -164,14 +164,10 @@ def test_only_small_pictures_are_kept_for_the_sheet(tmp_path: Path, monkeypatch:
 
 def test_beside_thin_things_pictures_may_be_empty() -> None:
     cameras = [replace(make_camera(64, 48), name=f"{number}.png") for number in range(3)]
-    wide, thin = torch.tensor([1.0, 0.0]), torch.tensor([0.0, 1.0])
-    sector = torch.zeros(2, dtype=torch.uint8)
-    found = [
-        Score(wide, sector, 0.9, 0.9, 0.0),
-        Score(wide, sector, 0.9, 0.4, 0.0),  # the same from afar
-        Score(thin, sector, 0.9, 0.4, 0.0),
-    ]
-    worth = Scores.of(cameras, found).worth()
+    # A wide thing, the same from afar, and a thin one.
+    shown = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    pictures = torch.tensor([[0.9, 0.9, 0.0], [0.9, 0.4, 0.0], [0.9, 0.4, 0.0]])
+    worth = Scores(cameras, shown.half(), torch.zeros(3, 2, dtype=torch.uint8), pictures).worth()
     assert worth[0, 0] > 0.9
     assert worth[1, 0] < 0.01
     assert worth[2, 1] > 0.9

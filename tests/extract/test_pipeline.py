@@ -26,7 +26,6 @@ from scoup.extract import (
     paint,
     registry,
 )
-from scoup.extract.felzenszwalb import Felzenszwalb
 from scoup.extract.photographs import Photograph
 from scoup.extract.plain_colors import PlainColors
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, write_manifest
@@ -298,22 +297,3 @@ def test_tiny_models_from_end_to_end(tmp_path: Path) -> None:
     record = json.loads((out / MANIFEST).read_text())["settings"]
     assert record["segmenter"] == str(tmp_path / "sam")
     assert record["points_per_side"] == 3
-
-
-@pytest.mark.data
-@pytest.mark.slow
-def test_the_desk_from_photographs_to_regions(tmp_path: Path, data_folder: Path) -> None:
-    """Real photographs and COLMAP cameras, without a model."""
-    desk = data_folder / "desk"
-    photographs = find_photographs(desk)
-    assert len(photographs) == 29
-    report = extract(photographs[:2], tmp_path, Felzenszwalb(), PlainColors(), max_height=200)
-    assert report.bytes / 2 < 150_000
-    cameras = scoup.load_cameras(desk)[:2]
-    regions = scoup.load_regions(tmp_path, cameras)
-    counts = [len(regions.load(cameras[0].name, level).embeddings) for level in LEVELS]
-    assert counts[0] > counts[1] > counts[2] > 3
-    for level in LEVELS:
-        item = regions.load(cameras[0].name, level)
-        assert tuple(item.labels.shape) == (cameras[0].height, cameras[0].width)
-        assert int(item.labels.min()) == 0  # each level covers the image

@@ -144,14 +144,3 @@ def test_open_clip(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.testing.assert_close(encoder.encode(["apple"]), expected)
     with pytest.raises(ScoupError, match="not found"):
         TextEncoder.open("open_clip:X/y")
-
-
-def test_everyday_words_of_a_model_are_a_fixed_list(clip_folder: Path) -> None:
-    from scoup.models.words import EVERYDAY_WORDS
-
-    encoder = TextEncoder.open(clip_folder)
-    assert encoder.names is None
-    assert encoder.everyday().shape == (len(EVERYDAY_WORDS), 12)
-    both = encoder.canonical(everyday=True)
-    assert torch.equal(both[:4], encoder.canonical())
-    torch.testing.assert_close(both[4], encoder.everyday().mean(0))

@@ -54,9 +54,9 @@ def sums_of_triplets(
 def usual_deviation() -> tuple[RegionSums, list[SparseCodes], Tensor, list[float]]:
     """Sums, codes and codebook of one Gaussian, and its weights after a second round, worked out by hand.
 
-    Of its three regions, of one atom each, the first paints three times as much and is what the first round finds, if
-    that hands on one atom. The others are at right angles to it: they deviate by 1, which is the median, so each
-    counts exp(-3) in the second round.
+    Of its three regions, of one atom each, the first paints three times as much and is what the first round finds:
+    where all atoms are kept, it hands on one. The others are at right angles to it: they deviate by 1, which is the
+    median, so each counts exp(-3) in the second round.
     """
     sums = RegionSums("", torch.arange(1), ["m"])
     regions = torch.arange(3)

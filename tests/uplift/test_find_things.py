@@ -24,8 +24,8 @@ from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup.uplift.merging import LEAST_IOU, LEAST_OVERLAP, ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.things import LEAST_REGIONS, find_things, mean_embeddings
-from support import changed_regions, examples, small_scene
+from scoup.uplift.things import LEAST_REGIONS, mean_embeddings
+from support import changed_regions, examples
 
 DECIDED = ("owners", "levels", "parents", "n_regions")
 
@@ -340,23 +340,6 @@ def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> N
     assert_same(found.thing_table, things, (*DECIDED, "mass"))
     torch.testing.assert_close(of_field(found).embeddings, things.embeddings, atol=1e-3, rtol=0)
     torch.testing.assert_close(of_field(found).agreement, things.agreement)
-
-
-def test_things_of_random_regions_are_of_their_levels() -> None:
-    """Regions are random blocks, of which few agree."""
-    gaussians, cameras, regions = small_scene(count=60, views=4, regions=3, seed=5)
-    sums = region_sums(gaussians, cameras, regions)
-    embeddings = [regions.embeddings(level)[0] for level in regions.levels]
-    found = find_things(sums, embeddings).table
-    assert len(found) > 0
-    assert sums.rows is not None
-    for level, rows in enumerate(sums.rows):
-        mine = (found.levels == level).nonzero()[:, 0]
-        sizes = found.n_regions[mine].long()
-        assert int(sizes.sum()) <= sum(part.stop - part.start for part in rows.values())
-        assert not len(sizes) or int(sizes.min()) >= LEAST_REGIONS
-        owners = found.owners[:, level][found.owners[:, level] != NO_THING]
-        assert bool((found.levels[owners.long()] == level).all())
 
 
 def test_of_many_views_some_make_the_things(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:

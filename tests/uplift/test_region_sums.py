@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from safetensors.numpy import load_file
-from scipy.sparse import coo_array, csr_array
 
 import scoup
 from cli_support import snapshot
@@ -22,8 +21,7 @@ from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage import entries
 from scoup.uplift.storage.array_file import view_file
-from support import KINDS, random_gaussians, small_scene
-from uplift.random_votes import sums_of_triplets
+from support import small_scene
 
 
 @pytest.fixture(scope="module")
@@ -85,56 +83,6 @@ def test_the_matrix_holds_what_each_gaussian_paints_of_each_region(scene, kept):
                 )
 
 
-def sums_of_views() -> RegionSums:
-    """Two levels, three views of which one shows nothing at the second level; rows in no order."""
-    rng = np.random.default_rng(0)
-    n, stride = 40, 6
-    counts = {"a": (6, 3), "b": (4, 0), "c": (5, 2)}
-    rows, start = [{}, {}], [0, 0]
-    sums = RegionSums("", torch.from_numpy(rng.permutation(n)), ("s", "m"))
-    for name, count in counts.items():
-        keys = []
-        for level in (0, 1):
-            rows[level][name] = slice(start[level], start[level] + count[level])
-            start[level] += count[level]
-            keys.append(level * stride + np.arange(count[level]))
-        gaussian, key = np.meshgrid(np.arange(n), np.concatenate(keys))
-        chosen = rng.permutation(gaussian.size)[: gaussian.size // 3]
-        level, region = np.divmod(key.ravel()[chosen], stride)
-        weight = rng.random(len(chosen)).astype(np.float32)
-        parts = [torch.from_numpy(part) for part in (gaussian.ravel()[chosen], level, region, weight)]
-        sums.append(name, sums_of_triplets(parts[0], parts[1], parts[2], parts[3], 2))
-    sums.rows = rows
-    return sums
-
-
-def all_at_once(sums: RegionSums, level: int) -> csr_array:
-    """The matrix from all triplets together, by scipy."""
-    gaussians, regions, weights = [], [], []
-    assert sums.rows is not None
-    for name in sums.views:
-        gaussian, region, weight = sums.triplets(name, level)
-        gaussians.append(gaussian)
-        regions.append(region + sums.rows[level][name].start)
-        weights.append(weight)
-    total = max(rows.stop for rows in sums.rows[level].values())
-    parts = np.concatenate(weights), (np.concatenate(gaussians), np.concatenate(regions))
-    return coo_array(parts, shape=(sums.n_gaussians, total)).tocsr()
-
-
-def test_sums_stacked_view_by_view_are_the_matrix() -> None:
-    sums = sums_of_views()
-    for level in (0, 1):
-        stacked, matrix = sums.matrix(level), all_at_once(sums, level)
-        assert stacked.dtype == np.float32
-        assert stacked.shape == matrix.shape
-        assert stacked.nnz == matrix.nnz
-        assert (stacked.indptr == matrix.indptr).all()
-        matrix.sort_indices()
-        assert (stacked.indices == matrix.indices).all()
-        assert (stacked.data == matrix.data).all()
-
-
 def test_a_file_gives_back_what_it_was_given(scene, kept, path):
     gaussians, cameras, regions = scene
     made = region_sums(gaussians, cameras, regions, path=path)
@@ -179,17 +127,6 @@ def test_many_combinations_are_kept_in_parts(scene, kept, monkeypatch):
     for backend in ("native", "reference"):
         found, expected = (scoup.vote(each, codes, codebook, 2, 3, backend=backend) for each in (sums, kept))
         torch.testing.assert_close(found.weights, expected.weights, atol=1e-5, rtol=0)
-
-
-def test_gaussians_that_cannot_be_drawn_have_no_entries(scene):
-    _, cameras, regions = scene
-    gaussians = random_gaussians(80, 4, KINDS)
-    sums = region_sums(gaussians, cameras, regions)
-    for level in range(3):
-        matrix = sums.matrix(level).toarray()
-        assert np.isfinite(matrix).all()
-        assert not matrix[(gaussians.opacities == 0).numpy()].any()
-        assert not matrix[~torch.isfinite(gaussians.means).all(1).numpy()].any()
 
 
 def test_what_was_complete_stays(scene, kept, path):
@@ -257,9 +194,6 @@ def test_views_are_read_ahead_in_order(scene):
     for camera, combined in read:
         labels, _ = regions.load_view(camera.name, camera.width, camera.height)
         assert combined.digest() == raster.combine(labels).digest()
-    views = read_labels(regions, list(cameras), torch.device("cpu"))
-    next(views)
-    views.close()  # the rest is given up
 
 
 def test_a_view_takes_no_space_for_buckets_that_it_does_not_see(scene):

@@ -79,7 +79,7 @@ def test_a_gaussian_keeps_a_code_however_odd_its_regions_are(backend):
     """No region agrees with the mixture that the first round hands on, and yet nobody ends without a code."""
     codebook = torch.eye(8)[None]
     sums = sums_of([(0, r, 1.0 + r) for r in range(8)] + [(1, 0, 1.0)] * 1, 2, 8)
-    found = vote(sums, [codes_of(torch.eye(8), 1)], codebook, 3, 1, 1, backend=backend)
+    found = vote(sums, [codes_of(torch.eye(8), 1)], codebook, 3, 1, backend=backend)
     assert found.weights[:, 0].tolist() == [[1.0], [1.0]]
     assert found.indices[:, 0].tolist() == [[7], [0]]
 
@@ -91,7 +91,7 @@ def test_sharpness_is_set_by_the_usual_deviation(backend):
 
 def test_what_deviates_as_usual_counts_exp_of_minus_three(backend):
     sums, codes, codebook, expected = usual_deviation()
-    found = vote(sums, codes, codebook, 2, 3, keep_between=1, backend=backend)
+    found = vote(sums, codes, codebook, 2, None, backend=backend)
     assert found.sharpness is not None
     assert found.sharpness.tolist() == pytest.approx([3])
     assert found.indices[0, 0, 0] == 0

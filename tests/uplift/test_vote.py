@@ -144,11 +144,12 @@ def test_the_largest_sums_are_kept(n_atoms, keep, kind, seed):
 
 
 @needs_native
+@pytest.mark.parametrize("backend", [NativeVote, ReferenceVote])
 @pytest.mark.parametrize("why", damaged(random_vote(Sizes(), 2)))
-def test_damaged_sums_are_refused(why):
+def test_damaged_sums_are_refused(why, backend):
     arguments = damaged(random_vote(Sizes(), 2))[why]
     with pytest.raises(InputError, match="damaged"):
-        NativeVote(**arguments, device=CPU).round(4, None, False, buckets_of(arguments))
+        backend(**arguments, device=CPU).round(4, None, False, buckets_of(arguments))
 
 
 @needs_native

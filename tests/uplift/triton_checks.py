@@ -25,7 +25,7 @@ def check_usual_deviation(device: str) -> None:
     sums, codes, codebook, expected = usual_deviation()
     rounds = importlib.import_module("scoup.uplift.vote")
     with patch.object(rounds, "load_backend", lambda *_: ("triton", vote_triton)):
-        found = rounds.vote(sums, codes, codebook.to(device), 2, 3, keep_between=1)
+        found = rounds.vote(sums, codes, codebook.to(device), 2, None)
     assert found.weights[0, 0].tolist() == pytest.approx(expected, rel=1e-5)
 
 

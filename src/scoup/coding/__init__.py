@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from numpy.typing import ArrayLike
@@ -12,8 +10,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.adam import AdamSettings, solve_adam
-from scoup.coding.codebook import Codebook, Encoded
+from scoup.coding.adam import solve_adam
+from scoup.coding.codebook import Codebook, Encoded, Solution
 from scoup.coding.distinct import value_codes
 from scoup.coding.exact import EFFORTS, solve_exact
 from scoup.coding.report import CodingReport, report_on
@@ -23,41 +21,7 @@ from scoup.scene.directions import normalise_embeddings
 __all__ = ["SOLVERS", "Codebook", "CodingReport", "Encoded", "fit_codes"]
 
 
-@dataclass(frozen=True)
-class SolverSettings:
-    """Settings of all solvers; each reads its own."""
-
-    effort: str = "best"  # of "exact", as the backend
-    epochs: int = 4000  # of "adam", as the tolerance
-    tolerance: float | None = None
-    backend: str | None = None
-
-
-# solver(rows, n_atoms, k, seed, settings, progress) -> atoms [L, D], codes of the unit rows [R, D], epochs or steps run
-Solver = Callable[[Tensor, int, int, int, SolverSettings, Progress], tuple[Tensor, SparseCodes, int]]
-
-
-def _adam(
-    rows: Tensor, n_atoms: int, k: int, seed: int, settings: SolverSettings, progress: Progress
-) -> tuple[Tensor, SparseCodes, int]:
-    adam = AdamSettings(epochs=settings.epochs, tolerance=settings.tolerance)
-    solution = solve_adam(rows, n_atoms, k, seed, adam, progress)
-    return solution.atoms, solution.codes, solution.epochs
-
-
-def _exact(
-    rows: Tensor, n_atoms: int, k: int, seed: int, settings: SolverSettings, progress: Progress
-) -> tuple[Tensor, SparseCodes, int]:
-    known = value_codes(rows, n_atoms, k)
-    if known is not None:
-        progress("sparse coding", 0, 1)
-        progress("sparse coding", 1, 1)
-        return *known, 0
-    solution = solve_exact(rows, n_atoms, k, seed, EFFORTS[settings.effort], progress, settings.backend)
-    return solution.atoms, solution.codes, solution.steps
-
-
-SOLVERS: dict[str, Solver] = {"adam": _adam, "exact": _exact}
+SOLVERS = ("adam", "exact")
 
 
 def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -91,7 +55,7 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
         epochs: full-batch optimisation steps of "adam" at most; "exact" has a schedule of its own (``solve_exact``).
         tolerance: "adam" stops early, once the mean of 1 - cosine has fallen by less than this over 100 epochs.
         effort: "fast" or "best" (the default): how long "exact" learns; see ``scoup.coding.exact.EFFORTS``.
-        backend: of "exact", by name (``scoup.coding.backends``); by default the compiled core if there is one.
+        backend: by name (``scoup.coding.backends``); by default the compiled core if there is one.
         progress: called after each epoch or step. An exception it raises (or Ctrl-C) stops the fit and nothing is kept.
 
     Raises:
@@ -116,15 +80,28 @@ def fit_codes(  # noqa: PLR0913  the public face: each keyword is one choice of 
     rows = normalise_embeddings(embeddings)
     coded = (rows != 0).any(1)
     if coded.any():
-        settings = SolverSettings(effort, epochs, tolerance, backend)
-        atoms, codes, run = SOLVERS[solver](rows[coded], n_atoms, k, seed, settings, progress)
-        codes = _spread(codes, coded)
+        if solver == "adam":
+            found = solve_adam(rows[coded], n_atoms, k, seed, epochs, tolerance, progress, backend)
+        else:
+            found = _exact(rows[coded], n_atoms, k, seed, effort, progress, backend)
+        atoms, codes, run = found.atoms, _spread(found.codes, coded), found.steps
     else:
         run = 0
         atoms = rows.new_zeros(n_atoms, rows.shape[1])
         codes = SparseCodes.from_dense(rows.new_zeros(len(rows), n_atoms), k)
     seconds = time.perf_counter() - started
     return Codebook(atoms, codes, report_on(rows, atoms, codes, solver, run, seconds))
+
+
+def _exact(
+    rows: Tensor, n_atoms: int, k: int, seed: int, effort: str, progress: Progress, backend: str | None
+) -> Solution:
+    known = value_codes(rows, n_atoms, k)
+    if known is None:
+        return solve_exact(rows, n_atoms, k, seed, EFFORTS[effort], progress, backend)
+    progress("sparse coding", 0, 1)
+    progress("sparse coding", 1, 1)
+    return Solution(*known, 0, ())
 
 
 def _spread(codes: SparseCodes, coded: Tensor) -> SparseCodes:

@@ -1,4 +1,4 @@
-"""The paper's solver: codes and codebook learned together by Adam (method.md, stage 1), done cheaply.
+"""The paper's solver: codes and codebook learned together by Adam (method.md, stage 1).
 
 Per region r with unit embedding f, support logits p and atoms C the loss is 1 - c with
 
@@ -9,23 +9,21 @@ over the K atoms of its support (the K largest logits), and its gradients are, w
     dc/dp_k = w_k (s_k / n - c g_k / n^2)        (the softmax's centring term is zero: c ignores w's scale)
     dc/dC   = (w / n) f^T - (c / n^2) w w^T C    (summed over regions)
 
-so no vector of D numbers is ever formed per region. Logits outside the support have no gradient: those that
-were never in it do not move at all, and are not touched until they are within reach of it (see ``Slots``).
-The plain form, D-dimensional autograd over dense logits, is the oracle of ``tests/coding/test_adam.py``.
+so no vector of D numbers is ever formed per region, which autograd would do: it takes twenty times as long.
+``tests/coding/plain_adam.py`` is the plain form.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
 
 import torch
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
+from scoup.coding.backends import CodingBackend, RowCodes, as_sparse_codes, coding_backend
+from scoup.coding.codebook import Solution
 from scoup.coding.kmeans import spherical_kmeans
-from scoup.coding.products import products_for
-from scoup.coding.slots import Slots, Step, add_gradient, decay
-from scoup.scene.codes import SparseCodes, index_dtype
 
 LEARNING_RATE = 7e-4  # the paper's
 LOGIT_SCALE = 4.0
@@ -33,30 +31,11 @@ LOGIT_SCALE = 4.0
 
 Measured on the m | s regions of a kitchen, loss after 1000 and 4000 epochs: scale 0 (all logits equal)
 .066 .056 | .080 .067; 1: .065 .055 | .075 .066; 4: .062 .057 | .072 .067; 10: .061 .059 | .072 .070. Small
-scales end a little lower; large ones start lower and run faster, since fewer logits come within reach.
+scales end a little lower; large ones start lower.
 """
 STOP_WINDOW = 100  # epochs over which ``tolerance`` is judged
-_FLUSH_EVERY = 64
+START_ITERATIONS = 10  # of k-means
 _TINY = 1e-30
-
-
-@dataclass(frozen=True)
-class AdamSettings:
-    """Settings of the solver."""
-
-    epochs: int = 4000  # full-batch steps
-    learning_rate: float = LEARNING_RATE  # of logits and codebook
-    tolerance: float | None = None  # stop once the mean loss has fallen by less over the last 100 epochs
-
-
-@dataclass(frozen=True, eq=False)
-class AdamSolution:
-    """The result of the solver."""
-
-    atoms: Tensor  # [L, D] float32, not of unit norm
-    codes: SparseCodes  # of the rows
-    epochs: int  # run
-    losses: tuple[float, ...]  # mean, before each epoch
 
 
 def solve_adam(
@@ -64,54 +43,86 @@ def solve_adam(
     n_atoms: int,
     k: int,
     seed: int = 0,
-    settings: AdamSettings | None = None,
+    epochs: int = 4000,
+    tolerance: float | None = None,
     progress: Progress = no_progress,
-    initial_atoms: Tensor | None = None,  # [L, D]
-) -> AdamSolution:
+    backend: str | None = None,
+) -> Solution:
     """Learn atoms and K-sparse codes of unit rows by full-batch Adam (method.md, stage 1, "the paper's solver").
 
-    ``k`` above L counts as L. ``progress`` is called after every epoch, as stage "sparse coding". The codebook starts
-    from ``initial_atoms``, by default spherical k-means of the rows.
+    The work is done on the CPU, wherever the rows are. ``k`` above L counts as L. It stops once the mean loss has
+    fallen by less than ``tolerance`` over the last 100 epochs. ``progress`` is called after every epoch, as stage
+    "sparse coding".
     """
-    settings = settings or AdamSettings()
-    atoms = spherical_kmeans(rows, n_atoms, seed) if initial_atoms is None else initial_atoms.clone()
-    slots = Slots(_initial_logits(rows, atoms), min(k, n_atoms))
-    products = products_for(rows, n_atoms)
-    products.set_support(slots.support)
-    first, second = torch.zeros_like(atoms), torch.zeros_like(atoms)
+    ours = rows.detach().cpu().float().contiguous()
+    arithmetic = coding_backend(backend)
+    atoms = spherical_kmeans(ours, n_atoms, torch.Generator().manual_seed(seed), arithmetic, START_ITERATIONS)
+    logits = LOGIT_SCALE * arithmetic.row_products(ours, atoms)
+    support = logits.topk(min(k, n_atoms), dim=1).indices
+    logits.grad, atoms.grad = torch.zeros_like(logits), torch.zeros_like(atoms)
+    optimizer = torch.optim.Adam([logits, atoms], lr=LEARNING_RATE, fused=True)
     losses: list[float] = []
     done = 0
-    progress("sparse coding", 0, settings.epochs)
-    for epoch in range(1, settings.epochs + 1):
-        weights = slots.weights()
-        toward = products.similarities(atoms)  # s
-        within = (products.gram_on_support(atoms @ atoms.T) * weights[None]).sum(1)  # g = G w
-        inverse = (within * weights).sum(0).clamp_(min=_TINY).rsqrt_()  # 1 / n
-        cosine = (weights * toward).sum(0) * inverse
-        losses.append(1.0 - float(cosine.mean()))
-        if _stalled(losses, settings.tolerance):
+    progress("sparse coding", 0, epochs)
+    for epoch in range(1, epochs + 1):
+        weights = logits.gather(1, support).softmax(1)
+        loss, logit_gradient, atoms.grad = loss_and_gradients(ours, atoms, support, weights, arithmetic)
+        losses.append(loss)
+        if _stalled(losses, tolerance):
             break
-        share = inverse / len(rows)  # the loss is a mean over regions
-        shrink = cosine * inverse * share
-        logit_gradient = weights * (within * shrink - toward * share)
-        atom_gradient = products.moments(weights, shrink) @ atoms - products.pull(weights * share)
-
-        step = Step.of_epoch(epoch, settings.learning_rate)
-        slots.step(logit_gradient, step, flush=epoch % _FLUSH_EVERY == 0)
-        decay(first, second)
-        add_gradient(first, second, atom_gradient)
-        step.move(atoms, first, second)
-        if slots.settle():
-            products.set_support(slots.support)
+        logits.grad.zero_().scatter_(1, support, logit_gradient)
+        optimizer.step()
+        _update_support(support, logits)
         done = epoch
-        progress("sparse coding", epoch, settings.epochs)
-    return AdamSolution(atoms, _codes(slots, n_atoms, k), done, tuple(losses))
+        progress("sparse coding", epoch, epochs)
+    weights, order = logits.gather(1, support).softmax(1).sort(dim=1, descending=True, stable=True)
+    found = RowCodes(support.gather(1, order), weights, torch.ones(len(ours)))
+    codes = as_sparse_codes(found, n_atoms, k, rows.device)
+    return Solution(atoms.to(rows.device), codes, done, tuple(losses))
 
 
-def _initial_logits(rows: Tensor, atoms: Tensor) -> Tensor:
-    """[R, L] float32."""
-    norms = torch.linalg.vector_norm(atoms, dim=1).clamp(min=_TINY)
-    return rows @ (atoms / norms[:, None]).T * LOGIT_SCALE
+def loss_and_gradients(
+    rows: Tensor,  # [R, D]
+    atoms: Tensor,  # [L, D]
+    support: Tensor,  # [R, K] int64
+    weights: Tensor,  # [R, K]
+    backend: CodingBackend,
+) -> tuple[float, Tensor, Tensor]:
+    """Return the mean loss of codes, and its gradients by the logits of the support [R, K] and by the atoms [L, D]."""
+    toward = _similarities(rows, atoms, support)
+    gram = atoms @ atoms.T
+    within = (gram[support[:, :, None], support[:, None]] * weights[:, None]).sum(2)
+    inverse = (within * weights).sum(1, keepdim=True).clamp(min=_TINY).rsqrt()  # 1 / n
+    cosines = (weights * toward).sum(1, keepdim=True) * inverse
+    logit_gradient = weights * inverse * (within * cosines * inverse - toward) / len(rows)
+    # With weights (c / n) w, each row counted 1 / c times, the sums are those of dc/dC.
+    shares = cosines.clamp(min=_TINY)
+    codes = RowCodes(support.int(), weights * inverse * shares, shares[:, 0])
+    moments, pull = backend.code_moments(rows, codes, shares[:, 0].reciprocal(), len(atoms))
+    atom_gradient = (moments.float() @ atoms - pull.float()) / len(rows)
+    return 1.0 - float(cosines.mean()), logit_gradient, atom_gradient
+
+
+def _similarities(rows: Tensor, atoms: Tensor, support: Tensor) -> Tensor:
+    """Return [R, K], the inner products of rows with the atoms of their support, a few of all L."""
+    count, k = support.shape
+    starts = torch.arange(0, count * k + 1, k)
+    with warnings.catch_warnings():
+        # torch calls its CSR tensors beta; the one operation used here is checked by our tests.
+        warnings.filterwarnings("ignore", message="Sparse (CSR|invariant)", category=UserWarning)
+        places = torch.sparse_csr_tensor(
+            starts, support.flatten(), torch.zeros(count * k), (count, len(atoms)), check_invariants=False
+        )
+        return torch.sparse.sampled_addmm(places, rows, atoms.T, beta=0.0).values().view(count, k)
+
+
+def _update_support(support: Tensor, logits: Tensor) -> None:
+    """Find the K largest logits again in the rows in which another has overtaken one of them; that is faster than to
+    find them in all rows."""
+    kept = logits.gather(1, support)
+    others = logits.scatter(1, support, -torch.inf).amax(1)
+    changed = (others > kept.amin(1)).nonzero()[:, 0]
+    support[changed] = logits[changed].topk(support.shape[1], dim=1).indices
 
 
 def _stalled(losses: list[float], tolerance: float | None) -> bool:
@@ -120,14 +131,3 @@ def _stalled(losses: list[float], tolerance: float | None) -> bool:
         and len(losses) > STOP_WINDOW
         and losses[-1 - STOP_WINDOW] - losses[-1] < tolerance
     )
-
-
-def _codes(slots: Slots, n_atoms: int, k: int) -> SparseCodes:
-    weights, order = torch.sort(slots.weights().T.float(), dim=1, descending=True, stable=True)
-    indices = slots.support.T.gather(1, order)
-    indices = torch.where(weights > 0, indices, 0)
-    missing = k - weights.shape[1]
-    if missing > 0:
-        weights = torch.nn.functional.pad(weights, (0, missing))
-        indices = torch.nn.functional.pad(indices, (0, missing))
-    return SparseCodes(indices.to(index_dtype(n_atoms)), weights.contiguous(), n_atoms)

@@ -17,6 +17,18 @@ SWAP_PASSES = 1
 
 
 @dataclass(frozen=True, eq=False)
+class Solution:
+    """The result of a solver."""
+
+    atoms: Tensor  # [L, D] float32
+    codes: SparseCodes  # of the rows
+    steps: int  # epochs, or steps and passes, that were run
+    losses: tuple[float, ...]
+    """Mean over all rows: of "adam" before each epoch; of "exact" before the passes, after each kept one, and at the
+    end, never rising; () if nothing was learned."""
+
+
+@dataclass(frozen=True, eq=False)
 class Encoded:
     """Rows under a codebook that was not learned from them."""
 

@@ -18,25 +18,20 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.coding.arithmetic import elementwise, ordered_sum, product, quotient, square_root, take_rows
-from scoup.coding.backends import (
-    CodingBackend,
-    RowCodes,
-    as_sparse_codes,
-    coding_backend,
-)
-from scoup.coding.exact_start import starting_atoms, unit
-from scoup.scene.codes import SparseCodes
+from scoup.coding.arithmetic import ordered_sum, take_rows, unit
+from scoup.coding.backends import CodingBackend, RowCodes, as_sparse_codes, coding_backend
+from scoup.coding.codebook import Solution
+from scoup.coding.kmeans import spherical_kmeans
 
 BETAS = (0.9, 0.99)
 EPSILON = 1e-8
+START_ITERATIONS = 2  # of k-means
 RESEED_EVERY = 25  # steps
 RESEED_UNTIL = 0.7  # share of the steps
 RARE = 2e-4  # atoms used by a smaller share of rows are placed anew
@@ -61,18 +56,6 @@ FAST = ExactSettings(steps=100, passes=0)
 EFFORTS = {"fast": FAST, "best": BEST}
 
 
-@dataclass(frozen=True, eq=False)
-class ExactSolution:
-    """The result of the solver."""
-
-    atoms: Tensor  # [L, D] float32, unit norm
-    codes: SparseCodes  # of the rows
-    steps: int  # and passes run
-    losses: tuple[
-        float, ...
-    ]  # mean over all rows before the passes, after each kept one, and at the end; never rises
-
-
 def solve_exact(
     rows: Tensor,  # [R, D]
     n_atoms: int,
@@ -81,7 +64,7 @@ def solve_exact(
     settings: ExactSettings = BEST,
     progress: Progress = no_progress,
     backend: str | None = None,
-) -> ExactSolution:
+) -> Solution:
     """Learn unit atoms and K-sparse codes of unit rows (method.md, stage 1) by exact coding.
 
     The work is done on the CPU, wherever the rows are. The same seed gives the same bytes; with the compiled core,
@@ -99,42 +82,43 @@ def solve_exact(
         progress("sparse coding", done, total)
     codes = as_sparse_codes(learner.final_codes(), n_atoms, k, rows.device)
     progress("sparse coding", total, total)
-    return ExactSolution(learner.atoms.to(rows.device), codes, done, tuple(learner.losses))
+    return Solution(learner.atoms.to(rows.device), codes, done, tuple(learner.losses))
 
 
 class Learner:
-    """The codebook while it is learned from unit rows; ``losses`` as in ``ExactSolution``."""
+    """The codebook while it is learned from unit rows; ``losses`` as in ``Solution``."""
 
     def __init__(self, rows: Tensor, n_atoms: int, k: int, seed: int, backend: CodingBackend) -> None:
         self.rows = rows
         self._k = k
         self._random = torch.Generator().manual_seed(seed)
         self._backend = backend
-        self.atoms = starting_atoms(rows, n_atoms, self._random, backend)
+        self.atoms = spherical_kmeans(rows, n_atoms, self._random, backend, START_ITERATIONS)
         self._codes: RowCodes | None = None
         self.losses: list[float] = []
 
     def steps(self, settings: ExactSettings) -> Iterator[None]:
         """Take Adam steps, yielding after each."""
-        first, second = torch.zeros_like(self.atoms), torch.zeros_like(self.atoms)
+        first, second = np.zeros((2, *self.atoms.shape), np.float32)
         supports: list[Tensor] = []  # since atoms were last placed anew
         batches = self._batches(min(settings.batch, len(self.rows)))
         for step in range(1, settings.steps + 1):
             rows = take_rows(self.rows, next(batches))
             codes = self._backend.code_rows(rows, self.atoms, self._k, swap_passes=1)
-            gradient = self.gradient(rows, codes)
-            first = _toward(first, gradient, 1 - BETAS[0])
-            second = _toward(second, product(gradient, gradient), 1 - BETAS[1])
+            gradient = self.gradient(rows, codes).numpy()
+            first += (gradient - first) * (1 - BETAS[0])
+            second += (gradient * gradient - second) * (1 - BETAS[1])
             rate = settings.learning_rate * 0.5 * (1 + math.cos(math.pi * step / settings.steps))
             rate /= 1 - BETAS[0] ** step
-            root = square_root(quotient(second, 1 - BETAS[1] ** step))
-            self.atoms = unit(_stepped(self.atoms, first, root, rate), self.atoms)
+            root = np.sqrt(second / (1 - BETAS[1] ** step))
+            moved = self.atoms.numpy() - rate * first / (root + EPSILON)
+            self.atoms = unit(torch.from_numpy(moved), self.atoms)
 
             if step < RESEED_UNTIL * settings.steps:
                 supports.append(codes.support)
                 if step % RESEED_EVERY == 0:
                     placed = self.reseed(self._rare(torch.cat(supports)), rows, codes.cosines)
-                    first[placed] = second[placed] = 0
+                    first[placed.numpy()] = second[placed.numpy()] = 0
                     supports.clear()
             yield
 
@@ -184,8 +168,9 @@ class Learner:
     def gradient(self, rows: Tensor, codes: RowCodes) -> Tensor:
         """Return [L, D] float32: of the mean loss of some rows [n, D] with these codes, by the atoms."""
         within, toward = self._moments(rows, codes)
-        columns = _transposed(self.atoms)
-        return _mean_gradient(toward, self._backend.row_products(within.float(), columns), len(rows))
+        columns = torch.from_numpy(np.ascontiguousarray(self.atoms.numpy().T))
+        products = self._backend.row_products(within.float(), columns).numpy()
+        return torch.from_numpy((products - toward.numpy().astype("float32")) / len(rows))
 
     def _least_squares_atoms(self, codes: RowCodes) -> Tensor:
         within, toward = self._moments(self.rows, codes)
@@ -207,26 +192,6 @@ class Learner:
         placed = rare[: len(worst)]
         self.atoms[placed] = rows[worst]
         return placed
-
-
-@elementwise
-def _toward(mean: Any, target: Any, share: float) -> Any:
-    return mean + (target - mean) * share
-
-
-@elementwise
-def _stepped(atoms: Any, first: Any, root: Any, rate: float) -> Any:
-    return atoms - rate * first / (root + EPSILON)
-
-
-@elementwise
-def _transposed(atoms: Any) -> Any:
-    return np.ascontiguousarray(atoms.T)
-
-
-@elementwise
-def _mean_gradient(toward: Any, products: Any, count: int) -> Any:
-    return (products - toward.astype("float32")) / count
 
 
 def _loss(codes: RowCodes) -> float:

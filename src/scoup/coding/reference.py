@@ -5,7 +5,6 @@ The coder works in Gram space and in float64, batched over rows. Rounding may de
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -62,13 +61,13 @@ def code_rows(
 ) -> RowCodes:
     """See ``CodingBackend.code_rows``."""
     size = max(1, _BLOCK_NUMBERS // (k * len(atoms)))
-    support, weights, cosines = code_in_blocks(
-        lambda similarities, gram, start: code(similarities, gram, k, swap_passes, start),
-        rows,
-        atoms,
-        size,
-        warm,
-    )
+    gram = float32_products(atoms, atoms)
+    coded = []
+    for start in range(0, max(1, len(rows)), size):
+        block = slice(start, start + size)
+        similarities = float32_products(rows[block], atoms)
+        coded.append(code(similarities, gram, k, swap_passes, None if warm is None else warm[block]))
+    support, weights, cosines = (torch.cat(parts) for parts in zip(*coded, strict=True))
     return RowCodes(support.int(), weights.float(), cosines.float())
 
 
@@ -97,23 +96,6 @@ def code_moments(rows: Tensor, codes: RowCodes, scale: Tensor, n_atoms: int) -> 
 def solve(matrix: Tensor, right: Tensor) -> Tensor:
     """See ``CodingBackend.solve``."""
     return torch.linalg.solve(matrix, right)
-
-
-def code_in_blocks(
-    coder: Callable[[Tensor, Tensor, Tensor | None], RowCodes],
-    rows: Tensor,  # [R, D]
-    atoms: Tensor,  # [L, D]
-    size: int,
-    warm: Tensor | None,  # [R, K]
-) -> RowCodes:
-    """Codes of rows, ``size`` rows at a time, by ``coder(similarities [n, L], gram [L, L], warm [n, K] or None)``."""
-    gram = float32_products(atoms, atoms)
-    coded = []
-    for start in range(0, max(1, len(rows)), size):
-        block = slice(start, start + size)
-        similarities = float32_products(rows[block], atoms)
-        coded.append(coder(similarities, gram, None if warm is None else warm[block]))
-    return RowCodes(*(torch.cat(parts) for parts in zip(*coded, strict=True)))
 
 
 class _Found(NamedTuple):

@@ -10,7 +10,6 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from scoup.base.digests import file_sha256
 from scoup.base.errors import ScoupError
 from scoup.base.parts import Part
 from scoup.base.progress import Progress, no_progress
@@ -40,7 +39,7 @@ def extract_concepts(
     store = new_store(Path(folder), texts, settings)
     store.begin(overwrite)
     report, mine, moment = ExtractReport(), part.of(photographs), time.perf_counter()
-    waiting = [item for item in mine if overwrite or not store.has(item.name, _digest(item))]
+    waiting = [item for item in mine if overwrite or not store.has(item.name, item.digest())]
     report.kept = len(mine) - len(waiting)
     for done, (item, pixels) in enumerate(read_ahead(waiting, max_height), start=report.kept):
         progress("concepts", done, len(mine))
@@ -69,10 +68,3 @@ def boxes_as_stored(pixels: Pixels, boxes: Tensor) -> Tensor:
         left, top, right, bottom = height - bottom, left, height - top, right
         width, height = height, width
     return torch.stack([left, top, right, bottom], 1)
-
-
-def _digest(item: Photograph) -> str:
-    try:
-        return file_sha256(item.path)
-    except ScoupError:
-        return ""  # cannot be read: skipped when its turn comes

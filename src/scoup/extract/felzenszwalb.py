@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scoup.base.errors import ScoupError
 from scoup.extract.masks import Masks
 from scoup.models.entry import ModelEntry
-from scoup.scene.regions import LEVELS
 
 NAME = "felzenszwalb"
 _REFERENCE = 1_000_000  # pixels of an image for which the scales are meant
@@ -24,7 +23,6 @@ class Felzenszwalb:
     They are unrelated to objects: a way from photographs to a field on any machine, not a substitute for SAM.
     """
 
-    levels = LEVELS
     cut_last = False
     drop_hidden = False
 

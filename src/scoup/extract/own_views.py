@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count as count_from
 from pathlib import Path
@@ -78,25 +78,21 @@ def choose_cameras(
     draws = qmc.Halton(5, scramble=False).random(1 + ROUNDS * CHILDREN)[1:] * 2 - 1
     there = list(beside or ())
     cameras = [*there, *candidate_cameras(matter, width, height)]
-    total, done = len(cameras) + ROUNDS * PARENTS * CHILDREN, 0
-    progress("cameras", done, total)
+    total, numbers = len(cameras) + ROUNDS * PARENTS * CHILDREN, count_from(1)
+    progress("cameras", 0, total)
 
-    def score(some: list[Camera]) -> Scores:
-        nonlocal done
-        found = []
+    def counted(some: list[Camera]) -> Iterator[Camera]:
         for camera in some:
-            found.append(scorer.score(camera))
-            done += 1
-            progress("cameras", done, total)
-        return Scores.of(some, found)
+            yield camera
+            progress("cameras", next(numbers), total)
 
-    scores = score(cameras)
+    scores = scorer.scores(counted(cameras))
     for near in torch.from_numpy(draws).split(CHILDREN):
         parents = choose_views(
             clear_worth(scores, scorer.means, len(there)), scores.direction, PARENTS, there=range(len(there))
         )
         moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
-        scores = Scores.joined([scores, score(moved)]) if moved else scores
+        scores = Scores.joined([scores, scorer.scores(counted(moved))]) if moved else scores
     worth = clear_worth(scores, scorer.means, len(there))
     least_gain = LEAST_GAIN * float(gains_alone(worth[len(there) :]).max()) if count is None else 0.0
     chosen = choose_views(worth, scores.direction, count or MOST_VIEWS, least_gain, range(len(there)))

@@ -16,7 +16,7 @@ from scoup.base.errors import InputError, ScoupError
 from scoup.base.progress import Progress, no_progress, reported
 from scoup.extract.photographs import Photograph, read_ahead
 from scoup.extract.view_candidates import find_matter, measure_matter
-from scoup.extract.view_choice import Scores, ViewScorer, choose_views, gains_alone
+from scoup.extract.view_choice import ViewScorer, choose_views, gains_alone
 from scoup.io import load_cameras, load_gaussians, read_points
 from scoup.io.camera_sources import find_cameras
 from scoup.io.scene_parts import find_splat
@@ -116,8 +116,7 @@ def rank_views(
     scorer = ViewScorer.of(
         prepare_gaussians(gaussians), matter, torch.from_numpy(spread_directions(SECTORS)).float()
     )
-    found = [scorer.score(camera) for camera in reported(cameras, "choice", len(cameras), progress)]
-    scores = Scores.of(list(cameras), found)
+    scores = scorer.scores(reported(cameras, "choice", len(cameras), progress))
     worth = scores.shown.float() * relative_sharpness(sharp, scores.shown.float())[:, None]
     alone = gains_alone(worth)
     if not bool(alone.any()):

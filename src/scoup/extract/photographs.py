@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scoup.base.ahead import worked_ahead
 from scoup.base.digests import file_sha256
 from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import camera_photographs
@@ -36,6 +35,13 @@ class Photograph:
     """Of the file."""
     mask: Path | None = None
     """Of an image that is 0 where there are no regions; of instant-ngp's, where there are."""
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the file; "" if it cannot be read, which is reported when its turn comes."""
+        try:
+            return file_sha256(self.path)
+        except ScoupError:
+            return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,27 +136,17 @@ def read_ahead(
 
     Threads decode the next ones meanwhile; at most ``AHEAD`` + 1 images are in memory.
     """
-    waiting = iter(photographs)
-    with warnings.catch_warnings(), ThreadPoolExecutor(max_workers=AHEAD) as pool:
+    with warnings.catch_warnings():
         # Not in the threads: filters belong to the process, and threads would restore each other's.
         warnings.filterwarnings("ignore", module=r"PIL\.")
-        queue: list[tuple[Photograph, Future[Pixels]]] = []
 
-        def fill() -> None:
-            for item in islice(waiting, AHEAD - len(queue)):
-                queue.append((item, pool.submit(read_photograph, item.path, max_height, item.mask)))
+        def read(item: Photograph) -> Pixels:
+            return read_photograph(item.path, max_height, item.mask)
 
-        try:
-            fill()
-            while queue:
-                item, future = queue.pop(0)
-                try:
-                    result: Pixels | ScoupError = future.result()
-                except ScoupError as error:
-                    result = error
-                del future
-                fill()
-                yield item, result
-        finally:
-            for _, future in queue:
-                future.cancel()
+        for item, future in worked_ahead(read, photographs, AHEAD):
+            try:
+                result: Pixels | ScoupError = future.result()
+            except ScoupError as error:
+                result = error
+            del future  # it keeps the image
+            yield item, result

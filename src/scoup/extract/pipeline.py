@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.counts import counted, none_of
-from scoup.base.digests import file_sha256
 from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.base.parts import Part
 from scoup.base.progress import Progress, no_progress
@@ -85,7 +84,7 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
     store.check_names(item.name for item in photographs)
     mine = part.of(photographs)
     report = ExtractReport()
-    waiting = mine if overwrite else [item for item in mine if not _is_made(store, item)]
+    waiting = [item for item in mine if overwrite or not store.has(item.name, item.digest())]
     report.kept = done = len(mine) - len(waiting)
     progress("regions", done, len(mine))
     moment = time.perf_counter()
@@ -161,13 +160,6 @@ def _painted(masks: Masks, photograph: Pixels) -> NDArray[np.int32]:
 def _embed_crops(crops: Iterator[Tensor], embedder: CropEmbedder) -> Tensor:
     rows = [embedder.embed(some).cpu() for some in crops]
     return torch.cat(rows) if rows else torch.zeros(0, embedder.dim)
-
-
-def _is_made(store: RegionStore, item: Photograph) -> bool:
-    try:
-        return store.has(item.name, file_sha256(item.path))
-    except ScoupError:
-        return False  # cannot be read: counted when its turn comes
 
 
 def _warn_of_skipped(report: ExtractReport, total: int) -> None:

@@ -24,14 +24,8 @@ from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 def _open_sam(name: str, revision: str | None, device: Device, settings: MaskSettings) -> Segmenter:
     if name.startswith(ONNX):
         return SamSegmenter(onnx_sam.open_onnx_sam(name), settings)
-    model = sam.open_sam(name, revision, device, settings.half, _hub_id(SEGMENTERS, name))
+    model = sam.open_sam(name, revision, device, settings.half, SEGMENTERS.find(name).model_id(name))
     return SamSegmenter(model, settings)
-
-
-def _hub_id(table: Registry[ModelEntry], name: str) -> str:
-    """Return the id of the model that a name is short for; "" if it is not short."""
-    file = table.find(name).file
-    return "" if file is None else file[0]
 
 
 def _open_dense(name: str, revision: str | None, device: Device) -> Embedder:
@@ -140,7 +134,11 @@ def open_pair(
 
     def revision_of(table: Registry[ModelEntry], name: str, given: str | None) -> str | None:
         # The manifest names a model by its hub id.
-        same = begun.get(table.what) in (name, name.removeprefix(dense.PREFIX), _hub_id(table, name))
+        same = begun.get(table.what) in (
+            name,
+            name.removeprefix(dense.PREFIX),
+            table.find(name).model_id(name),
+        )
         return given or (begun.get(f"{table.what}_revision") or None if same else None)
 
     first = revision_of(SEGMENTERS, segmenter, revisions[0])

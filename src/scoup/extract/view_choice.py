@@ -33,38 +33,16 @@ DIRECTIONS = 10.0  # from which each Gaussian is to be seen, at most
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
-    """The Gaussians, of M counted ones, that one candidate camera shows, and the quality of its picture."""
-
-    shown: Tensor
-    """[M] float32, how well each Gaussian is shown, 0..1."""
-    direction: Tensor
-    """[M] uint8, the sector of directions from which it is seen."""
-    opaque: float
-    """Share of the pixels that show something which show nothing behind it, less what is too near or blurred, 0..1."""
-    filled: float
-    """Mean alpha."""
-    elongation: float
-    """Mean over the pixels: logarithm of how long the Gaussians are along the ray, by across it."""
-
-
-@dataclass(frozen=True, eq=False)
 class Scores:
-    """The Gaussians, of M counted ones, that candidate cameras show."""
+    """The Gaussians, of M counted ones, that candidate cameras show, and the quality of their pictures."""
 
     cameras: list[Camera]
-    shown: Tensor  # [V, M] float16, as ``Score.shown``
-    direction: Tensor  # [V, M] uint8
-    pictures: Tensor  # [V, 3] float32: opaque, filled, elongation
-
-    @classmethod
-    def of(cls, cameras: list[Camera], found: Sequence[Score]) -> Scores:
-        """Return the scores of some cameras."""
-        pictures = torch.tensor([(each.opaque, each.filled, each.elongation) for each in found])
-        shown, direction = (
-            torch.stack([getattr(each, name) for each in found]) for name in ("shown", "direction")
-        )
-        return cls(cameras, shown.half(), direction, pictures)
+    shown: Tensor  # [V, M] float16, how well each Gaussian is shown, 0..1
+    direction: Tensor  # [V, M] uint8, the sector of directions from which it is seen
+    pictures: Tensor
+    """[V, 3] float32. Opaque: share of the pixels that show something which show nothing behind it, less what is too
+    near or blurred, 0..1. Filled: mean alpha. Elongation: mean over the pixels of the logarithm of how long the
+    Gaussians are along the ray, by across it."""
 
     @classmethod
     def joined(cls, parts: Sequence[Scores]) -> Scores:
@@ -102,15 +80,6 @@ class Scores:
         return shown * quality
 
 
-def prepared_order(prepared: PreparedGaussians, rows: Tensor) -> Tensor:
-    """Return where ``rows`` of the scene are among the prepared Gaussians."""
-    if prepared.order is None:
-        return rows
-    places = torch.empty_like(prepared.order)
-    places[prepared.order] = torch.arange(len(places))
-    return places[rows]
-
-
 @dataclass(frozen=True, eq=False)
 class ViewScorer:
     """Scores cameras by cheap renders."""
@@ -126,8 +95,9 @@ class ViewScorer:
     @classmethod
     def of(cls, prepared: PreparedGaussians, matter: Matter, sectors: Tensor | None = None) -> ViewScorer:
         gaussians: Gaussians = prepared.gaussians
-        step = -(-len(matter.rows) // MOST_COUNTED)
-        counted = prepared_order(prepared, matter.rows[::step])
+        counted = matter.rows[:: -(-len(matter.rows) // MOST_COUNTED)]
+        if prepared.order is not None:
+            counted = prepared.order.argsort()[counted]
         sizes = gaussians.scales.sort(1).values[:, 1].contiguous()
         full_size = (0.75 / (4 * math.pi * len(matter.rows))) ** 0.5
         turned = rotation_matrices(gaussians.quats)
@@ -142,8 +112,14 @@ class ViewScorer:
         """[M, 3] of the counted Gaussians."""
         return self.prepared.gaussians.means[self.counted]
 
-    def score(self, camera: Camera) -> Score:
-        """Return what a camera shows."""
+    def scores(self, cameras: Iterable[Camera]) -> Scores:
+        """Return what cameras show, one at least."""
+        found = [(camera, *self._score(camera)) for camera in cameras]
+        taken, shown, direction, pictures = zip(*found, strict=True)
+        return Scores(list(taken), torch.stack(shown).half(), torch.stack(direction), torch.tensor(pictures))
+
+    def _score(self, camera: Camera) -> tuple[Tensor, Tensor, tuple[float, float, float]]:
+        """Return a row of ``Scores``."""
         factor = SIDE / max(camera.width, camera.height)
         small = camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
         gaussians = self.prepared.gaussians
@@ -164,7 +140,7 @@ class ViewScorer:
         opaque = float((alpha > 0.9).sum()) / max(float((alpha > 0.05).sum()), 1.0)
         opaque *= max(0.0, 1 - 4 * float(near.mean())) * max(0.0, 1 - 2 * float(blurred.mean()))
         along = float(elongation[solid].mean()) if bool(solid.any()) else MOST_ELONGATED
-        return Score(shown, direction, opaque, float(alpha.mean()), along)
+        return shown, direction, (opaque, float(alpha.mean()), along)
 
     def _elongation(self, camera: Camera) -> Tensor:
         """Return [N], the logarithm of the standard deviation along the ray by that across it."""

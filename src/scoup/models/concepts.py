@@ -198,7 +198,7 @@ def open_transformer(
     name: str, revision: str | None = None, device: torch.device | str = "cpu"
 ) -> ConceptModel:
     """Load a model of transformers: a short name, a folder or a hub id."""
-    model_id = HUB_IDS.get(name, name)
+    model_id = CONCEPTS.find(name).model_id(name)
 
     def load(files: Pretrained) -> ConceptModel:
         kind = files.config.model_type.removesuffix("_video")
@@ -228,26 +228,17 @@ def _open_onnx(name: str, revision: str | None, device: torch.device | str) -> C
     return open_onnx_concepts(name)
 
 
-HUB_IDS = {
-    "owlv2": "google/owlv2-base-patch16-ensemble",
-    "owlv2-large": "google/owlv2-large-patch14-ensemble",
-    "grounding-dino": "IDEA-Research/grounding-dino-tiny",
-    "grounding-dino-base": "IDEA-Research/grounding-dino-base",
-    "sam3": "facebook/sam3",
-}
-
-
-def _entry(name: str, said: str, licence: str = "Apache-2.0") -> ModelEntry:
-    file = (HUB_IDS[name], "model.safetensors")
+def _entry(name: str, hub_id: str, said: str, licence: str = "Apache-2.0") -> ModelEntry:
+    file = (hub_id, "model.safetensors")
     return ModelEntry(name, open_transformer, file=file, help=said, licence=licence, extra="models")
 
 
 CONCEPTS = Registry("model with words", "scoup.concepts", ModelEntry, (
-    _entry("owlv2", "OWLv2 B/16: boxes"),
-    _entry("owlv2-large", "OWLv2 L/14: boxes"),
-    _entry("grounding-dino", "Grounding DINO, Swin-T: boxes"),
-    _entry("grounding-dino-base", "Grounding DINO, Swin-B: boxes"),
-    _entry("sam3", "SAM 3: masks", "SAM License"),
+    _entry("owlv2", "google/owlv2-base-patch16-ensemble", "OWLv2 B/16: boxes"),
+    _entry("owlv2-large", "google/owlv2-large-patch14-ensemble", "OWLv2 L/14: boxes"),
+    _entry("grounding-dino", "IDEA-Research/grounding-dino-tiny", "Grounding DINO, Swin-T: boxes"),
+    _entry("grounding-dino-base", "IDEA-Research/grounding-dino-base", "Grounding DINO, Swin-B: boxes"),
+    _entry("sam3", "facebook/sam3", "SAM 3: masks", "SAM License"),
     HubEntry("FOLDER or hub id", open_transformer, help="any of these models", extra="models"),
     ModelEntry(
         f"{ONNX}FOLDER", _open_onnx, extra="onnx", help="a detector exported as image.onnx and text.onnx, on the CPU"

@@ -38,6 +38,10 @@ class ModelEntry(Entry):
     file: tuple[str, str] | None = None
     """Hub id, and the file of the weights; None where the user names the weights."""
 
+    def model_id(self, name: str) -> str:
+        """Return the hub id that a name of this entry is short for, or else the name."""
+        return name if self.file is None else self.file[0]
+
     def cells(self) -> dict[str, str]:
         """Return column -> text, of all but ``help`` and ``weights``."""
         return {

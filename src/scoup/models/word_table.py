@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -135,21 +136,13 @@ def _read_array(path: Path, stream: Any, size: int) -> np.ndarray:
     """Read one .npy member; refuse it before any memory is taken if it claims more than it has."""
     version = np.lib.format.read_magic(stream)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, column_major, dtype = header(stream)
+    shape, _, dtype = header(stream)
     if dtype.kind not in "fiuUS" or any(side < 0 for side in shape):
         raise FileFormatError(path, f"contains an array of type {dtype}, expected words and numbers", _REMEDY)
-    count = 1
-    for side in shape:  # Python integers: a product of damaged sizes must not wrap around
-        count *= int(side)
-    needed = count * dtype.itemsize
-    if needed > size:
+    if math.prod(shape) * dtype.itemsize > size:
         raise FileFormatError(path, "is cut short: an array is larger than its data", _REMEDY)
-    data = stream.read(needed)
-    if len(data) != needed:
-        raise FileFormatError(path, "is cut short", _REMEDY)
-    if count == 0 or needed == 0:
-        return np.zeros(shape if count == 0 else 0, dtype=dtype)
-    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if column_major else "C")
+    stream.seek(0)
+    return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 def _read_json(path: Path) -> WordTable:

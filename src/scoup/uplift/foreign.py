@@ -18,6 +18,7 @@ from scoup.base.scratch import scratch_array
 from scoup.base.version import VERSION
 from scoup.coding import fit_codes
 from scoup.coding.codebook import encode
+from scoup.coding.report import decoded_cosines
 from scoup.field.language_field import LanguageField
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.npy import open_npy
@@ -264,10 +265,7 @@ def _coded(
         codes = encode(unit, atoms, k)
         indices.append(codes.indices)
         weights.append(codes.weights)
-        dense = codes.to_dense()
-        lengths = torch.linalg.norm(dense @ atoms, dim=1)
-        cosine = ((dense @ atoms) * unit).sum(1) / lengths.clamp(min=1e-12)
-        total += float(cosine[unit.any(1)].double().sum())
+        total += float(decoded_cosines(unit, atoms, codes).double().sum())
         known += int(unit.any(1).sum())
         progress(stage, min(len(rows), start + ROWS_AT_A_TIME), len(rows))
     return SparseCodes(torch.cat(indices), torch.cat(weights), len(atoms)), round(total / max(1, known), 4)

@@ -21,12 +21,6 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 
 
-def labels_digest(sums: RegionSums, view_names: Sequence[str]) -> str:
-    """Return a SHA-256 of the label maps of views."""
-    digests = {name: sums.views[name].labels_digest for name in view_names}
-    return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()
-
-
 def embedding_source(features: Path, regions: Regions, named: str | None = None) -> tuple[str, Path | None]:
     """Return the embedding model and the word table for a field to record; "" and None where unknown. What is ``named``
     is a model that takes precedence over the manifest of the regions in ``features``, or a word table.
@@ -65,11 +59,12 @@ def build_record(
     that of the rounds after the first.
     """
     names = list(sums.views)
+    label_maps = json.dumps({name: view.labels_digest for name, view in sums.views.items()}, sort_keys=True)
     record: dict[str, Any] = {
         "software": f"scoup {VERSION}",
         "settings": asdict(settings),
         "inputs": inputs,
-        "label_maps": labels_digest(sums, names),
+        "label_maps": hashlib.sha256(label_maps.encode()).hexdigest(),
         "views": names,
         "coding": dict(zip(sums.levels, reports, strict=True)),
     }

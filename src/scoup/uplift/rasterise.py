@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.ahead import worked_ahead
 from scoup.base.arguments import check_arguments
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import InputError
@@ -153,7 +153,7 @@ def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) ->
 
 def read_labels(
     regions: Regions, cameras: Sequence[Camera], device: torch.device
-) -> Generator[tuple[Camera, CombinedLabels], None, None]:
+) -> Iterator[tuple[Camera, CombinedLabels]]:
     """Yield cameras and the label tuples of their pixels, on the CPU; threads read the next views ahead. What goes to a
     GPU is in pinned memory, which is copied fastest.
     """
@@ -162,21 +162,8 @@ def read_labels(
         combined = raster.combine(regions.load_labels(camera.name, camera.width, camera.height))
         return combined if device.type == "cpu" else replace(combined, map=combined.map.pin_memory())
 
-    n_readers = 1 if device.type == "cpu" else READERS
-    waiting: deque[tuple[Camera, Future[CombinedLabels]]] = deque()
-    with ThreadPoolExecutor(n_readers) as readers:
-        try:
-            for camera in cameras:
-                waiting.append((camera, readers.submit(load, camera)))
-                if len(waiting) > n_readers:
-                    first, future = waiting.popleft()
-                    yield first, future.result()
-            while waiting:
-                first, future = waiting.popleft()
-                yield first, future.result()
-        finally:
-            for _, future in waiting:
-                future.cancel()
+    for camera, future in worked_ahead(load, cameras, 1 if device.type == "cpu" else READERS):
+        yield camera, future.result()
 
 
 def check_sums(

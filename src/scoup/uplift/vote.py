@@ -60,7 +60,6 @@ def vote(
     codebook: Tensor | ArrayLike,
     rounds: int = 1,
     keep: int | None = 4,
-    keep_between: int | None = None,
     backend: str | None = None,
     progress: Progress = no_progress,
 ) -> GaussianCodes:
@@ -74,8 +73,7 @@ def vote(
         codes: per level, of the regions of all views.
         codebook: [S, L, D] float32; only its inner products are used, and only after the first round.
         rounds: 1 or more.
-        keep: atoms per Gaussian; None keeps all.
-        keep_between: atoms per Gaussian between rounds; by default ``keep``, or the codes' own K.
+        keep: atoms per Gaussian; None keeps all, and as many as the codes have between rounds.
         backend: "native", "reference" or "triton"; by default the fastest for the device.
         progress: called for the stage "vote".
 
@@ -127,7 +125,7 @@ def vote(
 
     earlier = None
     for _ in range(1, rounds):
-        indices, weights = one_round(keep_between or keep or codes[0].k, earlier, last=False)
+        indices, weights = one_round(keep or codes[0].k, earlier, last=False)
         if earlier is None:
             earlier = EarlierRound(indices, weights, torch.zeros(len(codes)))
             sample = prepare(spread(list(views), SAMPLED_VIEWS))

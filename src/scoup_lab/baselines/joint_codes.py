@@ -32,6 +32,7 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
+from scoup.coding.backends import coding_backend
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.scene.codes import index_dtype
 from scoup.scene.directions import normalise_embeddings
@@ -39,6 +40,7 @@ from scoup.uplift.region_sums import Rows
 from scoup_lab.baselines.view_weights import ViewWeights, rendered
 
 _EPSILON = 1e-15  # of Adam, as in their code
+_ITERATIONS = 10  # of k-means
 _TINY = 1e-16  # squared norm of a rendered feature, below which it has no direction
 
 
@@ -173,7 +175,9 @@ class _Training:
         self.targets = [targets[number] for number in seen]
         self.settings = settings
         rows = torch.cat([target.embeddings for target in self.targets])
-        self.atoms = spherical_kmeans(rows, settings.n_atoms, seed).requires_grad_()
+        random = torch.Generator().manual_seed(seed)
+        atoms = spherical_kmeans(rows, settings.n_atoms, random, coding_backend(), _ITERATIONS)
+        self.atoms = atoms.requires_grad_()
         self.logits = torch.zeros(n_gaussians, settings.n_atoms, requires_grad=True)
         self.adam = torch.optim.Adam([self.logits, self.atoms], lr=settings.learning_rate, eps=_EPSILON)
         self.order = _shuffled(len(self.views), seed)

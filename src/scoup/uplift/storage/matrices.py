@@ -38,24 +38,13 @@ def triplets_of(
 def csr_matrix(
     views: Mapping[str, ViewRecord], order: NDArray[np.int64], level: int, rows: Mapping[str, slice]
 ) -> csr_array:
-    """See ``RegionSums.matrix``. Entries are placed view by view: 8 bytes per non-zero in all."""
-    from scipy.sparse import csr_array
+    """See ``RegionSums.matrix``."""
+    from scipy.sparse import coo_array
 
-    count, total = len(order), max((part.stop for part in rows.values()), default=0)
-    ends = np.zeros(count + 1, np.int64)
-    for view in views.values():
-        ends[1:] += np.bincount(triplets_of(view, order, level)[0], minlength=count)
-    np.cumsum(ends, out=ends)
-    columns = np.empty(ends[-1], np.int32)
-    weights = np.empty(ends[-1], np.float32)
-    free = ends[:-1].copy()  # the next place of each Gaussian
+    parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
     for name, view in views.items():
         gaussian, region, weight = triplets_of(view, order, level)
-        # The regions of the view to which one Gaussian contributes follow each other.
-        first = np.flatnonzero(np.diff(gaussian, prepend=-1))
-        repeats = np.diff(first, append=len(gaussian))
-        at = free[gaussian] + np.arange(len(gaussian)) - np.repeat(first, repeats)
-        columns[at] = region + rows[name].start
-        weights[at] = weight
-        free[gaussian[first]] += repeats
-    return csr_array((weights, columns, ends), shape=(count, total))
+        parts.append((gaussian.astype(np.int32), (region + rows[name].start).astype(np.int32), weight))
+    gaussians, regions, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    shape = len(order), max((part.stop for part in rows.values()), default=0)
+    return coo_array((weights, (gaussians, regions)), shape).tocsr()
