@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.io_samples import spz_of_version
 
-from scoup.io import load_gaussians, write_spz
+from scoup.io import load_gaussians, save_gaussians
 from scoup.scene.gaussians import Gaussians
 
 SPLATS = "KHR_gaussian_splatting"
@@ -221,10 +222,13 @@ def check_features(root: dict[str, Any], binary: bytes, columns: dict[str, np.nd
     assert counts.tolist() == [int((ids == row).sum()) for row in range(table["count"])]
 
 
-def spz_in_gltf(folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3) -> Path:
+def spz_in_gltf(
+    folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3, fourth: np.ndarray | None = None
+) -> Path:
     """A .glb file whose attributes are a .spz file, by the draft of the extension."""
-    write_spz(gaussians, folder / "inner.spz", overwrite=True, version=version)
-    data = (folder / "inner.spz").read_bytes()
+    save_gaussians(gaussians, folder / "inner.spz", overwrite=True)
+    data = spz_of_version((folder / "inner.spz").read_bytes(), version, fourth)
+    (folder / "inner.spz").write_bytes(data)
     root, _ = foreign(columns_of(gaussians))
     compression = f"{SPLATS}_compression_spz{name}"
     primitive = root["meshes"][0]["primitives"][0]

@@ -23,7 +23,6 @@ from scoup.io.splats.ply import (
     write_ply,
     write_ply_table,
 )
-from scoup.io.splats.spz import write_spz
 
 __all__ = [
     "GaussianFeatures",
@@ -53,7 +52,6 @@ __all__ = [
     "write_gltf",
     "write_ply",
     "write_ply_table",
-    "write_spz",
     "write_text",
     "write_transforms",
     "written_format",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, MissingFileError
@@ -15,6 +16,7 @@ from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import Distorted, check_finite, make_camera, sorted_cameras
 from scoup.scene.cameras import Cameras
+from scoup.scene.rotations import quats_of_rotations, rotation_matrices
 
 
 def is_model(folder: str | Path) -> bool:
@@ -95,8 +97,8 @@ def write_colmap(
     for number, camera in enumerate(cameras, start=1):
         lens = Lens("PINHOLE", camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
         number_of_lens = lenses.setdefault(lens, len(lenses) + 1)
-        rotation, translation = camera.viewmat[:3, :3].numpy(), camera.viewmat[:3, 3]
-        pose = _quaternion(rotation), tuple(translation.tolist())
+        quaternion = quats_of_rotations(camera.viewmat[None, :3, :3])[0]
+        pose = tuple(quaternion.tolist()), tuple(camera.viewmat[:3, 3].tolist())
         shots.append(Shot(number, camera.name, number_of_lens, *pose))
     positions, colors = points if points is not None else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
     numbered = {identifier: lens for lens, identifier in lenses.items()}
@@ -140,25 +142,5 @@ def _pose(path: Path, shot: Shot) -> np.ndarray:
         raise FileFormatError(
             path, f"image {shot.name!r} has no rotation (quaternion of norm {norm:.3g})", "register again"
         )
-    w, x, y, z = quaternion / norm
-    rotation = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.concatenate([np.array(rotation), np.array(translation)[:, None]], axis=1)
-
-
-def _quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    """Return (w, x, y, z) of a rotation: the eigenvector that stays accurate at every angle."""
-    r = rotation
-    symmetric = np.array(
-        [
-            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
-        ]
-    )
-    best = np.linalg.eigh(symmetric)[1][:, -1]
-    return tuple((best if best[0] >= 0 else -best).tolist())
+    rotation = rotation_matrices(torch.from_numpy(quaternion)[None])[0].numpy()
+    return np.concatenate([rotation, np.array(translation)[:, None]], axis=1)

@@ -96,14 +96,16 @@ def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) 
 
 
 def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarray]:
-    """Return means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other
-    values."""
+    """Return means, quats (unit norm; of zeros: no turn), scales, opacities (0 to 1) and sh as float64, for a writer
+    that has no place for other values."""
     if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
         raise InputError(f"{path}: some Gaussians have values that are not finite; remove these first")
     arrays = {
         name: tensor.detach().cpu().numpy().astype(np.float64) for name, tensor in gaussians.tensors().items()
     }
-    return {**arrays, "opacities": arrays["opacities"].clip(0, 1)}
+    quats = unit_quats(arrays["quats"]).astype(np.float64)
+    quats[np.isnan(quats).any(1)] = (1.0, 0.0, 0.0, 0.0)
+    return {**arrays, "quats": quats, "opacities": arrays["opacities"].clip(0, 1)}
 
 
 def linear_arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:

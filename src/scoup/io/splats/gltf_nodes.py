@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 
 from scoup.base.json_node import JsonNode
 from scoup.io.splats.gltf_document import GltfDocument, extension
-from scoup.io.splats.rotation import rotation_from_quat
+from scoup.scene.rotations import rotation_matrices
 
 SPLATS = "KHR_gaussian_splatting"
 
@@ -102,10 +103,11 @@ def _own_matrix(document: GltfDocument, node: dict[str, Any], index: int) -> np.
             raise document.error(f"the matrix of nodes[{index}] does not end with 0, 0, 0, 1")
         return matrix
     matrix = np.eye(4)
-    rotation = rotation_from_quat(np.roll(numbers("rotation", [0.0, 0.0, 0.0, 1.0]), 1))
-    if rotation is None:
-        raise document.error(f"the rotation of nodes[{index}] is not a quaternion")
+    quat = np.roll(numbers("rotation", [0.0, 0.0, 0.0, 1.0]), 1)
     with np.errstate(all="ignore"):
+        if not 0 < np.linalg.norm(quat) < np.inf:
+            raise document.error(f"the rotation of nodes[{index}] is not a quaternion")
+        rotation = rotation_matrices(torch.from_numpy(quat)[None])[0].numpy()
         matrix[:3, :3] = rotation * numbers("scale", [1.0, 1.0, 1.0])
     matrix[:3, 3] = numbers("translation", [0.0, 0.0, 0.0])
     return matrix

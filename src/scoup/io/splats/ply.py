@@ -23,7 +23,7 @@ from scoup.io.splats.activation import (
     scales_from_logs,
     unit_quats,
 )
-from scoup.io.splats.ply_compressed import is_compressed, read_compressed
+from scoup.io.splats.ply_compressed import is_compressed, read_compressed, write_compressed_ply
 from scoup.io.splats.ply_header import MIP, PlyHeader, format_header, ply_type, read_header
 from scoup.io.splats.ply_rows import read_large, read_rows
 from scoup.io.splats.splat_format import SplatFormat
@@ -295,3 +295,6 @@ def _in_output(folder: Path) -> Path | None:
 
 
 FORMAT = SplatFormat("Inria PLY", (".ply",), read_ply, write_ply, find=_in_output, keeps_antialiased=True)
+COMPRESSED = SplatFormat(
+    "compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply, keeps_antialiased=True
+)
