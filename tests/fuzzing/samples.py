@@ -47,8 +47,7 @@ from scoup.io.detections import new_store
 from scoup.io.regions import compact
 from scoup.io.regions.manifest import RegionManifest, write_manifest
 from scoup.io.splats.formats import FORMATS
-from scoup.io.splats.gltf import write_gltf
-from scoup.io.splats.gltf_features import GaussianFeatures
+from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
 from scoup.io.splats.ply import table_from_gaussians
 from scoup.models.word_table import save_table
 from scoup.scene.gaussians import Gaussians

@@ -11,8 +11,8 @@ import torch
 from gltf_samples import spz_in_gltf
 from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError
-from scoup.io import read_gltf
 from scoup.io.splats.axes import Axis, turned
+from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors

@@ -141,9 +141,10 @@ def test_files_beside_and_below(tmp_path):
     (place / "link.bin").symlink_to(tmp_path / "secret.bin")
     secret = str(tmp_path / "secret.bin")
     beside = ["../secret.bin", "data/../../secret.bin", "%2E%2E/secret.bin", "data/link.bin", secret]
-    beside += ["file://" + secret, "https://localhost/a.bin", "data\\a.bin", "", "a%00b"]
+    beside += ["file://" + secret, "https://localhost/a.bin", "data\\a.bin", "a%00b"]
     for uri, said in (
         *((uri, "not a file in its folder") for uri in beside),
+        ("", "uri is '', expected a text"),
         ("data/short.bin", "cut short"),
         ("data:application/octet-stream;base64,????", "base64 is damaged"),
         ("data:text/plain,hello", "not base64"),

@@ -14,7 +14,6 @@ from scoup.io.scenes import (
     save_gaussians,
 )
 from scoup.io.splats.formats import splat_source, written_format
-from scoup.io.splats.gltf import GaussianFeatures, read_gltf, write_gltf
 from scoup.io.splats.ply import (
     PlyTable,
     as_stored,
@@ -25,7 +24,6 @@ from scoup.io.splats.ply import (
 )
 
 __all__ = [
-    "GaussianFeatures",
     "PlyTable",
     "as_stored",
     "atomic_file",
@@ -39,7 +37,6 @@ __all__ = [
     "load_image",
     "load_regions",
     "read_cfg_args",
-    "read_gltf",
     "read_ply_table",
     "read_points",
     "read_tracks",
@@ -49,7 +46,6 @@ __all__ = [
     "save_regions",
     "splat_source",
     "write_colmap",
-    "write_gltf",
     "write_ply",
     "write_ply_table",
     "write_text",
