@@ -75,6 +75,17 @@ def read_json(path: str | Path, what: str, remedy: str = "") -> JsonNode:
         raise FileFormatError(path, f"is not valid JSON{place}", f"the file should contain {what}") from error
 
 
+def numbered_files(folder: Path, glob: str) -> dict[tuple[int, ...], Path]:
+    """Return the files that a glob finds in a folder, by the numbers in place of its stars; others are left out."""
+    pattern = re.escape(glob).replace(r"\*", r"(\d{1,12})")
+    found = {}
+    for file in folder.glob(glob):
+        matched = re.fullmatch(pattern, file.relative_to(folder).as_posix())
+        if matched and file.is_file():
+            found[tuple(map(int, matched.groups()))] = file
+    return found
+
+
 def check_finite(path: Path, values: Sequence[float], what: str) -> list[float]:
     """Return the values if all are finite; ``what`` names one of them in the FileFormatError."""
     for value in values:

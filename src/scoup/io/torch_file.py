@@ -7,6 +7,7 @@ import pickle
 import pickletools
 import re
 import zipfile
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -90,6 +91,18 @@ def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what
         problem = f"{name} is {actual}, expected floats [{expected}]"
         raise FileFormatError(path, problem, f"it should be {what}")
     return value.detach().float().numpy()
+
+
+def float_tensors(
+    path: Path, content: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], what: str
+) -> dict[str, np.ndarray]:
+    """Return ``float_tensor`` of several tensors, which have a row of these shapes for each Gaussian."""
+    found: dict[str, np.ndarray] = {}
+    count = -1
+    for name, shape in shapes.items():
+        found[name] = float_tensor(path, content.get(name), (count, *shape), name, what)
+        count = len(found[name])
+    return found
 
 
 def _allowed(numpy_numbers: bool) -> AbstractContextManager[Any]:

@@ -14,9 +14,10 @@ import numpy as np
 import torch
 
 from scoup.base.counts import counted
-from scoup.base.errors import InputError, ScoupWarning
-from scoup.scene.gaussians import Gaussians
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
+SH_BASES = tuple((degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1))
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within
 
 
@@ -55,6 +56,25 @@ def unit_quats(raw: np.ndarray) -> np.ndarray:
         squared = (wide**2).sum(1, keepdims=True)
         normalised = (wide / np.sqrt(squared)).astype(np.float32)
     return np.where(np.abs(squared - 1.0) < UNIT_TOLERANCE, raw.astype(np.float32), normalised)
+
+
+def trained_gaussians(
+    path: Path,
+    means: np.ndarray,
+    quats: np.ndarray,
+    logs: np.ndarray,
+    logits: np.ndarray,
+    sh: np.ndarray,
+    what: str,
+) -> tuple[Gaussians, np.ndarray]:
+    """Return ``keep_finite`` of what trainers keep: quaternions of any norm, logarithms of scales, logits of opacities.
+    ``what`` the file should be is for the FileFormatError of harmonics [N, B, 3] of no degree."""
+    if sh.shape[1] not in SH_BASES:
+        problem = f"has {sh.shape[1] - 1} coefficients above SH degree 0, no whole SH degree"
+        raise FileFormatError(path, problem, f"it should be {what}")
+    return keep_finite(
+        means, unit_quats(quats), scales_from_logs(logs), opacities_from_logits(logits), sh, str(path)
+    )
 
 
 def keep_finite(

@@ -16,6 +16,7 @@ from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY
 from scoup.io.cameras.inria import latest_point_cloud
 from scoup.io.splats.activation import (
+    SH_BASES,
     keep_finite,
     logits_from_opacities,
     logs_from_scales,
@@ -24,10 +25,10 @@ from scoup.io.splats.activation import (
     unit_quats,
 )
 from scoup.io.splats.ply_compressed import is_compressed, read_compressed, write_compressed_ply
-from scoup.io.splats.ply_header import MIP, PlyHeader, format_header, ply_type, read_header
+from scoup.io.splats.ply_header import MIP, PlyHeader, format_header, ply_type, read_header, rest_names
 from scoup.io.splats.ply_rows import read_large, read_rows
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
+from scoup.scene.gaussians import SH_C0, Gaussians
 
 _CENTER = ("x", "y", "z")
 _BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -221,7 +222,8 @@ def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
     }
     opacities = gaussians.opacities.detach().cpu().numpy()
     rest = 3 * (values["sh"].shape[1] - 1)
-    names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *_rest_names(rest), "opacity", *_SCALE, *_ROTATION)
+    higher = (f"f_rest_{number}" for number in range(rest))
+    names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *higher, "opacity", *_SCALE, *_ROTATION)
     rows = np.zeros(len(gaussians), dtype=[(name, "<f4") for name in names])
     every = rows.view("<f4").reshape(len(gaussians), len(names))
     every[:, 0:3] = values["means"]
@@ -273,19 +275,16 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
             remedy = "export the trained splat again, with these properties"
         problem = f"is not a 3D Gaussian Splatting PLY: it lacks {', '.join(missing)}"
         raise FileFormatError(table.path, problem, remedy)
-    rest = {name for name in table.names if name.startswith("f_rest_")}
-    degrees = {3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1)}
-    if len(rest) not in degrees or rest != set(_rest_names(len(rest))):
+    rest = rest_names(table.names)
+    if rest is None:
+        count = sum(name.startswith("f_rest_") for name in table.names)
         raise FileFormatError(
             table.path,
-            f"has {len(rest)} f_rest properties, expected f_rest_0 onwards, {sorted(degrees)} of them",
+            f"has {count} f_rest properties, expected f_rest_0 onwards, {[3 * (bases - 1) for bases in SH_BASES]} "
+            "of them",
             "export the splat again",
         )
-    return _rest_names(len(rest))
-
-
-def _rest_names(count: int) -> tuple[str, ...]:
-    return tuple(f"f_rest_{number}" for number in range(count))
+    return rest
 
 
 def _in_output(folder: Path) -> Path | None:

@@ -9,10 +9,10 @@ import numpy as np
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
-from scoup.io.splats.ply_header import MIP, read_header
+from scoup.io.splats.ply_header import MIP, read_header, rest_names
 from scoup.io.splats.ply_rows import read_rows
 from scoup.io.splats.rotation import with_largest, without_largest
-from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
+from scoup.scene.gaussians import SH_C0, Gaussians
 
 _BLOCK = 256  # Gaussians
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
@@ -76,17 +76,16 @@ def _higher_sh(path: Path, elements: tuple[str, ...], count: int) -> np.ndarray:
     if "sh" not in elements:
         return np.zeros((count, 0, 3))
     rows = read_rows(read_header(path, "sh"))
-    names = [name for name in rows.dtype.names or () if name.startswith("f_rest_")]
-    sizes = {3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1)}
-    ordered = [f"f_rest_{number}" for number in range(len(names))]
-    if len(rows) != count or len(names) not in sizes or set(names) != set(ordered):
-        raise _damaged(path, f"has {len(rows)} SH rows of {len(names)} for {count} vertices")
-    if not ordered:
+    names = rest_names(rows.dtype.names or ())
+    if len(rows) != count or names is None:
+        problem = f"has {len(rows)} SH rows of {len(rows.dtype.names or ())} properties for {count} vertices"
+        raise _damaged(path, problem)
+    if not names:
         return np.zeros((count, 0, 3))
-    stored = np.stack([rows[name] for name in ordered], axis=1)
+    stored = np.stack([rows[name] for name in names], axis=1)
     # A byte means the middle of its 256th; the first and the last for the ends.
     shares = np.where(stored == 0, 0.0, np.where(stored == 255, 1.0, (stored + 0.5) / 256.0))
-    return ((shares - 0.5) * _SH_RANGE).reshape(count, 3, len(ordered) // 3).transpose(0, 2, 1)
+    return ((shares - 0.5) * _SH_RANGE).reshape(count, 3, len(names) // 3).transpose(0, 2, 1)
 
 
 def write_compressed_ply(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from codecs import BOM_UTF8
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
 from scoup.base.existing import existing_file
+from scoup.io.splats.activation import SH_BASES
 
 MAX_HEADER_BYTES = 1 << 16
 MAX_PROPERTIES = 4096
@@ -75,6 +77,13 @@ def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
     offset = body + _bytes_before(path, elements[: names.index(element)], encoding)
     _check_size(path, wanted, dtype, size - offset, encoding, last=elements[-1] is wanted)
     return PlyHeader(path, encoding, wanted.count, dtype, offset, comments, names)
+
+
+def rest_names(names: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the properties f_rest_0 onwards; None if there are others of the kind, or they make no whole SH degree."""
+    count = sum(name.startswith("f_rest_") for name in names)
+    ordered = tuple(f"f_rest_{number}" for number in range(count))
+    return ordered if count in {3 * (bases - 1) for bases in SH_BASES} and {*ordered} <= {*names} else None
 
 
 def ply_type(dtype: np.dtype) -> np.dtype:
