@@ -18,7 +18,7 @@ from scoup.base.errors import InputError, MissingFileError, OutputExistsError
 from scoup.io import load_regions, save_regions
 from scoup.io.regions.convert import convert_regions
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest
-from scoup.io.regions.store import RegionStore
+from scoup.io.regions.store import RegionStore, read_view
 from scoup.io.regions.views import ViewRegions, match_stems
 from scoup.scene.regions import LEVELS, resize_labels
 
@@ -81,7 +81,7 @@ def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout, st
         opened = again.open_view(stem)
         assert (opened.width, opened.height, opened.dim) == (9, 6, 5)
         assert sum(opened.counts.values()) == len(item) == 12
-        read = opened.read()
+        read = read_view(opened)
         for level in LEVELS:
             assert (read.labels[level] == item.labels[level]).all()
             assert (read.embeddings[level] == item.embeddings[level]).all()
