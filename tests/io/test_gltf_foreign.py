@@ -60,7 +60,7 @@ def test_integers(tmp_path):
     np.testing.assert_allclose(gaussians.scales, columns[names[1]] / 65_535, rtol=1e-6)
     np.testing.assert_allclose(gaussians.opacities, columns[names[2]][:, 0] / 255, rtol=1e-6)
     root, binary = foreign(columns, normalised=names[:2])
-    with pytest.raises(FileFormatError, match="OPACITY is stored as integers"):
+    with pytest.raises(FileFormatError, match="OPACITY is stored as integers that are not normalised"):
         read_in_its_axes(packed(tmp_path / "b.glb", root, binary))
 
 

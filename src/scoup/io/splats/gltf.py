@@ -22,7 +22,6 @@ from scoup.io.splats.gltf_document import (
     SH_DEGREE,
     SPLATS,
     GltfDocument,
-    Integers,
     read_document,
     sh_names,
 )
@@ -228,12 +227,12 @@ def _read_primitive(document: GltfDocument, primitive: JsonNode) -> Columns:
             raise document.error(f"its Gaussians are compressed ({name[:60]!a})", _EXPORT_PLAIN)
     attributes = primitive.get("attributes")
 
-    def column(name: str, kind: str, integers: Integers = "none") -> np.ndarray:
+    def column(name: str, kind: str, plain: bool = False) -> np.ndarray:
         index = attributes.get(name)
         if index.value is None:
             remedy = "export it again with the ratified extension"
             raise document.error(f"its Gaussians have no {name}", remedy)
-        return document.column(index, kind, integers)
+        return document.column(index, kind, plain)
 
     degrees = [
         degree
@@ -242,10 +241,10 @@ def _read_primitive(document: GltfDocument, primitive: JsonNode) -> Columns:
     ]
     coefficients = [column(name, "VEC3") for name in sh_names(max(degrees, default=0))]
     columns = {
-        "means": column("POSITION", "VEC3", "any"),
-        "quats": unit_quats(np.roll(column(f"{SPLATS}:ROTATION", "VEC4", "normalised"), 1, axis=1)),
-        "scales": np.abs(column(f"{SPLATS}:SCALE", "VEC3", "any")),
-        "opacities": column(f"{SPLATS}:OPACITY", "SCALAR", "normalised")[:, 0].clip(0.0, 1.0),
+        "means": column("POSITION", "VEC3", plain=True),
+        "quats": unit_quats(np.roll(column(f"{SPLATS}:ROTATION", "VEC4"), 1, axis=1)),
+        "scales": np.abs(column(f"{SPLATS}:SCALE", "VEC3", plain=True)),
+        "opacities": column(f"{SPLATS}:OPACITY", "SCALAR")[:, 0].clip(0.0, 1.0),
     }
     if len({len(each) for each in (*columns.values(), *coefficients)}) > 1:
         raise document.error("the attributes of its Gaussians have different counts")

@@ -8,7 +8,6 @@ import json
 import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 from urllib.parse import unquote
 
 import numpy as np
@@ -25,9 +24,6 @@ JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "f4": 5126}
 _DAMAGED = "the file is damaged; export it again"
-
-Integers = Literal["none", "normalised", "any"]
-"""Which integers an attribute may be stored as: none, those that mean -1..1 or 0..1, or plain ones too."""
 
 SPLATS = "KHR_gaussian_splatting"
 SH_DEGREE = 3  # the highest that the extension knows
@@ -81,8 +77,9 @@ class GltfDocument:
         """Return how many bytes of buffers were opened so far."""
         return (0 if self._binary is None else len(self._binary)) + sum(map(len, self._sources.values()))
 
-    def column(self, index: JsonNode, kind: str, integers: Integers = "none") -> np.ndarray:
-        """Return the values [N, width] float32 of an accessor of this type, such as VEC3."""
+    def column(self, index: JsonNode, kind: str, plain: bool = False) -> np.ndarray:
+        """Return the values [N, width] float32 of an accessor of this type, such as VEC3. Integers mean -1..1 or 0..1;
+        they may mean themselves where ``plain``."""
         accessor = self.entry("accessors", index)
         accessor.get("type").text((kind,))
         component = accessor.get("componentType")
@@ -104,10 +101,10 @@ class GltfDocument:
             raise self.error(f"{index.place} reaches beyond its buffer view")
         rows = np.ndarray((count, width), f"<{dtype}", data, offset, (stride, np.dtype(dtype).itemsize))
         normalised = accessor.get("normalized").value is True
-        if dtype == "f4" or (integers == "any" and not normalised):
+        if dtype == "f4" or (plain and not normalised):
             return rows.astype(np.float32)
-        if integers == "none" or not normalised:
-            raise self.error(f"{index.place} is stored as integers of a kind that it cannot have")
+        if not normalised:
+            raise self.error(f"{index.place} is stored as integers that are not normalised")
         return np.maximum(rows / np.float64(np.iinfo(rows.dtype).max), -1.0).astype(np.float32)
 
     def view(self, index: JsonNode) -> tuple[memoryview, int]:

@@ -30,24 +30,6 @@ _SHAPES = {  # of a Gaussian
 }
 
 
-def is_splatfacto_name(path: str | Path) -> bool:
-    """Return whether a file is named as nerfstudio names its checkpoints."""
-    return re.fullmatch(r"step-\d{1,12}\.ckpt", Path(path).name) is not None
-
-
-def splat_of_run(run: str | Path) -> Path:
-    """Return the last checkpoint of a run, otherwise the splat exported into it or into its ``exports``."""
-    run = Path(run)
-    steps = numbered_files(run, f"{MODELS}/step-*.ckpt")
-    if steps:
-        return steps[max(steps)]
-    exports = sorted([*run.glob("*.ply"), *run.glob("exports/*.ply"), *run.glob("exports/*/*.ply")])
-    if len(exports) != 1:
-        problem = f"contains no {MODELS}/step-*.ckpt and {len(exports)} exported splats"
-        raise MissingFileError(run, problem, f"name the .ply itself, or {_EXPORT}")
-    return exports[0]
-
-
 def read_splatfacto(path: str | Path) -> Gaussians:
     """Read one checkpoint of splatfacto. It is read with torch's restricted loader: nothing in it is run."""
     path = Path(path)
@@ -74,12 +56,25 @@ def _tensors(path: Path, content: Any) -> dict[str, np.ndarray]:
     raise FileFormatError(path, "contains no Gaussians (another method of nerfstudio)", f"use {_WHAT}")
 
 
+def _in_run(run: Path) -> Path | None:
+    """Return the last checkpoint of a run, otherwise the splat exported into it or into its ``exports``."""
+    if not is_nerfstudio_run(run):
+        return None
+    if steps := numbered_files(run, f"{MODELS}/step-*.ckpt"):
+        return steps[max(steps)]
+    exports = sorted([*run.glob("*.ply"), *run.glob("exports/*.ply"), *run.glob("exports/*/*.ply")])
+    if len(exports) != 1:
+        problem = f"contains no {MODELS}/step-*.ckpt and {len(exports)} exported splats"
+        raise MissingFileError(run, problem, f"name the .ply itself, or {_EXPORT}")
+    return exports[0]
+
+
 FORMAT = SplatFormat(
     "nerfstudio checkpoint",
     (".ckpt",),
     read_splatfacto,
     preset="gsplat",
-    has_name=is_splatfacto_name,
-    find=lambda folder: splat_of_run(folder) if is_nerfstudio_run(folder) else None,
+    has_name=lambda path: re.fullmatch(r"step-\d{1,12}\.ckpt", path.name) is not None,
+    find=_in_run,
     in_scenes=False,
 )

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 
 from scoup.base.atomic import atomic_file
 from scoup.base.counts import listed
@@ -84,21 +85,7 @@ class PlyTable:
     def columns(self, names: tuple[str, ...], dtype: type = np.float32) -> np.ndarray:
         """Return [N, len(names)] of ``dtype``, the named properties side by side."""
         with np.errstate(all="ignore"):  # a file may contain any values
-            return self._columns(names, dtype)
-
-    def _columns(self, names: tuple[str, ...], dtype: type) -> np.ndarray:
-        types = {self.rows.dtype[name] for name in self.names}
-        first = self.names.index(names[0])
-        if types == {np.dtype(np.float32)} and self.names[first : first + len(names)] == names:
-            every = np.ascontiguousarray(self.rows).view(np.float32).reshape(len(self.rows), len(self.names))
-            return every[:, first : first + len(names)].astype(dtype)
-        # Block by block: a block of rows stays in the cache while its columns are picked one by one.
-        result = np.empty((len(self.rows), len(names)), dtype=dtype)
-        for start in range(0, len(self.rows), 4096):
-            block = self.rows[start : start + 4096]
-            for column, name in enumerate(names):
-                result[start : start + 4096, column] = block[name]
-        return result
+            return structured_to_unstructured(self.rows[list(names)], copy=False).astype(dtype)
 
 
 def read_ply_table(path: str | Path) -> PlyTable:
@@ -187,14 +174,10 @@ def read_ply(path: str | Path) -> Gaussians:
         ScoupWarning: rows were dropped, the file is longer than its header says, or its Gaussians are not plain ones.
     """
     header = read_header(path)
-    if (
-        header.count > MOST_ROWS_IN_MEMORY
-        and header.encoding != "ascii"
-        and not is_compressed(header.dtype.names or ())
-    ):
-        gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
-    elif is_compressed(header.dtype.names or ()):
+    if is_compressed(header.dtype.names or ()):
         gaussians = read_compressed(header.path, read_rows(header))
+    elif header.count > MOST_ROWS_IN_MEMORY and header.encoding != "ascii":
+        gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
     else:
         gaussians = gaussians_from_table(PlyTable(header.path, read_rows(header)))[0]
     _warn_of_other_gaussians(header)
@@ -217,10 +200,7 @@ def _warn_of_other_gaussians(header: PlyHeader) -> None:
 
 def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
     """Return the Gaussians as rows of the Inria layout: centre, zero normals, colour, opacity, scale, rotation."""
-    values = {
-        name: getattr(gaussians, name).detach().cpu().numpy() for name in ("means", "quats", "scales", "sh")
-    }
-    opacities = gaussians.opacities.detach().cpu().numpy()
+    values = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
     rest = 3 * (values["sh"].shape[1] - 1)
     higher = (f"f_rest_{number}" for number in range(rest))
     names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *higher, "opacity", *_SCALE, *_ROTATION)
@@ -229,7 +209,7 @@ def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
     every[:, 0:3] = values["means"]
     every[:, 6:9] = values["sh"][:, 0]
     every[:, 9 : 9 + rest] = values["sh"][:, 1:].transpose(0, 2, 1).reshape(len(gaussians), rest)
-    every[:, -8] = logits_from_opacities(opacities)
+    every[:, -8] = logits_from_opacities(values["opacities"])
     every[:, -7:-4] = logs_from_scales(values["scales"])
     every[:, -4:] = values["quats"]
     return PlyTable(Path("<memory>"), rows, (MIP,) if gaussians.antialiased else ())
@@ -251,20 +231,18 @@ def as_stored(gaussians: Gaussians) -> Gaussians:
 
 
 def _check_properties(table: PlyTable) -> tuple[str, ...]:
-    names = {*table.names}
-    names |= {*_BASE_COLOR} if {*_RGB} <= names else set()
-    names |= (
-        {*_SCALE}
-        if [name in names for name in _SCALE] in ([True, False, False], [True, True, False])
-        else set()
-    )
-    missing = [name for name in _REQUIRED if name not in names]
     if is_compressed(table.names):
         raise FileFormatError(
             table.path,
             "is a compressed PLY (PlayCanvas), whose rows do not stand alone",
             "convert it to a plain one: scoup convert in.compressed.ply out.ply",
         )
+    names = {*table.names}
+    if {*_RGB} <= names:
+        names |= {*_BASE_COLOR}
+    if [name in names for name in _SCALE] in ([True, False, False], [True, True, False]):
+        names |= {*_SCALE}
+    missing = [name for name in _REQUIRED if name not in names]
     if missing:
         remedy = "use the PLY of the trained splat, not a point cloud or mesh"
         if any(name.startswith("f_anchor_feat") for name in table.names):
