@@ -116,8 +116,8 @@ def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) 
 
 
 def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarray]:
-    """Return means, quats (unit norm; of zeros: no turn), scales, opacities (0 to 1) and sh as float64, for a writer
-    that has no place for other values."""
+    """Return means, quats (unit norm; of zeros: no turn), scales (positive), opacities (0 to 1) and sh, for a writer
+    that has no place for other values: float64 that float32 holds."""
     if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
         raise InputError(f"{path}: some Gaussians have values that are not finite; remove these first")
     arrays = {
@@ -125,19 +125,8 @@ def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarra
     }
     quats = unit_quats(arrays["quats"]).astype(np.float64)
     quats[np.isnan(quats).any(1)] = (1.0, 0.0, 0.0, 0.0)
-    return {**arrays, "quats": quats, "opacities": arrays["opacities"].clip(0, 1)}
-
-
-def linear_arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    """Return means, quats (unit norm), scales (positive), opacities (0 to 1) and sh as float32, for a format that has
-    them as they are."""
-    arrays = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
-    return {
-        **arrays,
-        "quats": unit_quats(arrays["quats"]),
-        "scales": np.abs(arrays["scales"]),
-        "opacities": arrays["opacities"].clip(0.0, 1.0),
-    }
+    scales, opacities = np.abs(arrays["scales"]), arrays["opacities"].clip(0.0, 1.0)
+    return {**arrays, "quats": quats, "scales": scales, "opacities": opacities}
 
 
 def _settled(raw: np.ndarray, wanted: np.ndarray, forward: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

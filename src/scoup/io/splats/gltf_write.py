@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import InputError, ScoupWarning
-from scoup.io.splats.activation import keep_finite, linear_arrays
-from scoup.io.splats.axes import Axis, half_turn
+from scoup.io.splats.activation import finite_arrays
+from scoup.io.splats.axes import Axis, Columns, half_turn
 from scoup.io.splats.gltf_document import (
     BINARY_CHUNK,
     CHUNK,
@@ -60,45 +59,44 @@ def write_gltf(
     """Write a .glb file, or a .gltf file with its buffer inside.
 
     All float32 values are kept bit by bit, but for what glTF does not allow: quaternions are normalised, opacities
-    clipped to 0..1, scales made positive. Coefficients of SH above degree 3 and rows that are not finite are left
-    out. Axes are turned to those of glTF (left, up, forward) by signs (``axes``).
+    clipped to 0..1, scales made positive. Coefficients of SH above degree 3 are left out. Axes are turned to those of
+    glTF (left, up, forward) by signs (``axes``).
 
     Args:
-        gaussians: at least one.
+        gaussians: at least one; rows that are not finite are refused.
         features: the class of each, for viewers that style by class.
 
     Warns:
-        ScoupWarning: rows or coefficients were left out.
+        ScoupWarning: coefficients were left out.
     """
     path = Path(path)
-    values = linear_arrays(gaussians)
+    if not len(gaussians):
+        raise InputError(f"{path}: there are no Gaussians to write")
+    arrays = half_turn(finite_arrays(gaussians, path), AXIS)
     if gaussians.sh_degree > SH_DEGREE:
         message = f"{path}: glTF has spherical harmonics up to degree {SH_DEGREE}; higher ones are omitted"
         warnings.warn(message, ScoupWarning, stacklevel=2)
-        values["sh"] = values["sh"][:, : (SH_DEGREE + 1) ** 2]
-    finite, kept = keep_finite(**half_turn(values, AXIS), source=str(path))
-    if not len(finite):
-        raise InputError(f"{path}: there are no Gaussians to write")
+        arrays["sh"] = arrays["sh"][:, : (SH_DEGREE + 1) ** 2]
     builder = _Builder()
-    root = _root(builder, finite)
+    root = _root(builder, {name: array.astype(np.float32) for name, array in arrays.items()})
     if features is not None:
-        _add_features(builder, root, features.ids[torch.from_numpy(kept)].numpy(), features.names)
+        _add_features(builder, root, features.ids.numpy(), features.names)
     parts = builder.gltf(root) if path.suffix.lower() == ".gltf" else builder.glb(root)
     with atomic_file(path, overwrite) as stream:
         stream.writelines(parts)
 
 
-def _root(builder: _Builder, gaussians: Gaussians) -> dict[str, Any]:
+def _root(builder: _Builder, arrays: Columns) -> dict[str, Any]:
     """Return the JSON of one primitive, whose columns go to ``builder``."""
-    sh, opacities = gaussians.sh.numpy(), gaussians.opacities.numpy()[:, None]
+    sh, opacities = arrays["sh"], arrays["opacities"][:, None]
     attributes = {
-        "POSITION": builder.add_attribute(gaussians.means.numpy(), bounds=True),
+        "POSITION": builder.add_attribute(arrays["means"], bounds=True),
         "COLOR_0": builder.add_attribute(_fallback(sh[:, 0], opacities), normalised=True),
-        f"{SPLATS}:ROTATION": builder.add_attribute(np.roll(gaussians.quats.numpy(), -1, axis=1)),
-        f"{SPLATS}:SCALE": builder.add_attribute(gaussians.scales.numpy()),
+        f"{SPLATS}:ROTATION": builder.add_attribute(np.roll(arrays["quats"], -1, axis=1)),
+        f"{SPLATS}:SCALE": builder.add_attribute(arrays["scales"]),
         f"{SPLATS}:OPACITY": builder.add_attribute(opacities),
     }
-    for index, name in enumerate(sh_names(gaussians.sh_degree)):
+    for index, name in enumerate(sh_names(round(sh.shape[1] ** 0.5) - 1)):
         attributes[name] = builder.add_attribute(sh[:, index])
     return {
         "asset": {"version": "2.0", "generator": "SCOUP"},

@@ -97,7 +97,7 @@ def write_compressed_ply(gaussians: Gaussians, path: str | Path, overwrite: bool
     arrays = finite_arrays(gaussians, path)
     count = len(gaussians)
     with np.errstate(all="ignore"):
-        logs = np.log(np.abs(arrays["scales"])).clip(_LEAST_LOG_SCALE, _MOST_LOG_SCALE)
+        logs = np.log(arrays["scales"]).clip(_LEAST_LOG_SCALE, _MOST_LOG_SCALE)
     rgb = arrays["sh"][:, 0] * SH_C0 + 0.5
     ranges, shares = zip(*(_shares(values) for values in (arrays["means"], logs, rgb)), strict=True)
     words = [

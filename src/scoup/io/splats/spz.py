@@ -95,7 +95,7 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
         ScoupWarning: coefficients of SH degree 4 were left out, or scales were clipped.
     """
     arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
-    means, scales, sh = arrays["means"], np.abs(arrays["scales"]), arrays["sh"]
+    means, scales, sh = arrays["means"], arrays["scales"], arrays["sh"]
     if gaussians.sh_degree > _MOST_DEGREE:
         warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz", ScoupWarning, stacklevel=2)
         sh = sh[:, : (_MOST_DEGREE + 1) ** 2]
