@@ -253,7 +253,7 @@ def _read_primitive(document: GltfDocument, primitive: JsonNode) -> Columns:
 
 def _packed_columns(document: GltfDocument, content: bytes) -> Columns:
     """Return the values of a primitive that is a .spz file."""
-    columns = spz_columns(document.path, content)
+    _, columns = spz_columns(document.path, content)
     if columns["sh"].shape[1] > (SH_DEGREE + 1) ** 2:
         problem = f"has SH of a degree above {SH_DEGREE}, which glTF does not know"
         raise document.error(problem, _EXPORT_PLAIN)

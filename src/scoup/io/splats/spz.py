@@ -47,16 +47,12 @@ def read_spz(path: str | Path) -> Gaussians:
         ScoupWarning: rows with values that are not finite were dropped.
     """
     path = existing_file(path, "a .spz file")
-    header, columns = _columns(path, read_bytes(path))
+    header, columns = spz_columns(path, read_bytes(path))
     return replace(keep_finite(**columns, source=str(path))[0], antialiased=header.antialiased)
 
 
-def spz_columns(path: Path, content: bytes) -> Columns:
-    """Return the values in the bytes of a .spz file; ``path`` is for errors."""
-    return _columns(path, content)[1]
-
-
-def _columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
+def spz_columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
+    """Return the header and the values in the bytes of a .spz file; ``path`` is for errors."""
     header, parts = read_container(path, content)
     count = header.count
     byte = {
