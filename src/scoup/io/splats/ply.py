@@ -56,7 +56,7 @@ class PlyTable:
     path: Path
     """Where it was read from."""
     rows: np.ndarray
-    """[N] structured array, one field per property, in the file's order, types and byte order."""
+    """[N] structured array, little endian, one field per property, in the file's order and types."""
     comments: tuple[str, ...] = ()
     """Comment lines of the header, without the keyword."""
 
@@ -74,9 +74,7 @@ class PlyTable:
     def with_column(self, name: str, values: np.ndarray) -> PlyTable:
         """Return the table with one more property at the end (or another one in its place), for example an id."""
         kept = [(item, self.rows.dtype[item]) for item in self.names if item != name]
-        # A PLY file has one byte order for all.
-        order = ">" if any(kind.byteorder == ">" for _, kind in kept) else "<"
-        rows = np.empty(len(self.rows), dtype=[*kept, (name, ply_type(values.dtype).newbyteorder(order))])
+        rows = np.empty(len(self.rows), dtype=[*kept, (name, ply_type(values.dtype).newbyteorder("<"))])
         for item, _ in kept:
             rows[item] = self.rows[item]
         rows[name] = values
@@ -98,7 +96,7 @@ def read_ply_table(path: str | Path) -> PlyTable:
 
 
 def write_ply_table(table: PlyTable, path: str | Path, overwrite: bool = False) -> None:
-    """Write a table as binary PLY, its rows byte for byte (from ASCII: little endian)."""
+    """Write a table as binary PLY, its rows byte for byte."""
     with atomic_file(path, overwrite) as stream:
         stream.write(format_header(table.rows.dtype, len(table), table.comments))
         for start in range(0, len(table), _CHUNK):

@@ -96,10 +96,9 @@ def ply_type(dtype: np.dtype) -> np.dtype:
 
 
 def format_header(dtype: np.dtype, count: int, comments: tuple[str, ...] = ()) -> bytes:
-    """Return the header of a binary file with ``count`` vertices of the structured type ``dtype``."""
+    """Return the header of a file with ``count`` vertices of the structured type ``dtype``, little endian."""
     names = dtype.names or ()
-    big = any(dtype[name].byteorder == ">" for name in names)
-    lines = ["ply", f"format binary_{'big' if big else 'little'}_endian 1.0"]
+    lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {comment}" for comment in comments]
     lines.append(f"element vertex {count}")
     lines += [f"property {_NAMES[dtype[name].str[1:]]} {name}" for name in names]
