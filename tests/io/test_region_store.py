@@ -129,16 +129,6 @@ def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
         RegionStore.create(tmp_path, manifest_of(layout), overwrite=True)
 
 
-def test_stored_bits(tmp_path: Path) -> None:
-    for bits, kind in ((16, np.float16), (32, np.float32)):
-        manifest = RegionManifest.of("compact", "", {}, bits)
-        store = RegionStore.create(tmp_path / str(bits), manifest)
-        store.write(view("a.png"))
-        assert store.open_view("a").embeddings("s").dtype == kind
-    with pytest.raises(InputError, match="16 or 32 bits, got 8"):
-        RegionManifest.of("langsplat", "", {}, 8)
-
-
 def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = RegionStore.create(tmp_path, manifest_of("langsplat"))
     store.begin()

@@ -18,6 +18,7 @@ from scoup.io.splats.activation import SH_BASES
 
 MAX_HEADER_BYTES = 1 << 16
 MAX_PROPERTIES = 4096
+_DAMAGED = "the file is damaged; copy or export it again"
 
 MIP = "SplatRenderMode: mip"
 """A comment in PLY files of splats that were trained with antialiasing, as Brush, gsplat and nerfstudio write it."""
@@ -114,9 +115,7 @@ def _header_lines(path: Path, head: bytes) -> tuple[list[bytes], int]:
     end = head.find(b"\nend_header")
     newline = head.find(b"\n", end + 1) if end >= 0 else -1
     if newline < 0 or head[end + 1 : newline].strip() != b"end_header":
-        raise FileFormatError(
-            path, "has no complete PLY header (no end_header)", "the file is damaged; copy or export it again"
-        )
+        raise FileFormatError(path, "has no complete PLY header (no end_header)", _DAMAGED)
     return head[:end].split(b"\n"), mark + newline + 1
 
 
@@ -142,13 +141,9 @@ def _parse(path: Path, lines: list[bytes]) -> tuple[str, list[_Element], tuple[s
                 elements[-1].fields.append((name, _TYPES[kind]))
             case _:
                 shown = line[:60].decode("utf-8", "replace")
-                raise FileFormatError(
-                    path, f"has the header line {shown!r}", "the file is damaged; export it again"
-                )
+                raise FileFormatError(path, f"has the header line {shown!r}", _DAMAGED)
     if not encoding:
-        raise FileFormatError(
-            path, "does not name its format in the header", "the file is damaged; export it again"
-        )
+        raise FileFormatError(path, "does not name its format in the header", _DAMAGED)
     return encoding, elements, tuple(comments)
 
 
@@ -156,7 +151,7 @@ def _dtype(path: Path, element: _Element, encoding: str) -> np.dtype:
     names = [name for name, _ in element.fields]
     if not names or len(set(names)) != len(names) or len(names) > MAX_PROPERTIES:
         problem = f"has no, twice the same, or too many properties in element {element.name!r}"
-        raise FileFormatError(path, problem, "the file is damaged; export it again")
+        raise FileFormatError(path, problem, _DAMAGED)
     return np.dtype([(name, _ORDERS[encoding] + kind) for name, kind in element.fields])
 
 
