@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -87,17 +86,11 @@ def _image_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     after_image = False
     for place, line in _lines(path):
         words = line.split(maxsplit=9)
-        after_image = bool(words) and not (after_image and _ends_in_number(line))
+        # Keypoints end in the number of a point, images in a name.
+        ends_in_number = bool(words) and words[-1].split()[-1].lstrip("-").isdecimal()
+        after_image = bool(words) and not (after_image and ends_in_number)
         if after_image:
             yield place, words
-
-
-def _ends_in_number(line: str) -> bool:
-    """Return whether a line ends as keypoints do, in the number of a point, and not in the name of an image."""
-    with suppress(ValueError):
-        int(line.rsplit(maxsplit=1)[-1])
-        return True
-    return False
 
 
 def _damaged(path: Path, place: int) -> FileFormatError:

@@ -1,8 +1,9 @@
 """Niantic's .spz: about 20 bytes per Gaussian, compressed (github.com/nianticlabs/spz).
 
-Versions 1 to 4 are read. Version 3 is written: nearly every program reads it, and it keeps rotations. Axes
-in the file are those of OpenGL (right, up, back), unless it says others: y and z change their signs on the way, as in
-the format's own tools (``axes``).
+Versions 1 to 4 are read. Version 3 is written: most programs read it, and it keeps rotations, unlike 2.
+
+Axes in the file are those of OpenGL (right, up, back), unless it says others: y and z change their signs on the way, as
+in the format's own tools (``axes``).
 """
 
 from __future__ import annotations
