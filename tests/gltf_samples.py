@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.io_samples import spz_of_version
 
-from scoup.io import load_gaussians, write_spz
+from scoup.io import load_gaussians, save_gaussians
 from scoup.scene.gaussians import Gaussians
 
 SPLATS = "KHR_gaussian_splatting"
@@ -168,12 +169,11 @@ def check_rules(path: Path) -> None:
         for level in range(degree + 1)
         for order in range(2 * level + 1)
     }
-    if "EXT_mesh_features" in used:
-        check_features(root, binary, columns)
 
 
 def features_of(path: Path) -> tuple[list[int], tuple[str, ...]] | None:
-    """Class of each Gaussian, -1 for none, and the names of the classes, of a file of ours."""
+    """Class of each Gaussian, -1 for none, and the names of the classes, of a file of ours, by the rules of the
+    extensions."""
     root, binary = opened(path)
     primitive = root["meshes"][0]["primitives"][0]
     if "EXT_mesh_features" not in primitive["extensions"]:
@@ -181,50 +181,35 @@ def features_of(path: Path) -> tuple[list[int], tuple[str, ...]] | None:
 
     def data(index: int) -> bytes:
         view = root["bufferViews"][index]
-        return binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-
-    table = root["extensions"]["EXT_structural_metadata"]["propertyTables"][0]
-    name = table["properties"]["name"]
-    ends = np.frombuffer(data(name["stringOffsets"]), "<u4").tolist()
-    text = data(name["values"])
-    accessor = root["accessors"][primitive["attributes"]["_FEATURE_ID_0"]]
-    dtype = {5121: "u1", 5123: "<u2", 5126: "<f4"}[accessor["componentType"]]
-    column = np.frombuffer(data(accessor["bufferView"]), dtype).reshape(accessor["count"], -1)[:, 0]
-    ids = [-1 if value == table["count"] else int(value) for value in column.tolist()]
-    return ids, tuple(text[start:end].decode() for start, end in pairwise(ends))
-
-
-def check_features(root: dict[str, Any], binary: bytes, columns: dict[str, np.ndarray]) -> None:
-    found = root["meshes"][0]["primitives"][0]["extensions"]["EXT_mesh_features"]["featureIds"][0]
-    accessor = root["accessors"][root["meshes"][0]["primitives"][0]["attributes"]["_FEATURE_ID_0"]]
-    assert accessor["type"] == "SCALAR"
-    assert accessor["componentType"] in (5121, 5123, 5126)
-    metadata = root["extensions"]["EXT_structural_metadata"]
-    table = metadata["propertyTables"][found["propertyTable"]]
-    assert found["featureCount"] == table["count"] == found["nullFeatureId"] >= 1
-    ids = columns["_FEATURE_ID_0"][:, 0]
-    assert (ids <= found["nullFeatureId"]).all()
-    assert (ids == ids.astype(int)).all()
-    properties = metadata["schema"]["classes"][table["class"]]["properties"]
-    assert set(properties) == set(table["properties"]) == {"name", "count"}
-
-    def data(index: int) -> bytes:
-        view = root["bufferViews"][index]
         assert view["byteOffset"] % 8 == 0
         return binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
 
-    names = table["properties"]["name"]
-    offsets = np.frombuffer(data(names["stringOffsets"]), "<u4")
-    assert len(offsets) == table["count"] + 1
-    assert offsets[-1] == len(data(names["values"]))
-    counts = np.frombuffer(data(table["properties"]["count"]["values"]), "<u4")
-    assert counts.tolist() == [int((ids == row).sum()) for row in range(table["count"])]
+    features = primitive["extensions"]["EXT_mesh_features"]["featureIds"][0]
+    metadata = root["extensions"]["EXT_structural_metadata"]
+    table = metadata["propertyTables"][features["propertyTable"]]
+    assert features["featureCount"] == table["count"] == features["nullFeatureId"] >= 1
+    properties = table["properties"]
+    assert set(metadata["schema"]["classes"][table["class"]]["properties"]) == set(properties)
+    offsets = np.frombuffer(data(properties["name"]["stringOffsets"]), "<u4").tolist()
+    text = data(properties["name"]["values"])
+    assert (len(offsets), offsets[-1]) == (table["count"] + 1, len(text))
+    accessor = root["accessors"][primitive["attributes"]["_FEATURE_ID_0"]]
+    assert accessor["type"] == "SCALAR"
+    dtype = {5121: "u1", 5123: "<u2", 5126: "<f4"}[accessor["componentType"]]
+    column = np.frombuffer(data(accessor["bufferView"]), dtype).reshape(accessor["count"], -1)[:, 0]
+    counts = np.frombuffer(data(properties["count"]["values"]), "<u4")
+    assert counts.tolist() == [int((column == row).sum()) for row in range(table["count"])]
+    ids = [-1 if value == table["count"] else int(value) for value in column.tolist()]
+    return ids, tuple(text[start:end].decode() for start, end in pairwise(offsets))
 
 
-def spz_in_gltf(folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3) -> Path:
+def spz_in_gltf(
+    folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3, fourth: np.ndarray | None = None
+) -> Path:
     """A .glb file whose attributes are a .spz file, by the draft of the extension."""
-    write_spz(gaussians, folder / "inner.spz", overwrite=True, version=version)
-    data = (folder / "inner.spz").read_bytes()
+    save_gaussians(gaussians, folder / "inner.spz", overwrite=True)
+    data = spz_of_version((folder / "inner.spz").read_bytes(), version, fourth)
+    (folder / "inner.spz").write_bytes(data)
     root, _ = foreign(columns_of(gaussians))
     compression = f"{SPLATS}_compression_spz{name}"
     primitive = root["meshes"][0]["primitives"][0]

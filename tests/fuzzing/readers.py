@@ -32,7 +32,7 @@ from scoup.io.detections import DetectionStore
 from scoup.io.images import image_fault, read_mask
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
-from scoup.io.regions.store import RegionStore
+from scoup.io.regions.store import RegionStore, read_view
 from scoup.io.splats.gltf import read_gltf
 from scoup.models.word_table import load_table
 from scoup.scene.cameras import Camera, Cameras
@@ -122,7 +122,7 @@ def _regions(folder: Path) -> None:
     store = RegionStore.open(folder)
     view = store.view("view_00")
     if view is not None:
-        view.read()
+        read_view(view)
 
 
 def _detections(file: str) -> Reader:

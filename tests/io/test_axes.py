@@ -11,8 +11,8 @@ import torch
 from gltf_samples import spz_in_gltf
 from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
 from scoup.base.errors import FileFormatError
-from scoup.io import read_gltf
 from scoup.io.splats.axes import Axis, turned
+from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
 from scoup.raster import view_colors
@@ -56,6 +56,7 @@ def test_spz_in_gltf_that_is_damaged_is_refused(tmp_path: Path) -> None:
     path.write_bytes(data[:-200] + bytes(200))
     with pytest.raises(FileFormatError, match=r"spz\.glb: "):
         read_gltf(path)
-    path = spz_in_gltf(tmp_path, some_gaussians(30, 4), version=4)
+    fourth = np.zeros((30, 27), np.uint8)
+    path = spz_in_gltf(tmp_path, some_gaussians(30, 3), version=4, fourth=fourth)
     with pytest.raises(FileFormatError, match="SH of a degree above 3"):
         read_gltf(path)

@@ -67,7 +67,7 @@ def test_damage(tmp_path: Path) -> None:
         read_tracks(tmp_path)
     write_text(tmp_path)
     (tmp_path / "points3D.bin").unlink()
-    for text in ("1 2", "1 a b c 1 2 3 0.1 3 9", "1 0 0 0 1 2 3 0.1 99 9"):
+    for text in ("1 2", "1 a b c 1 2 3 0.1 3 9", "1 0 0 0 1 2 3 0.1 99 9", f"1 0 0 0 1 2 3 0.1 {10**30} 9"):
         (tmp_path / "points3D.txt").write_text(text)
         with pytest.raises(FileFormatError, match=r"points3D\.txt"):
             read_tracks(tmp_path)

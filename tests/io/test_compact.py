@@ -21,6 +21,7 @@ from scoup.base.errors import FileFormatError, InputError, MissingFileError, Out
 from scoup.io import convert_regions, load_regions, save_regions
 from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.store import read_view
 from scoup.io.regions.views import ViewRegions
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import LEVELS
@@ -113,12 +114,12 @@ def test_every_flipped_bit_and_every_cut_is_noticed(path: Path) -> None:
         for content in (bytes(damaged), whole[:place]):
             path.write_bytes(content)
             with pytest.raises(FileFormatError):
-                open_view(path.parent, "view_00").read()
+                read_view(open_view(path.parent, "view_00"))
 
 
 def test_files_without_checksums_are_read(path: Path, tmp_path: Path) -> None:
     """Those of before the first release."""
-    view, tensors = open_view(tmp_path, "view_00").read(), load_file(path)
+    view, tensors = read_view(open_view(tmp_path, "view_00")), load_file(path)
     with safe_open(path, framework="numpy") as stream:
         header = json.loads(stream.metadata()["scoup"])
     assert header.pop("checksums").keys() == tensors.keys()
@@ -127,7 +128,7 @@ def test_files_without_checksums_are_read(path: Path, tmp_path: Path) -> None:
         open_view(tmp_path, "view_00")
     del header["checksum"]
     save_file(tensors, path, {"scoup": json.dumps(header)})
-    again = open_view(tmp_path, "view_00").read()
+    again = read_view(open_view(tmp_path, "view_00"))
     assert all((again.embeddings[level] == view.embeddings[level]).all() for level in LEVELS)
 
 

@@ -110,18 +110,6 @@ def test_lenses_of_colmap_4(tmp_path: Path, number: int, model: str, parameters:
             load_cameras(folder)
 
 
-@pytest.mark.parametrize("model", ["SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM"])
-def test_image_undistorter_makes_pinholes_of_them(model: str) -> None:
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
-    if not hasattr(pycolmap.CameraModelId, model):
-        pytest.skip("this pycolmap is older than COLMAP 4")
-    two = model not in ("SIMPLE_DIVISION", "SIMPLE_FISHEYE")
-    more = {"SIMPLE_DIVISION": [-0.01], "DIVISION": [-0.01], "EUCM": [0.5, 1.0]}.get(model, [])
-    camera = pycolmap.Camera(model=model, width=480, height=360, params=[433] * (1 + two) + [240, 180, *more])
-    pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
-    assert pinhole.model.name == "PINHOLE"
-
-
 def test_one_line_per_image(tmp_path: Path) -> None:
     cameras = some_cameras(4)
     write_colmap_text(cameras, tmp_path)

@@ -52,7 +52,7 @@ def changed(place: int, value: Any) -> Callable[[list[Any]], list[Any]]:
 @pytest.mark.parametrize(("change", "said"), [
     (lambda entries: entries[:7] + entries[9:], "without language features"),
     (lambda entries: entries[:5], "no captured Gaussians"),
-    (changed(1, torch.zeros(6, 3)), "features_rest is"),
+    (changed(1, torch.zeros(6, 3)), "features_dc is"),
     (changed(7, torch.zeros(7, 9)), "9 logits a Gaussian for 1 codebooks of 8"),
     (changed(8, torch.zeros(8, 16)), "codebooks is"),
     (changed(8, torch.full((1, 8, 16), torch.nan)), "not finite"),

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from io_samples import same_gaussians, some_gaussians
+from io_samples import same_gaussians, some_gaussians, spz_of_version
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.io import load_gaussians, save_gaussians, write_spz
+from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats.activation import (
     logits_from_opacities,
     logs_from_scales,
@@ -61,15 +61,6 @@ def raw_columns(count: int = 5, rest: int = 0, seed: int = 0) -> dict[str, np.nd
     return {name: generator.normal(size=count).astype(np.float32) for name in names}
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
-def test_round_trip_of_stored_values(tmp_path, degree):
-    gaussians = as_stored(some_gaussians(50, degree))
-    write_ply(gaussians, tmp_path / "a.ply")
-    again = read_ply(tmp_path / "a.ply")
-    assert same_gaussians(gaussians, again)
-    assert gaussians.fingerprint() == again.fingerprint()
-
-
 def test_rounding_of_new_values_is_small():
     gaussians = some_gaussians(500)
     stored = as_stored(gaussians)
@@ -89,7 +80,7 @@ def test_every_raw_scale_and_opacity_survives(raw):
 @settings(max_examples=examples(40))
 @given(st.data())
 def test_any_finite_file_reads_writes_reads_the_same(data):
-    count, degree = data.draw(st.integers(1, 4)), data.draw(st.integers(0, 3))
+    count, degree = data.draw(st.integers(1, 4)), data.draw(st.integers(0, 4))
     columns = raw_columns(count, 3 * ((degree + 1) ** 2 - 1))
     for name in columns:
         columns[name] = data.draw(arrays.arrays(np.float32, count, elements=st.floats(-80, 80, width=32)))
@@ -97,7 +88,9 @@ def test_any_finite_file_reads_writes_reads_the_same(data):
     with tempfile.TemporaryDirectory() as folder:
         first = read_ply(file_of(Path(folder) / "a.ply", columns))
         write_ply(first, Path(folder) / "b.ply")
-        assert same_gaussians(first, read_ply(Path(folder) / "b.ply"))
+        again = read_ply(Path(folder) / "b.ply")
+    assert same_gaussians(first, again)
+    assert first.fingerprint() == again.fingerprint()
 
 
 def test_opacity_one_and_zero(tmp_path):
@@ -156,7 +149,7 @@ def test_antialiasing_is_kept_by_ply_and_spz(tmp_path, comment, antialiased):
     for name in ("b.ply", "b.compressed.ply", "b.spz"):
         save_gaussians(gaussians.select([0, 1]), tmp_path / name)
         assert load_gaussians(tmp_path / name).antialiased == antialiased, name
-    write_spz(gaussians, tmp_path / "c.spz", version=4)
+    (tmp_path / "c.spz").write_bytes(spz_of_version((tmp_path / "b.spz").read_bytes(), 4))
     assert load_gaussians(tmp_path / "c.spz", keep_axes=True).antialiased == antialiased
     with pytest.warns(ScoupWarning) if antialiased else contextlib.nullcontext():
         save_gaussians(gaussians, tmp_path / "b.splat")
@@ -201,26 +194,27 @@ def test_rows_that_are_not_finite_are_dropped_and_counted(tmp_path):
 
 def test_select_keeps_rows_byte_for_byte(tmp_path):
     columns = {"label": np.arange(6, dtype=np.int32), **raw_columns(6)}
-    for encoding in ("binary_little_endian", "binary_big_endian"):
-        path = file_of(tmp_path / "a.ply", columns, encoding)
-        table = read_ply_table(path)
-        write_ply_table(table, tmp_path / "b.ply", overwrite=True)
-        assert (tmp_path / "b.ply").read_bytes() == path.read_bytes()
-        chosen = np.array([True, False, True, False, False, True])
-        write_ply_table(table.select(chosen), tmp_path / "c.ply", overwrite=True)
-        assert read_ply_table(tmp_path / "c.ply").rows.tobytes() == table.rows[chosen].tobytes()
+    path = file_of(tmp_path / "a.ply", columns)
+    table = read_ply_table(path)
+    write_ply_table(table, tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_bytes() == path.read_bytes()
+    big = file_of(tmp_path / "big.ply", columns, "binary_big_endian")
+    write_ply_table(read_ply_table(big), tmp_path / "little.ply")
+    assert (tmp_path / "little.ply").read_bytes() == path.read_bytes()
+    chosen = np.array([True, False, True, False, False, True])
+    write_ply_table(table.select(chosen), tmp_path / "c.ply")
+    assert read_ply_table(tmp_path / "c.ply").rows.tobytes() == table.rows[chosen].tobytes()
 
 
 def test_a_column_can_be_added(tmp_path):
-    for encoding in ("binary_little_endian", "binary_big_endian"):
-        table = read_ply_table(file_of(tmp_path / "a.ply", raw_columns(4), encoding))
-        wider = table.with_column("object", np.array([7, 8, 9, 10]))
-        write_ply_table(wider, tmp_path / "b.ply", overwrite=True)
-        again = read_ply_table(tmp_path / "b.ply")
-        assert again.rows["object"].tolist() == [7, 8, 9, 10]
-        assert np.array_equal(again.rows["x"], table.rows["x"])
-        replaced = again.with_column("object", np.ones(4, dtype=bool))
-        assert replaced.names == again.names
+    table = read_ply_table(file_of(tmp_path / "a.ply", raw_columns(4)))
+    wider = table.with_column("object", np.array([7, 8, 9, 10], ">i8"))
+    write_ply_table(wider, tmp_path / "b.ply")
+    again = read_ply_table(tmp_path / "b.ply")
+    assert again.rows["object"].tolist() == [7, 8, 9, 10]
+    assert np.array_equal(again.rows["x"], table.rows["x"])
+    replaced = again.with_column("object", np.ones(4, dtype=bool))
+    assert replaced.names == again.names
     with pytest.raises(InputError, match="cannot hold"):
         table.with_column("name", np.array(["a"] * 4))
 

@@ -15,7 +15,7 @@ from io_samples import angles, save_compressed_ply, some_gaussians
 from scoup.base.errors import FileFormatError, InputError
 from scoup.io import save_gaussians
 from scoup.io.splats.ply import gaussians_from_table, read_ply, read_ply_table
-from scoup.io.splats.ply_compressed_write import write_compressed_ply
+from scoup.io.splats.ply_compressed import write_compressed_ply
 from scoup.scene.gaussians import SH_C0, Gaussians
 from support import examples
 

@@ -77,13 +77,6 @@ def test_real_splats_in_other_formats(data_folder, tmp_path, name, suffix):
         assert torch.allclose(found.scales, given.scales, rtol=1e-4)
 
 
-def test_inria_output(data_folder):
-    gaussians = load_gaussians(data_folder / "inria_ply")
-    assert len(gaussians) == 9080
-    assert gaussians.sh_degree == 3
-    torch.testing.assert_close(gaussians.quats.norm(dim=1), torch.ones(9080))
-
-
 def test_kitchen_cameras_agree(data_folder):
     inria = load_cameras(data_folder / "kitchen" / "cameras.json")
     nerfstudio = load_cameras(data_folder / "kitchen" / "transforms.json")

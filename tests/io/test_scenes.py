@@ -124,18 +124,6 @@ def test_downscale(tmp_path):
         load_cameras(scene, downscale=3)  # pyright: ignore[reportArgumentType]
 
 
-def test_downscale_works_for_every_format(tmp_path):
-    cameras = some_cameras(3, centered=True)
-    for folder, divisor in (("images", 1), ("images_4", 4)):
-        save_images(cameras, tmp_path / folder, divisor)
-    write_inria_cameras(cameras, tmp_path / "cameras.json")
-    write_transforms(cameras, tmp_path / "transforms.json")
-    for name in ("cameras.json", "transforms.json"):
-        camera = load_cameras(tmp_path / name, downscale=4)[0]
-        assert camera.image_path == tmp_path / "images_4" / "view_00.png"
-        assert (camera.width, camera.fx) == (8, pytest.approx(30.5 / 4))
-
-
 def test_missing_images(tmp_path):
     scene = colmap_scene(tmp_path, count=4)
     (scene / "images" / "view_01.png").unlink()

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from io_samples import some_gaussians
-from scoup.base.errors import InputError, ScoupError, ScoupWarning, WriteError
+from scoup.base.errors import InputError, ScoupError, WriteError
 from scoup.io import save_gaussians
 from scoup.io.splats import usd
 from scoup.io.splats.axes import turned
@@ -83,20 +83,18 @@ def test_a_package_begins_at_byte_64_and_has_no_time_of_day(tmp_path: Path) -> N
 
 def test_what_the_format_has_no_place_for(tmp_path: Path) -> None:
     given = some_gaussians(5)
-    odd = replace(
-        given,
-        quats=given.quats * 3,
-        opacities=torch.tensor([2.0, -1.0, 0.5, torch.inf, 0.25]),
-        means=torch.cat([given.means[:4], torch.full((1, 3), torch.nan)]),
-    )
-    with pytest.warns(ScoupWarning, match="dropped 1 of 5 Gaussians"):
-        save_gaussians(odd, tmp_path / "a.usdc")
+    odd = replace(given, quats=given.quats * 3, opacities=torch.tensor([2.0, -1.0, 0.5, torch.inf, 0.25]))
+    save_gaussians(odd, tmp_path / "a.usdc")
     prim = read(tmp_path / "a.usdc")
-    assert attribute(prim, "opacities").tolist() == [1.0, 0.0, 0.5, 1.0]
+    assert attribute(prim, "opacities").tolist() == [1.0, 0.0, 0.5, 1.0, 0.25]
     lengths = [q.GetLength() for q in prim.GetAttribute("orientations").Get()]
     np.testing.assert_allclose(lengths, 1, atol=1e-6)
-    with pytest.raises(InputError, match="there are no Gaussians to write"):
-        save_gaussians(given.select([]), tmp_path / "b.usdc")
+    for refused, said in (
+        (given.select([]), "there are no Gaussians to write"),
+        (replace(given, means=given.means * torch.nan), "not finite"),
+    ):
+        with pytest.raises(InputError, match=said):
+            save_gaussians(refused, tmp_path / "b.usdc")
     assert not (tmp_path / "b.usdc").exists()
 
 

@@ -14,7 +14,6 @@ from scoup.io.scenes import (
     save_gaussians,
 )
 from scoup.io.splats.formats import splat_source, written_format
-from scoup.io.splats.gltf import GaussianFeatures, read_gltf, write_gltf
 from scoup.io.splats.ply import (
     PlyTable,
     as_stored,
@@ -23,10 +22,8 @@ from scoup.io.splats.ply import (
     write_ply,
     write_ply_table,
 )
-from scoup.io.splats.spz import write_spz
 
 __all__ = [
-    "GaussianFeatures",
     "PlyTable",
     "as_stored",
     "atomic_file",
@@ -40,7 +37,6 @@ __all__ = [
     "load_image",
     "load_regions",
     "read_cfg_args",
-    "read_gltf",
     "read_ply_table",
     "read_points",
     "read_tracks",
@@ -50,10 +46,8 @@ __all__ = [
     "save_regions",
     "splat_source",
     "write_colmap",
-    "write_gltf",
     "write_ply",
     "write_ply_table",
-    "write_spz",
     "write_text",
     "write_transforms",
     "written_format",

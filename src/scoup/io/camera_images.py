@@ -11,6 +11,7 @@ from scoup.base.counts import counted, listed, none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.image_folder import ImageFolder
 from scoup.io.images import image_size
+from scoup.io.reading import sorted_cameras
 from scoup.scene.cameras import Camera, Cameras
 
 MissingImages = Literal["skip", "keep"]
@@ -33,17 +34,23 @@ def attach_images(
     ``images``, ``images_2`` and so on; other arguments as of ``scenes.load_cameras``."""
     folder, factor = _choose_folder(roots, images, downscale)
     wanted = downscale or factor
-    hint_first = images is None and (folder is None or factor == 1)
     attached: list[Camera] = []
     others: list[Camera] = []
     missing: list[str] = []
     unreadable: list[str] = []
     for camera in cameras:
-        path, scale = _find(camera, folder, factor, hint_first)
-        missing += [camera.name] if path is None else []
-        size = _size_of(path, unreadable)
+        path, scale = _find(camera, folder, factor, images is None)
+        size = None
+        if path is None:
+            missing.append(camera.name)
+        else:
+            try:
+                size = image_size(path)
+            except FileFormatError as error:
+                unreadable.append(str(error))
         if path is None or size is None:
-            others.append(_scaled(source, replace(camera, image_path=None), wanted))
+            camera = replace(camera, image_path=None)
+            others.append(_resized(source, camera, camera.width / wanted, camera.height / wanted))
         else:
             attached.append(_resized_to_image(source, camera, path, size, scale / (downscale or scale)))
     if not attached and not unreadable and images is not None:
@@ -53,17 +60,21 @@ def attach_images(
             "use the folder of their photographs",
         )  # fmt: skip
     kept = missing_images == "keep" or not attached
-    _warn_of_unreadable(source, unreadable, len(cameras), kept)
+    if unreadable:
+        what = "their cameras are used without" if kept else "their cameras are skipped"
+        warnings.warn(
+            f"{source}: {len(unreadable)} of {counted(len(cameras), 'photograph')} cannot be read, {what}: "
+            f"{'; '.join(unreadable[:3])}",
+            ScoupWarning,
+            stacklevel=3,
+        )
     if missing and warn:
         searched = _searched(folder, missing)
         message = f"skipped {len(missing)} of {counted(len(cameras), 'camera')} without an image ({searched})"
         if not attached:
             message = f"{none_of(len(missing), 'image')} was found ({searched}); using the cameras alone"
         warnings.warn(f"{source}: {message}", ScoupWarning, stacklevel=3)
-    try:
-        return Cameras(sorted([*attached, *(others if kept else [])], key=lambda camera: camera.name))
-    except InputError as error:
-        raise FileFormatError(source, str(error), "rename one of the images") from error
+    return sorted_cameras(source, [*attached, *(others if kept else [])])
 
 
 def image_files(
@@ -72,8 +83,7 @@ def image_files(
     """Return the names of cameras that have image files, with these files and their masks, which are not opened; and
     which files of others were looked for, "" if there are none."""
     folder, factor = _choose_folder(roots, images, None)
-    hint_first = images is None and (folder is None or factor == 1)
-    images_of = [(camera, _find(camera, folder, factor, hint_first)[0]) for camera in cameras]
+    images_of = [(camera, _find(camera, folder, factor, images is None)[0]) for camera in cameras]
     missing = [camera.name for camera, path in images_of if path is None]
     found = [(camera.name, path, camera.mask_path) for camera, path in images_of if path is not None]
     return found, _searched(folder, missing) if missing else ""
@@ -105,37 +115,14 @@ def _choose_folder(
     return None, 1
 
 
-def _find(
-    camera: Camera, folder: ImageFolder | None, factor: int, hint_first: bool
-) -> tuple[Path | None, int]:
-    """Return the image of a camera and its scale; the reader of the cameras may have found one beside its file."""
+def _find(camera: Camera, folder: ImageFolder | None, factor: int, usual: bool) -> tuple[Path | None, int]:
+    """Return the image of a camera and its scale; the reader of the cameras may have found one beside its file, which
+    comes first where the folder is a ``usual`` one, and not of smaller images."""
     hint = camera.image_path
-    if hint is not None and hint_first:
+    if hint is not None and usual and (folder is None or factor == 1):
         return hint, 1
     path = folder.find(camera.name) if folder is not None else None
     return (path, factor) if path is not None else (hint, 1)
-
-
-def _size_of(path: Path | None, unreadable: list[str]) -> tuple[int, int] | None:
-    """Return width and height of an image file; None where there is none, or it cannot be read, which is put down."""
-    if path is None:
-        return None
-    try:
-        return image_size(path)
-    except FileFormatError as error:
-        unreadable.append(str(error))
-        return None
-
-
-def _warn_of_unreadable(source: Path, unreadable: list[str], total: int, kept: bool) -> None:
-    if unreadable:
-        what = "their cameras are used without" if kept else "their cameras are skipped"
-        first = "; ".join(unreadable[:3])
-        warnings.warn(
-            f"{source}: {len(unreadable)} of {counted(total, 'photograph')} cannot be read, {what}: {first}",
-            ScoupWarning,
-            stacklevel=4,
-        )
 
 
 def _resized_to_image(
@@ -161,12 +148,6 @@ def _resized_to_image(
         camera = replace(camera, name=camera.name + path.suffix)
     camera = replace(camera, image_path=path)
     return _resized(source, camera, width * enlarge, height * enlarge)
-
-
-def _scaled(source: Path, camera: Camera, divisor: int) -> Camera:
-    if divisor == 1:
-        return camera
-    return _resized(source, camera, camera.width / divisor, camera.height / divisor)
 
 
 def _resized(source: Path, camera: Camera, width: float, height: float) -> Camera:

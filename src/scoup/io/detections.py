@@ -13,6 +13,7 @@ import torch
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, check_format_version
+from scoup.base.json_node import JsonNode
 from scoup.base.locks import WAIT
 from scoup.io.reading import read_json
 from scoup.io.regions.compact import stem_of
@@ -37,9 +38,8 @@ class DetectionStore:
     @property
     def fingerprint(self) -> str:
         """Hash of texts and settings: files made with others do not count."""
-        return hashlib.sha256(json.dumps([self.texts, self.settings], sort_keys=True).encode()).hexdigest()[
-            :32
-        ]
+        text = json.dumps([self.texts, self.settings], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     @classmethod
     def open(cls, folder: Path) -> DetectionStore:
@@ -71,17 +71,11 @@ class DetectionStore:
 
     def has(self, name: str, photograph: str) -> bool:
         """Return whether a photograph (by its SHA-256) was looked at."""
-        path = self._file(name)
-        if not path.is_file():
-            return False
         try:
-            record = read_json(path, "detections", _REMEDY)
-            return [record.get(key).value for key in ("manifest", "photograph")] == [
-                self.fingerprint,
-                photograph,
-            ]
+            record = self._record(name)
         except FileFormatError:  # made again
             return False
+        return record is not None and record.get("photograph").value == photograph
 
     def write(self, name: str, photograph: str, found: Detections) -> None:
         """Write the detections of a photograph; masks are left out."""
@@ -101,11 +95,8 @@ class DetectionStore:
 
     def read(self, name: str) -> Detections | None:
         """Return the detections of a photograph; None if it was not looked at with these texts and this model."""
-        path = self._file(name)
-        if not path.is_file():
-            return None
-        record = read_json(path, "detections", _REMEDY)
-        if record.get("manifest").value != self.fingerprint:
+        path, record = self._file(name), self._record(name)
+        if record is None:
             return None
         try:
             rows = torch.tensor(record.get("detections").value, dtype=torch.float64).reshape(-1, 6)
@@ -118,6 +109,13 @@ class DetectionStore:
         if min(width, height) < 1:
             raise FileFormatError(path, f"is of a photograph of {width} x {height} pixels", _REMEDY)
         return Detections(texts, rows[:, 1].float(), rows[:, 2:].float(), (width, height))
+
+    def _record(self, name: str) -> JsonNode | None:
+        """Return what is stored of a photograph, if it was made with these texts and this model."""
+        if not self._file(name).is_file():
+            return None
+        record = read_json(self._file(name), "detections", _REMEDY)
+        return record if record.get("manifest").value == self.fingerprint else None
 
     def _file(self, name: str) -> Path:
         return self.folder / f"{stem_of(name)}.json"

@@ -17,14 +17,22 @@ import numpy as np
 from torch import Tensor
 
 from scoup.base.errors import FileFormatError
-from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
-from scoup.io.torch_file import float_tensor, load_torch
-from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+from scoup.io.splats.activation import trained_gaussians
+from scoup.io.torch_file import float_tensor, float_tensors, load_torch
+from scoup.scene.gaussians import Gaussians
 
 _WHAT = "a checkpoint of LangSplat or LangSplatV2 (chkpnt<step>.pth, trained with features)"
 _WITHOUT_OBJECTS = "use the chkpnt<step>.pth that the training wrote"
 # Entries of what is captured without features, and of LangSplatV2; between them one of features.
 _PLAIN, _V2 = 12, 14
+_SHAPES = {  # of a Gaussian; they come first, after the degree
+    "xyz": (3,),
+    "features_dc": (1, 3),
+    "features_rest": (-1, 3),
+    "scaling": (3,),
+    "rotation": (4,),
+    "opacity": (1,),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,21 +77,10 @@ def read_langsplat(path: str | Path) -> LangSplatLevel:
 
 def _gaussians(path: Path, captured: Sequence[Any]) -> tuple[Gaussians, np.ndarray]:
     """Return the Gaussians, and a boolean [N] saying which rows they are."""
-    means = _floats(path, captured[1], (-1, 3), "xyz")
-    count = len(means)
-    rest = _floats(path, captured[3], (count, -1, 3), "features_rest")
-    if rest.shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
-        raise FileFormatError(
-            path, f"has {rest.shape[1]} higher coefficients, no whole SH degree", f"it should be {_WHAT}"
-        )
-    return keep_finite(
-        means=means,
-        quats=unit_quats(_floats(path, captured[5], (count, 4), "rotation")),
-        scales=scales_from_logs(_floats(path, captured[4], (count, 3), "scaling")),
-        opacities=opacities_from_logits(_floats(path, captured[6], (count, 1), "opacity")[:, 0]),
-        sh=np.concatenate([_floats(path, captured[2], (count, 1, 3), "features_dc"), rest], axis=1),
-        source=str(path),
-    )
+    raw = float_tensors(path, dict(zip(_SHAPES, captured[1:], strict=False)), _SHAPES, _WHAT)
+    sh = np.concatenate([raw["features_dc"], raw["features_rest"]], axis=1)
+    columns = (raw["xyz"], raw["rotation"], raw["scaling"], raw["opacity"][:, 0])
+    return trained_gaussians(path, *columns, sh, _WHAT)
 
 
 def _floats(path: Path, value: Any, shape: tuple[int, ...], name: str) -> np.ndarray:

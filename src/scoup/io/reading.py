@@ -75,6 +75,17 @@ def read_json(path: str | Path, what: str, remedy: str = "") -> JsonNode:
         raise FileFormatError(path, f"is not valid JSON{place}", f"the file should contain {what}") from error
 
 
+def numbered_files(folder: Path, glob: str) -> dict[tuple[int, ...], Path]:
+    """Return the files that a glob finds in a folder, by the numbers in place of its stars; others are left out."""
+    pattern = re.escape(glob).replace(r"\*", r"(\d{1,12})")
+    found = {}
+    for file in folder.glob(glob):
+        matched = re.fullmatch(pattern, file.relative_to(folder).as_posix())
+        if matched and file.is_file():
+            found[tuple(map(int, matched.groups()))] = file
+    return found
+
+
 def check_finite(path: Path, values: Sequence[float], what: str) -> list[float]:
     """Return the values if all are finite; ``what`` names one of them in the FileFormatError."""
     for value in values:
@@ -113,10 +124,7 @@ def make_camera(
         )
     viewmat = np.eye(4)
     viewmat[:3] = world_to_camera[:3]
-    rotation = viewmat[:3, :3]
-    with np.errstate(all="ignore"):
-        straight = bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-2)
-    if not straight:
+    if not is_orthogonal(viewmat[:3, :3], 1e-2):
         raise FileFormatError(
             path, f"the pose of camera {name!r} is not a rotation", "remove scale and shear from it"
         )
@@ -134,6 +142,12 @@ def make_camera(
         )
     except InputError as error:
         raise FileFormatError(path, str(error), "the file is damaged") from error
+
+
+def is_orthogonal(matrix: np.ndarray, tolerance: float = 1e-3) -> bool:
+    """Return whether a matrix [3, 3] is a rotation, or a mirrored one."""
+    with np.errstate(all="ignore"):
+        return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= tolerance)
 
 
 def sorted_cameras(path: Path, cameras: list[Camera], remedy: str = "rename one of the images") -> Cameras:

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from scoup.base.errors import FileFormatError
 from scoup.base.existing import existing_file
 from scoup.base.json_node import JsonNode
-from scoup.io.reading import read_text
+from scoup.io.reading import is_orthogonal, read_text
 
 REMEDY = "the file should contain 4 rows of 4 numbers: a rotation times a scale, with a translation"
-STRAIGHT = 1e-3  # of the rotation's products
 
 
 def read_similarity(path: str | Path) -> NDArray[np.float64]:
@@ -33,8 +32,7 @@ def read_similarity(path: str | Path) -> NDArray[np.float64]:
     matrix = JsonNode(path, value, REMEDY).numbers(4, 4)
     with np.errstate(all="ignore"):
         scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
-        turn = matrix[:3, :3] / scale
-        straight = bool(np.abs(turn @ turn.T - np.eye(3)).max() <= STRAIGHT)
+        straight = is_orthogonal(matrix[:3, :3] / scale)
     if not (straight and scale > 0 and np.array_equal(matrix[3], [0, 0, 0, 1])):
         raise FileFormatError(path, "is not a rotation, scale and translation", REMEDY)
     return matrix

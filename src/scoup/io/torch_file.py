@@ -7,7 +7,7 @@ import pickle
 import pickletools
 import re
 import zipfile
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,7 @@ def load_torch(path: str | Path, what: str, without_objects: str, numpy_numbers:
             if unpacked > os.path.getsize(path):
                 raise ValueError("unpacks to more than its size")
             _check_names([archive.read(name) for name in archive.namelist() if name.endswith("data.pkl")])
-        with _allowed(numpy_numbers):
+        with torch.serialization.safe_globals(_number_types() if numpy_numbers else []):
             return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         if "GLOBAL" not in str(error):  # torch's word for what is not a tensor
@@ -92,11 +92,16 @@ def float_tensor(path: Path, value: Any, shape: tuple[int, ...], name: str, what
     return value.detach().float().numpy()
 
 
-def _allowed(numpy_numbers: bool) -> AbstractContextManager[Any]:
-    """Let torch's restricted loader take single numpy numbers in this context, if requested; since torch 2.5."""
-    if not numpy_numbers or not hasattr(torch.serialization, "safe_globals"):
-        return nullcontext()
-    return torch.serialization.safe_globals(_number_types())
+def float_tensors(
+    path: Path, content: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], what: str
+) -> dict[str, np.ndarray]:
+    """Return ``float_tensor`` of several tensors, which have a row of these shapes for each Gaussian."""
+    found: dict[str, np.ndarray] = {}
+    count = -1
+    for name, shape in shapes.items():
+        found[name] = float_tensor(path, content.get(name), (count, *shape), name, what)
+        count = len(found[name])
+    return found
 
 
 def _number_types() -> list[Any]:

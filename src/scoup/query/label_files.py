@@ -88,9 +88,9 @@ def save_labels(
     if "colors" in outputs:
         write_ply(labelled_colors(gaussians, labels), folder / COLORS)
     if "glb" in outputs:
-        from scoup.io.splats.gltf import GaussianFeatures, write_gltf
+        from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
 
-        write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names, PROPERTY))
+        write_gltf(gaussians, folder / GLB, features=GaussianFeatures(labels.ids, labels.names))
     if "usd" in outputs:
         write_usd(gaussians, folder / USD, things=usd_things(field, labels))
     if "clouds" in outputs:

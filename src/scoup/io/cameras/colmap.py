@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+import torch
 
 from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError, MissingFileError
@@ -15,13 +18,21 @@ from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import Distorted, check_finite, make_camera, sorted_cameras
 from scoup.scene.cameras import Cameras
+from scoup.scene.rotations import quats_of_rotations, rotation_matrices
+
+_FILES = ("cameras", "images")
+_PARSERS = {".bin": colmap_binary, ".txt": colmap_text}
+"""By ending of the files, the preferred one first."""
 
 
 def is_model(folder: str | Path) -> bool:
     """Return whether a folder holds a cameras and an images file of COLMAP."""
-    return any(
-        (Path(folder) / f"cameras{end}").is_file() and (Path(folder) / f"images{end}").is_file()
-        for end in (".bin", ".txt")
+    return _ending(Path(folder)) is not None
+
+
+def _ending(folder: Path) -> str | None:
+    return next(
+        (end for end in _PARSERS if all((folder / f"{name}{end}").is_file() for name in _FILES)), None
     )
 
 
@@ -35,14 +46,14 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
         ScoupWarning: names of images leave the folder of images.
     """
     folder = existing_folder(folder, "a COLMAP model folder")
-    if not is_model(folder):
+    end = _ending(folder)
+    if end is None:
         raise MissingFileError(
             folder,
             "contains no COLMAP model (cameras and images, both .bin or both .txt)",
             "use the folder sparse/0",
         )
-    end = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
-    parser = colmap_binary if end == ".bin" else colmap_text
+    parser = _PARSERS[end]
     lens_path, path = folder / f"cameras{end}", folder / f"images{end}"
     lenses, shots = parser.read_lenses(lens_path), parser.read_shots(path)
     cameras = []
@@ -62,24 +73,31 @@ def read_colmap(folder: str | Path, distorted: Distorted = "refuse") -> Cameras:
 
 def read_points(folder: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the sparse points of a COLMAP model: [P, 3] float64 positions and [P, 3] uint8 colours."""
-    folder = existing_folder(folder, "a COLMAP model folder")
-    if (folder / "points3D.bin").is_file():
-        return colmap_binary.read_points(folder / "points3D.bin")
-    if (folder / "points3D.txt").is_file():
-        return colmap_text.read_points(folder / "points3D.txt")
-    raise MissingFileError(folder, "contains no points3D.bin or points3D.txt", "use the folder sparse/0")
+    parser, path = _points_of(folder)
+    points = parser.read_points(path)
+    return points.positions, points.colors
 
 
 def read_tracks(folder: str | Path) -> tuple[np.ndarray, list[list[str]]]:
     """Return the sparse points [P, 3] float64 of a COLMAP model, and for each the names of the images in its track
     (none in models that keep no tracks)."""
+    parser, path = _points_of(folder)
+    names = {shot.number: shot.name for shot in parser.read_shots(path.with_stem("images"))}
+    points = parser.read_points(path)
+    if not names.keys() >= set(points.images.tolist()):
+        raise FileFormatError(path, "has tracks with a missing image", "the files do not belong together")
+    numbers = iter(points.images.tolist())
+    tracks = (islice(numbers, length) for length in points.lengths.tolist())
+    return points.positions, [list(dict.fromkeys(names[number] for number in track)) for track in tracks]
+
+
+def _points_of(folder: str | Path) -> tuple[ModuleType, Path]:
+    """Return what parses the points of a model, and their file."""
     folder = existing_folder(folder, "a COLMAP model folder")
-    for end, parser in ((".bin", colmap_binary), (".txt", colmap_text)):
-        points, images = folder / f"points3D{end}", folder / f"images{end}"
-        if points.is_file() and images.is_file():
-            return parser.read_tracks(points, {shot.number: shot.name for shot in parser.read_shots(images)})
-    problem = "contains no points3D and images (both .bin or both .txt)"
-    raise MissingFileError(folder, problem, "use the folder sparse/0")
+    for end, parser in _PARSERS.items():
+        if (folder / f"points3D{end}").is_file():
+            return parser, folder / f"points3D{end}"
+    raise MissingFileError(folder, "contains no points3D.bin or points3D.txt", "use the folder sparse/0")
 
 
 def write_colmap(
@@ -95,8 +113,8 @@ def write_colmap(
     for number, camera in enumerate(cameras, start=1):
         lens = Lens("PINHOLE", camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
         number_of_lens = lenses.setdefault(lens, len(lenses) + 1)
-        rotation, translation = camera.viewmat[:3, :3].numpy(), camera.viewmat[:3, 3]
-        pose = _quaternion(rotation), tuple(translation.tolist())
+        quaternion = quats_of_rotations(camera.viewmat[None, :3, :3])[0]
+        pose = tuple(quaternion.tolist()), tuple(camera.viewmat[:3, 3].tolist())
         shots.append(Shot(number, camera.name, number_of_lens, *pose))
     positions, colors = points if points is not None else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8))
     numbered = {identifier: lens for lens, identifier in lenses.items()}
@@ -140,25 +158,5 @@ def _pose(path: Path, shot: Shot) -> np.ndarray:
         raise FileFormatError(
             path, f"image {shot.name!r} has no rotation (quaternion of norm {norm:.3g})", "register again"
         )
-    w, x, y, z = quaternion / norm
-    rotation = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.concatenate([np.array(rotation), np.array(translation)[:, None]], axis=1)
-
-
-def _quaternion(rotation: np.ndarray) -> tuple[float, ...]:
-    """Return (w, x, y, z) of a rotation: the eigenvector that stays accurate at every angle."""
-    r = rotation
-    symmetric = np.array(
-        [
-            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
-        ]
-    )
-    best = np.linalg.eigh(symmetric)[1][:, -1]
-    return tuple((best if best[0] >= 0 else -best).tolist())
+    rotation = rotation_matrices(torch.from_numpy(quaternion)[None])[0].numpy()
+    return np.concatenate([rotation, np.array(translation)[:, None]], axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from scoup.base.errors import FileFormatError
 from scoup.base.existing import existing_file
-from scoup.io.cameras.colmap_model import MODEL_NAMES, PARAMETER_COUNTS, Lens, Shot
+from scoup.io.cameras.colmap_model import MODEL_NAMES, PARAMETER_COUNTS, Lens, Points, Shot
 from scoup.io.reading import decoded, read_bytes
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
@@ -31,13 +31,15 @@ class _Cursor:
         self.position = 0
 
     def take(self, record: struct.Struct) -> tuple:
-        self.require(record.size)
-        values = record.unpack_from(self.data, self.position)
-        self.position += record.size
-        return values
+        start = self.position
+        self.skip(record.size)
+        return record.unpack_from(self.data, start)
 
     def skip(self, size: int) -> None:
-        self.require(size)
+        if size > len(self.data) - self.position:
+            raise FileFormatError(
+                self.path, f"ends in the middle of a record (byte {self.position})", _REMEDY
+            )
         self.position += size
 
     def count(self, smallest: int, what: str) -> int:
@@ -56,12 +58,6 @@ class _Cursor:
         if not raw:
             raise FileFormatError(self.path, "has an image without a name", _REMEDY)
         return decoded(self.path, raw)
-
-    def require(self, size: int) -> None:
-        if size > len(self.data) - self.position:
-            raise FileFormatError(
-                self.path, f"ends in the middle of a record (byte {self.position})", _REMEDY
-            )
 
 
 def read_lenses(path: Path) -> dict[int, Lens]:
@@ -95,34 +91,20 @@ def read_shots(path: Path) -> list[Shot]:
     return shots
 
 
-def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Read points3D.bin: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
+def read_points(path: Path) -> Points:
+    """Read points3D.bin."""
     cursor = _Cursor(path)
     count = cursor.count(_POINT.size, "points")
     positions, colors = np.empty((count, 3)), np.empty((count, 3), dtype=np.uint8)
+    lengths, tracks = np.empty(count, np.int64), bytearray()
     for row in range(count):
         values = cursor.take(_POINT)
         positions[row], colors[row] = values[1:4], values[4:7]
+        start = cursor.position
         cursor.skip(_TRACK_BYTES * values[8])
-    return positions, colors
-
-
-def read_tracks(points: Path, names: dict[int, str]) -> tuple[np.ndarray, list[list[str]]]:
-    """Read points3D.bin: [P, 3] float64 positions, and the images each point was seen in, by name."""
-    cursor = _Cursor(points)
-    count = cursor.count(_POINT.size, "points")
-    positions, tracks = np.empty((count, 3)), []
-    for row in range(count):
-        values = cursor.take(_POINT)
-        positions[row] = values[1:4]
-        size = _TRACK_BYTES * values[8]
-        cursor.require(size)
-        seen = np.frombuffer(cursor.data, "<u4", 2 * values[8], cursor.position)[::2].tolist()
-        cursor.skip(size)
-        if not all(identifier in names for identifier in seen):
-            raise FileFormatError(points, f"point {values[0]} refers to a missing image", _REMEDY)
-        tracks.append(list(dict.fromkeys(names[identifier] for identifier in seen)))
-    return positions, tracks
+        lengths[row] = values[8]
+        tracks += cursor.data[start : cursor.position]
+    return Points(positions, colors, lengths, np.frombuffer(tracks, "<u4")[::2])
 
 
 def model_files(

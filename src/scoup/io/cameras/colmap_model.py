@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 # The number of parameters of each model, in the order of COLMAP's numbers.
 PARAMETER_COUNTS = {
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8,
@@ -33,3 +35,13 @@ class Shot:
     lens: int
     quaternion: tuple[float, ...]
     translation: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """The entries of COLMAP's points3D file."""
+
+    positions: np.ndarray  # [P, 3] float64
+    colors: np.ndarray  # [P, 3] uint8
+    lengths: np.ndarray  # [P] of the tracks
+    images: np.ndarray  # numbers of the images in all tracks, one track after the other

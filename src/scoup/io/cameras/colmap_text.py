@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from scoup.base.errors import FileFormatError
 from scoup.base.existing import existing_file
-from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Shot
+from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Points, Shot
 from scoup.io.reading import read_text
 
 _REMEDY = "the file is cut short or damaged; copy or export it again"
@@ -46,40 +46,31 @@ def read_shots(path: Path) -> list[Shot]:
     return shots
 
 
-def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Read points3D.txt: [P, 3] float64 positions, [P, 3] uint8 colours; tracks skipped."""
+def read_points(path: Path) -> Points:
+    """Read points3D.txt."""
     positions: list[list[float]] = []
     colors: list[list[int]] = []
+    lengths: list[int] = []
+    images = array("q")
     for place, line in _lines(path):
         if not line:
             continue
-        words = line.split(maxsplit=8)
+        words = line.split()
         try:
-            position, color = [float(word) for word in words[1:4]], [int(word) for word in words[4:7]]
-        except ValueError as error:
+            positions.append([float(word) for word in words[1:4]])
+            colors.append([int(word) for word in words[4:7]])
+            images.extend(int(word) for word in words[8::2])
+        except (ValueError, OverflowError) as error:
             raise _damaged(path, place) from error
-        if len(color) != 3 or not all(0 <= value <= 255 for value in color):
+        if len(colors[-1]) != 3 or not all(0 <= value <= 255 for value in colors[-1]):
             raise _damaged(path, place)
-        positions.append(position)
-        colors.append(color)
-    return np.array(positions).reshape(-1, 3), np.array(colors, dtype=np.uint8).reshape(-1, 3)
-
-
-def read_tracks(points: Path, names: dict[int, str]) -> tuple[np.ndarray, list[list[str]]]:
-    """Read points3D.txt: [P, 3] float64 positions, and the images each point was seen in, by name."""
-    positions: list[list[float]] = []
-    tracks: list[list[str]] = []
-    for place, line in _lines(points):
-        if line:
-            words = line.split()
-            try:
-                positions.append([float(word) for word in words[1:4]])
-                tracks.append(list(dict.fromkeys(names[int(word)] for word in words[8::2])))
-            except (ValueError, KeyError) as error:
-                raise _damaged(points, place) from error
-            if len(positions[-1]) != 3:
-                raise _damaged(points, place)
-    return np.array(positions).reshape(-1, 3), tracks
+        lengths.append(len(words[8::2]))
+    return Points(
+        np.array(positions).reshape(-1, 3),
+        np.array(colors, np.uint8).reshape(-1, 3),
+        np.array(lengths, np.int64),
+        np.array(images, np.int64),
+    )
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -95,17 +86,11 @@ def _image_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     after_image = False
     for place, line in _lines(path):
         words = line.split(maxsplit=9)
-        after_image = bool(words) and not (after_image and _ends_in_number(line))
+        # Keypoints end in the number of a point, images in a name.
+        ends_in_number = bool(words) and words[-1].split()[-1].lstrip("-").isdecimal()
+        after_image = bool(words) and not (after_image and ends_in_number)
         if after_image:
             yield place, words
-
-
-def _ends_in_number(line: str) -> bool:
-    """Return whether a line ends as keypoints do, in the number of a point, and not in the name of an image."""
-    with suppress(ValueError):
-        int(line.rsplit(maxsplit=1)[-1])
-        return True
-    return False
 
 
 def _damaged(path: Path, place: int) -> FileFormatError:

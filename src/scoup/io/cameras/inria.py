@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -15,6 +14,7 @@ from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
     MAX_IMAGE_SIDE,
     make_camera,
+    numbered_files,
     read_json,
     read_text,
     sorted_cameras,
@@ -75,18 +75,14 @@ def latest_point_cloud(folder: str | Path) -> Path:
     """Return the PLY of the last iteration in an Inria output folder (or in its point_cloud folder)."""
     folder = existing_folder(folder, "an output folder of Inria's code")
     inner = folder if folder.name == "point_cloud" else folder / "point_cloud"
-    iterations: list[tuple[int, Path]] = []
-    for candidate in inner.glob("iteration_*/point_cloud.ply"):
-        numbered = re.fullmatch(r"iteration_(\d{1,12})", candidate.parent.name)
-        if numbered and candidate.is_file():
-            iterations.append((int(numbered[1]), candidate))
+    iterations = numbered_files(inner, "iteration_*/point_cloud.ply")
     if not iterations:
         raise MissingFileError(
             inner,
             "contains no iteration_*/point_cloud.ply",
             "use the folder that training wrote, or the PLY itself",
         )
-    return max(iterations)[1]
+    return iterations[max(iterations)]
 
 
 def portable_name(name: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from scoup.base.errors import FileFormatError, InputError
 from scoup.base.json_node import JsonNode
-from scoup.io.reading import read_json
+from scoup.io.reading import is_orthogonal, read_json
 from scoup.scene.cameras import Cameras
 
 TRAINED_FRAME = "dataparser_transforms.json"
@@ -52,10 +52,7 @@ def _rigid(transform: JsonNode) -> np.ndarray:
     """Return a rotation and translation [4, 4] from 3 x 4 numbers."""
     moved = np.eye(4)
     moved[:3] = transform.numbers(3, 4)
-    rotation = moved[:3, :3]
-    with np.errstate(all="ignore"):
-        straight = bool(np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-3)
-    if not straight or np.linalg.det(rotation) < 0:
+    if not is_orthogonal(moved[:3, :3]) or np.linalg.det(moved[:3, :3]) < 0:
         problem = f"{transform.place} is not a rotation with a translation"
         raise FileFormatError(transform.path, problem, transform.remedy)
     return moved

@@ -6,6 +6,7 @@ import math
 
 import torch
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from scoup.scene.cameras import Camera
 
@@ -53,18 +54,13 @@ def sample_nearest(values: Tensor, positions: Tensor, outside: int) -> Tensor:
 def sample_bilinear(image: Tensor, positions: Tensor) -> Tensor:
     """Interpolate ``image`` [h, w, C] uint8 at positions [H, W, 2]; black outside. Returns [H, W, C] uint8."""
     height, width = image.shape[:2]
-    inside = _inside(positions, width, height)
-    corner = torch.where(inside[..., None], positions, 0.5) - 0.5
-    low = corner.floor()
-    share = (corner - low).float()[..., None]
-    x0, y0 = (low[..., axis].long() for axis in (0, 1))
-    x1, y1 = (x0 + 1).clamp(max=width - 1), (y0 + 1).clamp(max=height - 1)
-    x0, y0 = x0.clamp(min=0), y0.clamp(min=0)
-    across, down = share[..., 0, :], share[..., 1, :]
-    top = image[y0, x0].float() * (1 - across) + image[y0, x1].float() * across
-    bottom = image[y1, x0].float() * (1 - across) + image[y1, x1].float() * across
-    blended = (top * (1 - down) + bottom * down).round().clamp(0, 255).to(torch.uint8)
-    return torch.where(inside[..., None], blended, torch.zeros_like(blended))
+    inside = _inside(positions, width, height)[..., None]
+    size = torch.tensor([width, height], dtype=torch.float64)
+    grid = (2.0 * torch.where(inside, positions, 0.0) / size - 1.0).float()
+    pixels = image.permute(2, 0, 1).float()
+    blended = grid_sample(pixels[None], grid[None], padding_mode="border", align_corners=False)[0]
+    blended = blended.permute(1, 2, 0).round().clamp(0, 255).to(torch.uint8)
+    return torch.where(inside, blended, torch.zeros_like(blended))
 
 
 def _inside(positions: Tensor, width: int, height: int) -> Tensor:

@@ -39,7 +39,7 @@ _DEFLATE_LIMIT = 1040  # deflate never packs more bytes than this into one
 class CompactView:
     """A view: the header of its file, checked against the file. Arrays are read when they are needed."""
 
-    path: Path
+    labels_path: Path  # of its file, as that of the embeddings
     name: str  # of the image, as the cameras call it
     width: int  # of the label maps, as the height
     height: int
@@ -54,16 +54,12 @@ class CompactView:
         return tuple(self.counts)
 
     @property
-    def labels_path(self) -> Path:
-        return self.path
-
-    @property
     def embeddings_path(self) -> Path:
-        return self.path
+        return self.labels_path
 
     def labels(self, levels: Sequence[str]) -> NDArray[np.int32]:
         """Return [levels, H, W] labels as stored; the file is opened once."""
-        with _opened(self.path) as stream:
+        with _opened(self.labels_path) as stream:
             packed = [self._array(stream, f"labels.{level}").tobytes() for level in levels]
         labels = np.empty((len(levels), self.height, self.width), np.int32)
         for level, data, out in zip(levels, packed, labels, strict=True):
@@ -72,20 +68,14 @@ class CompactView:
 
     def embeddings(self, level: str) -> NDArray[np.floating]:
         """Return [R, D] embeddings of a level, as stored."""
-        with _opened(self.path) as stream:
+        with _opened(self.labels_path) as stream:
             return self._array(stream, f"embeddings.{level}")
 
     def _array(self, stream: Any, name: str) -> NDArray[Any]:
         array = stream.get_tensor(name)
         if self.checksums is not None and array_checksum(array) != self.checksums.get(name):
-            raise FileFormatError(self.path, f"is damaged (checksum of {name})", REMEDY)
+            raise FileFormatError(self.labels_path, f"is damaged (checksum of {name})", REMEDY)
         return array
-
-    def read(self) -> ViewRegions:
-        """Return everything the file holds."""
-        labels = dict(zip(self.levels, self.labels(self.levels), strict=True))
-        embeddings = {level: self.embeddings(level) for level in self.levels}
-        return ViewRegions(self.name, labels, embeddings, self.photograph)
 
 
 def stem_of(name: str) -> str:
@@ -175,15 +165,15 @@ def _unpack(view: CompactView, level: str, packed: bytes, out: NDArray[np.int32]
         # The checksum is read only after the last byte: request one more.
         rest = b"" if inflate.eof else inflate.decompress(inflate.unconsumed_tail, 1)
     except zlib.error as error:
-        raise FileFormatError(view.path, f"has damaged labels ({error})", REMEDY) from error
+        raise FileFormatError(view.labels_path, f"has damaged labels ({error})", REMEDY) from error
     if len(data) != wanted or rest or not inflate.eof:
-        raise FileFormatError(view.path, "has labels of another size than its header says", REMEDY)
+        raise FileFormatError(view.labels_path, "has labels of another size than its header says", REMEDY)
     steps = np.frombuffer(data, kind).reshape(view.height, view.width)
     values = np.bitwise_xor.accumulate(steps, axis=0)  # labels plus one
     highest = int(values.max()) - 1
     if highest >= view.counts[level]:
         problem = f"level {level!r} has labels up to {highest} for {view.counts[level]} embeddings"
-        raise FileFormatError(view.path, problem, REMEDY)
+        raise FileFormatError(view.labels_path, problem, REMEDY)
     np.subtract(values, 1, out=out, dtype=np.int32, casting="unsafe")
 
 

@@ -13,8 +13,8 @@ from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import staged
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.langsplat_autoencoder import Decoder
-from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, write_manifest
-from scoup.io.regions.store import RegionStore
+from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.store import RegionStore, read_view
 from scoup.io.regions.views import FOLDER_NAME
 
 
@@ -77,17 +77,16 @@ def convert_regions(
     if to_layout == "langsplat":
         RegionStore(target).check_names(stems)
     _check_target(target, manifest, targets.values(), overwrite)
-    there = RegionStore.check_new(target, manifest, overwrite)
+    RegionStore.create(target, manifest, overwrite)
     before = after = 0
     progress("convert", 0, len(stems))
-    manifest_file = [] if there == manifest else [MANIFEST]
+    manifest_file = [] if read_manifest(target) == manifest else [MANIFEST]
     with staged(target, manifest_file, overwrite) as hidden:
         out = RegionStore(hidden, manifest, to_layout)
         if manifest_file:
             write_manifest(hidden, manifest)
         for done, stem in enumerate(stems):
-            view = store.open_view(stem)
-            regions = replace(view.read(), name=view.name)
+            regions = read_view(store.open_view(stem))
             if decode is not None:
                 rows = {level: decode(stored) for level, stored in regions.embeddings.items()}
                 regions = replace(regions, embeddings=rows)

@@ -70,13 +70,6 @@ class LangSplatView:
             raise _changed(self.embeddings_path)
         return rows[block]
 
-    def read(self) -> ViewRegions:
-        """Return everything the files hold; the level "default" is left out where it has no regions."""
-        blocks = self.blocks()
-        levels = [level for level in FILE_LEVELS if level != "default" or blocks[level].stop > 0]
-        labels = dict(zip(levels, self.labels(levels), strict=True))
-        return ViewRegions("", labels, {level: np.array(self.embeddings(level)) for level in levels})
-
     def blocks(self) -> dict[str, slice]:
         """Return level -> rows of its embeddings; both files are read and checked for them, once."""
         with self._lock:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -50,17 +49,14 @@ def level_blocks(path: Path, planes: np.ndarray, rows: int) -> dict[str, slice]:
 
 def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[int, int] | None:
     """Return the first and the last row that a plane names, None if it names none."""
-    low, high, lowest = rows, -1, rows
-    fractions = False
-    for some in _strips(plane):
-        whole = some
-        if plane.dtype.kind == "f":
-            whole = _whole_numbers(some)
-            fractions |= not np.array_equal(whole.astype(plane.dtype), some)
-        low, high = min(low, int(whole.min())), max(high, int(whole.max()))
-        lowest = min(lowest, _lowest(whole))
-    if fractions:
-        raise FileFormatError(path, f"level {name!r} has labels that are not whole numbers", REMEDY)
+    whole = np.asarray(plane)
+    if plane.dtype.kind == "f":
+        narrow = plane.dtype.itemsize <= 4  # beyond 32 bits such floats are refused by their size in any case
+        with np.errstate(invalid="ignore"):
+            whole = plane.astype(np.int32 if narrow else np.int64)
+        if not np.array_equal(whole.astype(plane.dtype), plane):
+            raise FileFormatError(path, f"level {name!r} has labels that are not whole numbers", REMEDY)
+    low, high = int(whole.min()), int(whole.max())
     if low < -1 or high >= rows:
         embeddings = path.name.replace("_s.npy", "_f.npy")
         raise FileFormatError(
@@ -68,34 +64,19 @@ def _used_range(path: Path, plane: np.ndarray, name: str, rows: int) -> tuple[in
             f"level {name!r} has labels from {low} to {high}, but {embeddings} has {counted(rows, 'embedding')}",
             "the two files do not belong together; " + REMEDY,
         )
-    return None if high < 0 else (lowest, high)
-
-
-def _strips(plane: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield some rows of a plane at a time: few enough to stay in a cache."""
-    rows = max(1, (1 << 16) // plane.shape[1])
-    for start in range(0, len(plane), rows):
-        yield np.asarray(plane[start : start + rows])
+    return None if high < 0 else (_lowest(whole), high)
 
 
 def copy_labels(plane: np.ndarray, block: slice, out: NDArray[np.int32]) -> bool:
     """Put a plane's labels, counted from the first row of their level's block, into ``out`` [H, W]; -1 stays. Return
     whether all lie within the block; if not, what is in ``out`` is of no use."""
-    for some, to in zip(_strips(plane), _strips(out), strict=True):
-        with np.errstate(invalid="ignore"):
-            to[...] = some
-        if to.min() < -1 or to.max() >= block.stop or _lowest(to) < block.start:
-            return False
-        np.subtract(to, block.start, out=to)
-        np.maximum(to, -1, out=to)
-    return True
-
-
-def _whole_numbers(plane: np.ndarray) -> NDArray[np.signedinteger]:
-    """Return a plane cut to integers; what does not fit becomes another number."""
-    narrow = plane.dtype.itemsize <= 4  # beyond 32 bits such floats are refused by their size in any case
     with np.errstate(invalid="ignore"):
-        return plane.astype(np.int32 if narrow else np.int64)
+        out[...] = plane
+    if out.min() < -1 or out.max() >= block.stop or _lowest(out) < block.start:
+        return False
+    np.subtract(out, block.start, out=out)
+    np.maximum(out, -1, out=out)
+    return True
 
 
 def _lowest(plane: np.ndarray) -> int:

@@ -77,7 +77,12 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
 
     def embeddings(name: str, level: str) -> Tensor:
         view = views[name][1]
-        return _normalized(view.embeddings_path, view.embeddings(level))
+        with np.errstate(all="ignore"):  # a signalling NaN, or beyond float32; refused below
+            rows = np.array(view.embeddings(level), np.float32)
+        if not np.isfinite(rows).all():
+            problem = "has embeddings that are not finite (NaN or infinite)"
+            raise FileFormatError(view.embeddings_path, problem, REMEDY)
+        return torch.from_numpy(rows)
 
     def load(name: str, level: str) -> RegionMap:
         return RegionMap(labels(name, (level,))[0], embeddings(name, level))
@@ -150,15 +155,3 @@ def _at_camera(labels: Tensor, camera: Camera) -> Tensor:
         pixels = photograph_pixels(camera, labels.shape[-1], labels.shape[-2])
         return torch.stack([sample_nearest(item, pixels, outside=-1) for item in labels])
     return resize_labels(labels, camera.width, camera.height)
-
-
-def _normalized(path: Path, rows: np.ndarray) -> Tensor:
-    """Return [R, D] float32 stored embeddings scaled to unit norm."""
-    with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
-        wide = np.asarray(rows, dtype=np.float64)
-    if not np.isfinite(wide).all():
-        raise FileFormatError(path, "has embeddings that are not finite (NaN or infinite)", REMEDY)
-    norms = np.linalg.norm(wide, axis=1, keepdims=True)
-    # Rows that are unit to float32 rounding stay bit for bit; a zero row means "unknown" and stays zero.
-    unit = np.where(np.abs(norms - 1.0) < 1e-6, wide, wide / np.where(norms > 0, norms, 1.0))
-    return torch.from_numpy(unit.astype(np.float32))

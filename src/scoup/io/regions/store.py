@@ -19,8 +19,8 @@ from scoup.io.regions.langsplat import LangSplatView
 from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.views import ViewRegions, match_stems, region_folder, view_stems
 
-StoredView = CompactView | LangSplatView
-_LAYOUTS = {"compact": compact, "langsplat": langsplat}  # modules with the same names for the same things
+StoredView = CompactView | LangSplatView  # with the same names for the same things, as their modules
+_LAYOUTS = {"compact": compact, "langsplat": langsplat}
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,6 @@ class RegionStore:
     def create(cls, folder: Path, manifest: RegionManifest, overwrite: bool = False) -> RegionStore:
         """Return the store of a manifest, to ``begin``, which makes the folder, and write to; a folder with the same
         manifest is continued. With ``overwrite`` another manifest may be there, which ``begin`` replaces."""
-        cls.check_new(folder, manifest, overwrite)
-        return cls(folder, manifest, manifest.layout)
-
-    @classmethod
-    def check_new(
-        cls, folder: Path, manifest: RegionManifest, overwrite: bool = False
-    ) -> RegionManifest | None:
-        """Check that views of a manifest may be written into a folder; the manifest that is there, None for none."""
         if folder.is_file():
             raise InputError(f"{folder}: is a file; use the name of a folder")
         there = read_manifest(folder) if folder.is_dir() else None
@@ -74,7 +66,7 @@ class RegionStore:
                 "choose another folder, or pass `overwrite=True` to make everything again"
             )
         check_output(folder / MANIFEST, overwrite=True)
-        return there
+        return cls(folder, manifest, manifest.layout)
 
     def begin(self, overwrite: bool = False) -> None:
         """Put the manifest into the folder, before the first view is written.
@@ -191,3 +183,11 @@ class RegionStore:
     def size_of(self, stem: str) -> int:
         """Return bytes of the files of a view."""
         return sum(path.stat().st_size for path in self.files(stem))
+
+
+def read_view(view: StoredView) -> ViewRegions:
+    """Return everything the files of a view hold; a level "default" without regions is left out."""
+    rows = {level: np.array(view.embeddings(level)) for level in view.levels}
+    levels = [level for level in view.levels if level != "default" or len(rows[level])]
+    labels = dict(zip(levels, view.labels(levels), strict=True))
+    return ViewRegions(view.name, labels, {level: rows[level] for level in levels}, view.photograph)

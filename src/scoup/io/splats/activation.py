@@ -14,9 +14,10 @@ import numpy as np
 import torch
 
 from scoup.base.counts import counted
-from scoup.base.errors import InputError, ScoupWarning
-from scoup.scene.gaussians import Gaussians
+from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
+SH_BASES = tuple((degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1))
 UNIT_TOLERANCE = 1e-6  # of the squared norm: what float32 rounding of a unit quaternion stays well within
 
 
@@ -55,6 +56,25 @@ def unit_quats(raw: np.ndarray) -> np.ndarray:
         squared = (wide**2).sum(1, keepdims=True)
         normalised = (wide / np.sqrt(squared)).astype(np.float32)
     return np.where(np.abs(squared - 1.0) < UNIT_TOLERANCE, raw.astype(np.float32), normalised)
+
+
+def trained_gaussians(
+    path: Path,
+    means: np.ndarray,
+    quats: np.ndarray,
+    logs: np.ndarray,
+    logits: np.ndarray,
+    sh: np.ndarray,
+    what: str,
+) -> tuple[Gaussians, np.ndarray]:
+    """Return ``keep_finite`` of what trainers keep: quaternions of any norm, logarithms of scales, logits of opacities.
+    ``what`` the file should be is for the FileFormatError of harmonics [N, B, 3] of no degree."""
+    if sh.shape[1] not in SH_BASES:
+        problem = f"has {sh.shape[1] - 1} coefficients above SH degree 0, no whole SH degree"
+        raise FileFormatError(path, problem, f"it should be {what}")
+    return keep_finite(
+        means, unit_quats(quats), scales_from_logs(logs), opacities_from_logits(logits), sh, str(path)
+    )
 
 
 def keep_finite(
@@ -96,26 +116,17 @@ def warn_of_dropped(dropped: int, total: int, source: str, stacklevel: int = 2) 
 
 
 def finite_arrays(gaussians: Gaussians, path: str | Path) -> dict[str, np.ndarray]:
-    """Return means, quats, scales, opacities (0 to 1) and sh as float64, for a writer that has no place for other
-    values."""
+    """Return means, quats (unit norm; of zeros: no turn), scales (positive), opacities (0 to 1) and sh, for a writer
+    that has no place for other values: float64 that float32 holds."""
     if not bool((gaussians.finite() & torch.isfinite(gaussians.sh).flatten(1).all(1)).all()):
         raise InputError(f"{path}: some Gaussians have values that are not finite; remove these first")
     arrays = {
         name: tensor.detach().cpu().numpy().astype(np.float64) for name, tensor in gaussians.tensors().items()
     }
-    return {**arrays, "opacities": arrays["opacities"].clip(0, 1)}
-
-
-def linear_arrays(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    """Return means, quats (unit norm), scales (positive), opacities (0 to 1) and sh as float32, for a format that has
-    them as they are."""
-    arrays = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
-    return {
-        **arrays,
-        "quats": unit_quats(arrays["quats"]),
-        "scales": np.abs(arrays["scales"]),
-        "opacities": arrays["opacities"].clip(0.0, 1.0),
-    }
+    quats = unit_quats(arrays["quats"]).astype(np.float64)
+    quats[np.isnan(quats).any(1)] = (1.0, 0.0, 0.0, 0.0)
+    scales, opacities = np.abs(arrays["scales"]), arrays["opacities"].clip(0.0, 1.0)
+    return {**arrays, "quats": quats, "scales": scales, "opacities": opacities}
 
 
 def _settled(raw: np.ndarray, wanted: np.ndarray, forward: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

@@ -15,7 +15,6 @@ from scoup.io.splats import (
     gsplat_checkpoint,
     nerfstudio_checkpoint,
     ply,
-    ply_compressed_write,
     splat,
     spz,
     usd,
@@ -24,7 +23,7 @@ from scoup.io.splats.splat_format import Preset, SplatFormat
 
 FORMATS = Registry("splat format", "scoup.splat_formats", SplatFormat, (
     ply.FORMAT,
-    ply_compressed_write.FORMAT,
+    ply.COMPRESSED,
     splat.FORMAT,
     spz.FORMAT,
     gltf.FORMAT,

@@ -58,7 +58,7 @@ def read_through_gaussforge(path: str | Path) -> Gaussians:
     path = existing_file(path, "a splat")
     gaussians = _converted(path, path, path.suffix.lower()[1:])
     if path.suffix.lower() == _KSPLAT:
-        return replace(gaussians, sh=_sh_of_ksplat(gaussians.sh))
+        return replace(gaussians, sh=_reordered_for_ksplat(gaussians.sh, inverse=True))
     return gaussians
 
 
@@ -108,7 +108,7 @@ def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: 
                 ScoupWarning,
                 stacklevel=2,
             )
-        gaussians = replace(gaussians, sh=_sh_for_ksplat(gaussians.sh[:, :9]))
+        gaussians = replace(gaussians, sh=_reordered_for_ksplat(gaussians.sh[:, :9]))
     with tempfile.TemporaryDirectory(prefix="scoup-") as folder:
         plain, made = Path(folder) / "splat.ply", Path(folder) / "converted"
         write_ply(gaussians, plain)
@@ -118,28 +118,24 @@ def write_through_gaussforge(gaussians: Gaussians, path: str | Path, overwrite: 
             stream.write(made.read_bytes())
 
 
-def _sh_of_ksplat(sh: Tensor) -> Tensor:
-    """Return harmonics [N, B, 3] in our order.
+def _reordered_for_ksplat(sh: Tensor, inverse: bool = False) -> Tensor:
+    """Return harmonics that gaussforge writes to a .ksplat in the order of the format; the ``inverse``, of what it has
+    read, in our order.
 
     gaussforge takes a .ksplat's for all coefficients of red, then of green and blue. The format has those of degree 1
     first, channel by channel, then those of degree 2 (SplatBuffer.js of GaussianSplats3D).
     """
-    count, flat = len(sh), sh[:, 1:].transpose(1, 2).flatten(1)
-    parts = [sh[:, :1].transpose(1, 2)]
-    for degree in range(1, round(sh.shape[1] ** 0.5)):
-        first, width = 3 * (degree**2 - 1), 2 * degree + 1
-        parts.append(flat[:, first : first + 3 * width].reshape(count, 3, width))
-    return torch.cat(parts, dim=2).transpose(1, 2).contiguous()
-
-
-def _sh_for_ksplat(sh: Tensor) -> Tensor:
-    """Return harmonics that gaussforge writes in the order of the format."""
-    degrees = range(1, round(sh.shape[1] ** 0.5))
-    parts = [sh[:, degree**2 : (degree + 1) ** 2].transpose(1, 2).flatten(1) for degree in degrees]
-    flat = torch.cat([*parts, sh[:, :0, 0]], dim=1)
-    return torch.cat(
-        [sh[:, :1], flat.reshape(len(sh), 3, sh.shape[1] - 1).transpose(1, 2)], dim=1
-    ).contiguous()
+    above = sh.shape[1] - 1
+    places = [
+        channel * above + number - 1
+        for degree in range(1, round(sh.shape[1] ** 0.5))
+        for channel in range(3)
+        for number in range(degree**2, (degree + 1) ** 2)
+    ]
+    order = torch.tensor(places, dtype=torch.int64)
+    flat = sh[:, 1:].transpose(1, 2).flatten(1)[:, order.argsort() if inverse else order]
+    higher = flat.reshape(len(sh), 3, above).transpose(1, 2)
+    return torch.cat([sh[:, :1], higher], dim=1).contiguous()
 
 
 def _convert(source: Path, kind: str, target: Path, wanted: str) -> bool:

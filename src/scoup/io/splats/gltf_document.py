@@ -1,4 +1,4 @@
-"""glTF files as they are stored: the JSON of a .gltf or .glb file and the bytes of its buffers, all checked."""
+"""glTF files as they are stored: the JSON of a .gltf or .glb file and the columns of its buffers, all checked."""
 
 from __future__ import annotations
 
@@ -6,20 +6,43 @@ import base64
 import binascii
 import json
 import struct
-from pathlib import Path, PurePosixPath
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
 from urllib.parse import unquote
+
+import numpy as np
 
 from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError
 from scoup.base.existing import existing_file
+from scoup.base.json_node import JsonNode
 from scoup.io.reading import read_bytes
 
 MAGIC = b"glTF"
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
-_LARGEST = 2**53  # beyond it JSON numbers are not exact; no count or size of a file comes near
+TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "f4": 5126}
 _DAMAGED = "the file is damaged; export it again"
+
+SPLATS = "KHR_gaussian_splatting"
+SH_DEGREE = 3  # the highest that the extension knows
+DEFAULTS = {
+    "kernel": "ellipse",
+    "colorSpace": "srgb_rec709_display",
+    "projection": "perspective",
+    "sortingMethod": "cameraDistance",
+}
+"""Properties of the extension and the values that they have for Gaussians of 3DGS."""
+
+
+def sh_names(degree: int) -> list[str]:
+    """Return the attributes of all coefficients up to a degree, in our order."""
+    return [
+        f"{SPLATS}:SH_DEGREE_{level}_COEF_{order}"
+        for level in range(degree + 1)
+        for order in range(2 * level + 1)
+    ]
 
 
 class GltfDocument:
@@ -30,8 +53,8 @@ class GltfDocument:
         binary: the binary chunk of a .glb file.
     """
 
-    def __init__(self, path: Path, root: dict[str, Any], binary: memoryview | None) -> None:
-        self.path = path
+    def __init__(self, root: JsonNode, binary: memoryview | None) -> None:
+        self.path = root.path
         self.root = root
         self._binary = binary
         self._sources: dict[str, bytes] = {}
@@ -40,112 +63,103 @@ class GltfDocument:
         """Return the error that says what is wrong with the file."""
         return FileFormatError(self.path, problem, remedy)
 
-    def whole(self, value: Any, what: str, low: int = 0, default: int | None = None) -> int:
-        """Return ``value`` as a whole number of at least ``low``; ``default`` where it is missing."""
-        if value is None and default is not None:
-            return default
-        if isinstance(value, float) and value == value // 1 and abs(value) < _LARGEST:
-            value = int(value)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value < _LARGEST:
-            raise self.error(f"{what} is not a whole number from {low}")
-        return value
-
-    def entries(self, name: str) -> list[Any]:
-        """Return the list ``name`` at the top of the JSON; empty where there is none."""
-        value = self.root.get(name, [])
-        if not isinstance(value, list):
-            raise self.error(f"{name} is not a list")
-        return value
-
-    def entry(self, name: str, index: Any, what: str) -> dict[str, Any]:
-        """Return the object that ``what`` points to by its index in the list ``name``."""
-        items = self.entries(name)
-        number = self.whole(index, f"the index of {what}")
-        if number >= len(items):
-            raise self.error(f"{what} is {name}[{number}], but {name} has {len(items)}")
-        if not isinstance(items[number], dict):
-            raise self.error(f"{name}[{number}] is not an object")
-        return items[number]
-
-    def names(self, name: str) -> list[str]:
-        """Return a list of names at the top of the JSON, such as ``extensionsUsed``."""
-        return [item for item in self.entries(name) if isinstance(item, str)]
+    def entry(self, name: str, index: JsonNode, default: int | None = None) -> JsonNode:
+        """Return the entry of the list ``name`` at the top of the JSON that an index points to."""
+        entries, number = self.root.get(name), index.whole(default=default)
+        if not isinstance(entries.value, list):
+            raise entries.error("a list")
+        if number >= len(entries.value):
+            raise self.error(f"{index.place} is {number}, but {name} has {len(entries.value)}")
+        return replace(entries, value=entries.value[number], place=f"{name}[{number}]")
 
     @property
     def data_bytes(self) -> int:
         """Return how many bytes of buffers were opened so far."""
         return (0 if self._binary is None else len(self._binary)) + sum(map(len, self._sources.values()))
 
-    def view(self, index: Any, what: str) -> tuple[memoryview, int]:
-        """Return the bytes of a buffer view and its stride (0 where it has none)."""
-        entry = self.entry("bufferViews", index, f"the buffer view of {what}")
-        data = self._buffer(entry.get("buffer"), what)
-        offset = self.whole(entry.get("byteOffset"), f"the offset of {what}", default=0)
-        length = self.whole(entry.get("byteLength"), f"the length of {what}", low=1)
-        if offset + length > len(data):
-            raise self.error(f"the buffer view of {what} reaches beyond its buffer")
-        return data[offset : offset + length], self.whole(
-            entry.get("byteStride"), f"the stride of {what}", default=0
-        )
+    def column(self, index: JsonNode, kind: str, plain: bool = False) -> np.ndarray:
+        """Return the values [N, width] float32 of an accessor of this type, such as VEC3. Integers mean -1..1 or 0..1;
+        they may mean themselves where ``plain``."""
+        accessor = self.entry("accessors", index)
+        accessor.get("type").text((kind,))
+        component = accessor.get("componentType")
+        dtype = next((name for name, code in COMPONENTS.items() if code == component.value), None)
+        if dtype is None:
+            raise component.error("a component type of attributes")
+        if accessor.get("sparse").value is not None or accessor.get("bufferView").value is None:
+            problem = f"{index.place} is a sparse accessor, which is not read"
+            raise self.error(problem, "export it without them")
+        count = accessor.get("count").whole(low=1)
+        offset = accessor.get("byteOffset").whole(default=0)
+        data, stride = self.view(accessor.get("bufferView"))
+        width = next(width for width, name in TYPES.items() if name == kind)
+        size = width * np.dtype(dtype).itemsize
+        stride = stride or size
+        if stride < size:
+            raise self.error(f"the rows of {index.place} overlap")
+        if offset + stride * (count - 1) + size > len(data):
+            raise self.error(f"{index.place} reaches beyond its buffer view")
+        rows = np.ndarray((count, width), f"<{dtype}", data, offset, (stride, np.dtype(dtype).itemsize))
+        normalised = accessor.get("normalized").value is True
+        if dtype == "f4" or (plain and not normalised):
+            return rows.astype(np.float32)
+        if not normalised:
+            raise self.error(f"{index.place} is stored as integers that are not normalised")
+        return np.maximum(rows / np.float64(np.iinfo(rows.dtype).max), -1.0).astype(np.float32)
 
-    def _buffer(self, index: Any, what: str) -> memoryview:
-        entry = self.entry("buffers", index, f"the buffer of {what}")
-        length = self.whole(entry.get("byteLength"), f"the length of the buffer of {what}", low=1)
-        uri = entry.get("uri")
-        if uri is None:
-            if self._binary is None or index != 0:
-                raise self.error(f"the buffer of {what} has no data")
+    def view(self, index: JsonNode) -> tuple[memoryview, int]:
+        """Return the bytes of a buffer view and its stride (0 where it has none)."""
+        view = self.entry("bufferViews", index)
+        data = self._buffer(view.get("buffer"))
+        offset, length = view.get("byteOffset").whole(default=0), view.get("byteLength").whole(low=1)
+        if offset + length > len(data):
+            raise self.error(f"{view.place} reaches beyond its buffer")
+        return data[offset : offset + length], view.get("byteStride").whole(default=0)
+
+    def _buffer(self, index: JsonNode) -> memoryview:
+        buffer = self.entry("buffers", index)
+        length, uri = buffer.get("byteLength").whole(low=1), buffer.get("uri")
+        if uri.value is not None:
+            data = self._source(uri.text())
+        elif self._binary is not None and index.value == 0:
             data = self._binary
-        elif isinstance(uri, str):
-            data = self._embedded(uri) if uri[:5].lower() == "data:" else self._external(uri)
         else:
-            raise self.error(f"the URI of the buffer of {what} is not a text")
+            raise self.error(f"{buffer.place} has no data")
         if len(data) < length:
             raise self.error(
-                f"a buffer contains {counted(len(data), 'byte')}, but its JSON says {length}",
+                f"{buffer.place} contains {counted(len(data), 'byte')}, but its JSON says {length}",
                 "the file is cut short; copy it again",
             )
         return memoryview(data)[:length]
 
-    def _embedded(self, uri: str) -> bytes:
+    def _source(self, uri: str) -> bytes:
         if uri not in self._sources:
-            head, comma, body = uri.partition(",")
-            if not comma or not head.lower().endswith(";base64"):
-                raise self.error("a buffer is a data URI that is not base64")
-            try:
-                self._sources[uri] = base64.b64decode(body, validate=True)
-            except (binascii.Error, ValueError) as error:
-                raise self.error("a buffer is a data URI whose base64 is damaged") from error
+            is_embedded = uri[:5].lower() == "data:"
+            self._sources[uri] = self._embedded(uri) if is_embedded else self._external(uri)
         return self._sources[uri]
+
+    def _embedded(self, uri: str) -> bytes:
+        head, _, body = uri.partition(",")
+        if not head.lower().endswith(";base64"):
+            raise self.error("a buffer is a data URI that is not base64")
+        try:
+            return base64.b64decode(body, validate=True)
+        except (binascii.Error, ValueError) as error:
+            raise self.error("a buffer is a data URI whose base64 is damaged") from error
 
     def _external(self, uri: str) -> bytes:
         """Return a file beside or below the .gltf; never one outside of its folder, through a link either."""
-        refused = self.error(
-            f"a buffer is {uri[:60]!a}, which is not a file in its folder",
-            "put all files of it into one folder, or export it as .glb",
-        )
-        name = unquote(uri)
-        parts = PurePosixPath(name).parts
-        if not name or name.startswith("/") or ".." in parts or any(char in name for char in ":\\\0\n\r"):
-            raise refused
+        path = self.path.parent / unquote(uri)
         try:
-            folder = self.path.resolve().parent
-            path = (self.path.parent / name).resolve()
-        except (OSError, ValueError, RuntimeError) as error:
-            raise refused from error
-        if not path.is_relative_to(folder):
-            raise refused
-        if str(path) not in self._sources:
-            named = existing_file(self.path.parent / name, f"a buffer of {self.path}", "copy it there")
-            self._sources[str(path)] = read_bytes(named)
-        return self._sources[str(path)]
-
-
-def extension(item: dict[str, Any], name: str) -> dict[str, Any] | None:
-    """Return an extension of an object of the JSON, if it has it."""
-    extensions = item.get("extensions")
-    value = extensions.get(name) if isinstance(extensions, dict) else None
-    return value if isinstance(value, dict) else None
+            is_inside = path.resolve().is_relative_to(self.path.resolve().parent)
+        except (OSError, ValueError, RuntimeError):  # a name that no system takes
+            is_inside = False
+        if not is_inside or any(char in unquote(uri) for char in ":\\\n\r"):
+            raise self.error(
+                f"a buffer is {uri[:60]!a}, which is not a file in its folder",
+                "put all files of it into one folder, or export it as .glb",
+            )
+        return read_bytes(existing_file(path, f"a buffer of {self.path}", "copy it there"))
 
 
 def read_document(path: str | Path) -> GltfDocument:
@@ -163,7 +177,7 @@ def read_document(path: str | Path) -> GltfDocument:
     if not isinstance(version, str) or not version.startswith("2"):
         problem = "is not glTF 2" if version is None else "is glTF of a version other than 2"
         raise FileFormatError(path, problem, "export it as glTF 2.0")
-    return GltfDocument(path, root, binary)
+    return GltfDocument(JsonNode(path, root, _DAMAGED), binary)
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
@@ -174,22 +188,18 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
     if version != 2:
         raise FileFormatError(path, "is binary glTF of a version other than 2", "export it as glTF 2.0")
     if length != len(data):
-        raise FileFormatError(
-            path,
-            f"has {counted(len(data), 'byte')}, but its header says {length}",
-            "the file is cut short or damaged; copy it again",
-        )
+        problem = f"has {counted(len(data), 'byte')}, but its header says {length}"
+        raise FileFormatError(path, problem, "the file is cut short or damaged; copy it again")
     chunks: list[tuple[bytes, memoryview]] = []
     place = HEADER.size
-    while place < length:
+    while place < length and len(chunks) < 2:  # others are of extensions, and to be ignored
         if place + CHUNK.size > length:
             raise FileFormatError(path, "ends within the header of a chunk", _DAMAGED)
         size, kind = CHUNK.unpack_from(data, place)
         place += CHUNK.size
         if place + size > length:
             raise FileFormatError(path, "has a chunk that reaches beyond its end", _DAMAGED)
-        if len(chunks) < 2:  # others are of extensions, and to be ignored
-            chunks.append((kind, memoryview(data)[place : place + size]))
+        chunks.append((kind, memoryview(data)[place : place + size]))
         place += size
     if not chunks or chunks[0][0] != JSON_CHUNK:
         raise FileFormatError(path, "does not begin with JSON", _DAMAGED)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import re
-from collections import defaultdict
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.base.existing import existing_file
 from scoup.io.cameras.training_run import is_gsplat_results
-from scoup.io.splats.activation import keep_finite, opacities_from_logits, scales_from_logs, unit_quats
+from scoup.io.reading import numbered_files
+from scoup.io.splats.activation import trained_gaussians
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.io.torch_file import float_tensor, load_torch
-from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
+from scoup.io.torch_file import float_tensors, load_torch
+from scoup.scene.gaussians import Gaussians
 
-_NAME = re.compile(r"ckpt_(\d{1,12})_rank(\d{1,6})\.pt")
-_EXPORT = re.compile(r"point_cloud_(\d{1,12})\.ply")
+_RANKS = "ckpt_*_rank*.pt"
 _SHAPES = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3), "shN": (-1, 3)}
 _WHAT = "a checkpoint of gsplat's trainer"
 _WITHOUT_OBJECTS = (
@@ -35,34 +33,16 @@ def read_gsplat_checkpoint(path: str | Path) -> Gaussians:
         ScoupWarning: rows with values that are not finite were dropped.
     """
     path = Path(path)
-    files = latest_ranks(path) if path.is_dir() else [existing_file(path, _WHAT)]
+    files = latest_ranks(path) if path.is_dir() else [path]
     parts = [_read_splats(file) for file in files]
     if len({part["shN"].shape[1] for part in parts}) > 1:
         raise FileFormatError(
             path, "its ranks differ in SH degree", "they are from different runs; remove the old ones"
         )
     raw = {key: np.concatenate([part[key] for part in parts]) for key in _SHAPES}
-    return keep_finite(
-        means=raw["means"],
-        quats=unit_quats(raw["quats"]),
-        scales=scales_from_logs(raw["scales"]),
-        opacities=opacities_from_logits(raw["opacities"]),
-        sh=np.concatenate([raw["sh0"], raw["shN"]], axis=1),
-        source=str(path),
-    )[0]
-
-
-def exported_splat(results: str | Path) -> Path:
-    """Return the splat of the last step that gsplat's trainer exported: ply/point_cloud_<step>.ply."""
-    steps = {
-        int(matched[1]): file
-        for file in (Path(results) / "ply").glob("point_cloud_*.ply")
-        if (matched := _EXPORT.fullmatch(file.name))
-    }
-    if not steps:
-        problem = "contains no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
-        raise MissingFileError(results, problem, "use a folder of gsplat's trainer with its splat")
-    return steps[max(steps)]
+    sh = np.concatenate([raw["sh0"], raw["shN"]], axis=1)
+    columns = (raw["means"], raw["quats"], raw["scales"], raw["opacities"])
+    return trained_gaussians(path, *columns, sh, _WHAT)[0]
 
 
 def latest_ranks(folder: str | Path) -> list[Path]:
@@ -70,27 +50,17 @@ def latest_ranks(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     if (folder / "ckpts").is_dir():
         folder = folder / "ckpts"
-    steps: dict[int, dict[int, Path]] = defaultdict(dict)
-    for file in folder.glob("ckpt_*_rank*.pt"):
-        matched = _NAME.fullmatch(file.name)
-        if matched:
-            steps[int(matched[1])][int(matched[2])] = file
-    if not steps:
-        raise MissingFileError(
-            folder, "contains no ckpt_<step>_rank<r>.pt", "use the folder ckpts of gsplat's trainer"
-        )
-    step, ranks = max(steps.items())
+    files = numbered_files(folder, _RANKS)
+    if not files:
+        remedy = "use the folder ckpts of gsplat's trainer"
+        raise MissingFileError(folder, "contains no ckpt_<step>_rank<r>.pt", remedy)
+    last, _ = max(files)
     # The number of ranks is not written anywhere: the most that any step has is the best guess.
-    expected = 1 + max(rank for files in steps.values() for rank in files)
-    missing = sorted(set(range(expected)) - set(ranks))
-    if missing:
-        listed = ", ".join(map(str, missing[:8]))
-        raise MissingFileError(
-            folder,
-            f"step {step} lacks rank {listed} of {expected}",
-            "copy all its files, or remove this step",
-        )
-    return [ranks[rank] for rank in range(expected)]
+    expected = 1 + max(rank for _, rank in files)
+    if missing := list(islice((rank for rank in range(expected) if (last, rank) not in files), 8)):
+        problem = f"step {last} lacks rank {', '.join(map(str, missing))} of {expected}"
+        raise MissingFileError(folder, problem, "copy all its files, or remove this step")
+    return [files[last, rank] for rank in range(expected)]
 
 
 def _read_splats(path: Path) -> dict[str, np.ndarray]:
@@ -103,33 +73,21 @@ def _read_splats(path: Path) -> dict[str, np.ndarray]:
     splats = content.get("splats") if isinstance(content, dict) else None
     if not isinstance(splats, dict):
         raise FileFormatError(path, "has no entry 'splats'", f"it should be {_WHAT}")
-    missing = [key for key in _SHAPES if key not in splats]
-    if missing:
-        remedy = (
-            "trained with appearance features, it has no SH colours; export a PLY"
-            if "colors" in splats
-            else ""
-        )
-        raise FileFormatError(path, f"lacks {', '.join(missing)}", remedy or f"it should be {_WHAT}")
-    means = float_tensor(path, splats["means"], (-1, 3), "means", _WHAT)
-    result = {
-        key: float_tensor(path, splats[key], (len(means), *shape), key, _WHAT)
-        for key, shape in _SHAPES.items()
-    }
-    if result["shN"].shape[1] + 1 not in {(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)}:
-        raise FileFormatError(
-            path,
-            f"shN has {result['shN'].shape[1]} coefficients, no whole SH degree",
-            f"it should be {_WHAT}",
-        )
-    return result
+    if "colors" in splats and "sh0" not in splats:
+        remedy = "it was trained with appearance features; export a PLY"
+        raise FileFormatError(path, "has no SH colours", remedy)
+    return float_tensors(path, splats, _SHAPES, _WHAT)
 
 
 def _in_results(folder: Path) -> Path | None:
     """Return the splat in a folder of gsplat's trainer: the folder itself, for its checkpoints, or the last export."""
     if is_gsplat_results(folder) and not any((folder / "ckpts").glob("*.pt")):
-        return exported_splat(folder)
-    has_checkpoints = (folder / "ckpts").is_dir() or any(folder.glob("ckpt_*_rank*.pt"))
+        steps = numbered_files(folder, "ply/point_cloud_*.ply")
+        if not steps:
+            problem = "contains no ckpts/ckpt_<step>_rank<r>.pt and no ply/point_cloud_<step>.ply"
+            raise MissingFileError(folder, problem, "use a folder of gsplat's trainer with its splat")
+        return steps[max(steps)]
+    has_checkpoints = (folder / "ckpts").is_dir() or any(folder.glob(_RANKS))
     return folder if has_checkpoints else None
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 
 from scoup.base.atomic import atomic_file
 from scoup.base.counts import listed
@@ -16,6 +17,7 @@ from scoup.base.errors import FileFormatError, ScoupWarning
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY
 from scoup.io.cameras.inria import latest_point_cloud
 from scoup.io.splats.activation import (
+    SH_BASES,
     keep_finite,
     logits_from_opacities,
     logs_from_scales,
@@ -23,11 +25,11 @@ from scoup.io.splats.activation import (
     scales_from_logs,
     unit_quats,
 )
-from scoup.io.splats.ply_compressed import is_compressed, read_compressed
-from scoup.io.splats.ply_header import MIP, PlyHeader, format_header, ply_type, read_header
+from scoup.io.splats.ply_compressed import is_compressed, read_compressed, write_compressed_ply
+from scoup.io.splats.ply_header import MIP, PlyHeader, format_header, ply_type, read_header, rest_names
 from scoup.io.splats.ply_rows import read_large, read_rows
 from scoup.io.splats.splat_format import SplatFormat
-from scoup.scene.gaussians import MAX_SH_DEGREE, SH_C0, Gaussians
+from scoup.scene.gaussians import SH_C0, Gaussians
 
 _CENTER = ("x", "y", "z")
 _BASE_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -54,7 +56,7 @@ class PlyTable:
     path: Path
     """Where it was read from."""
     rows: np.ndarray
-    """[N] structured array, one field per property, in the file's order, types and byte order."""
+    """[N] structured array, little endian, one field per property, in the file's order and types."""
     comments: tuple[str, ...] = ()
     """Comment lines of the header, without the keyword."""
 
@@ -72,9 +74,7 @@ class PlyTable:
     def with_column(self, name: str, values: np.ndarray) -> PlyTable:
         """Return the table with one more property at the end (or another one in its place), for example an id."""
         kept = [(item, self.rows.dtype[item]) for item in self.names if item != name]
-        # A PLY file has one byte order for all.
-        order = ">" if any(kind.byteorder == ">" for _, kind in kept) else "<"
-        rows = np.empty(len(self.rows), dtype=[*kept, (name, ply_type(values.dtype).newbyteorder(order))])
+        rows = np.empty(len(self.rows), dtype=[*kept, (name, ply_type(values.dtype).newbyteorder("<"))])
         for item, _ in kept:
             rows[item] = self.rows[item]
         rows[name] = values
@@ -83,21 +83,7 @@ class PlyTable:
     def columns(self, names: tuple[str, ...], dtype: type = np.float32) -> np.ndarray:
         """Return [N, len(names)] of ``dtype``, the named properties side by side."""
         with np.errstate(all="ignore"):  # a file may contain any values
-            return self._columns(names, dtype)
-
-    def _columns(self, names: tuple[str, ...], dtype: type) -> np.ndarray:
-        types = {self.rows.dtype[name] for name in self.names}
-        first = self.names.index(names[0])
-        if types == {np.dtype(np.float32)} and self.names[first : first + len(names)] == names:
-            every = np.ascontiguousarray(self.rows).view(np.float32).reshape(len(self.rows), len(self.names))
-            return every[:, first : first + len(names)].astype(dtype)
-        # Block by block: a block of rows stays in the cache while its columns are picked one by one.
-        result = np.empty((len(self.rows), len(names)), dtype=dtype)
-        for start in range(0, len(self.rows), 4096):
-            block = self.rows[start : start + 4096]
-            for column, name in enumerate(names):
-                result[start : start + 4096, column] = block[name]
-        return result
+            return structured_to_unstructured(self.rows[list(names)], copy=False).astype(dtype)
 
 
 def read_ply_table(path: str | Path) -> PlyTable:
@@ -110,7 +96,7 @@ def read_ply_table(path: str | Path) -> PlyTable:
 
 
 def write_ply_table(table: PlyTable, path: str | Path, overwrite: bool = False) -> None:
-    """Write a table as binary PLY, its rows byte for byte (from ASCII: little endian)."""
+    """Write a table as binary PLY, its rows byte for byte."""
     with atomic_file(path, overwrite) as stream:
         stream.write(format_header(table.rows.dtype, len(table), table.comments))
         for start in range(0, len(table), _CHUNK):
@@ -186,14 +172,10 @@ def read_ply(path: str | Path) -> Gaussians:
         ScoupWarning: rows were dropped, the file is longer than its header says, or its Gaussians are not plain ones.
     """
     header = read_header(path)
-    if (
-        header.count > MOST_ROWS_IN_MEMORY
-        and header.encoding != "ascii"
-        and not is_compressed(header.dtype.names or ())
-    ):
-        gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
-    elif is_compressed(header.dtype.names or ()):
+    if is_compressed(header.dtype.names or ()):
         gaussians = read_compressed(header.path, read_rows(header))
+    elif header.count > MOST_ROWS_IN_MEMORY and header.encoding != "ascii":
+        gaussians = read_large(header, lambda rows: _activated(PlyTable(header.path, rows)))
     else:
         gaussians = gaussians_from_table(PlyTable(header.path, read_rows(header)))[0]
     _warn_of_other_gaussians(header)
@@ -216,18 +198,16 @@ def _warn_of_other_gaussians(header: PlyHeader) -> None:
 
 def table_from_gaussians(gaussians: Gaussians) -> PlyTable:
     """Return the Gaussians as rows of the Inria layout: centre, zero normals, colour, opacity, scale, rotation."""
-    values = {
-        name: getattr(gaussians, name).detach().cpu().numpy() for name in ("means", "quats", "scales", "sh")
-    }
-    opacities = gaussians.opacities.detach().cpu().numpy()
+    values = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
     rest = 3 * (values["sh"].shape[1] - 1)
-    names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *_rest_names(rest), "opacity", *_SCALE, *_ROTATION)
+    higher = (f"f_rest_{number}" for number in range(rest))
+    names = (*_CENTER, "nx", "ny", "nz", *_BASE_COLOR, *higher, "opacity", *_SCALE, *_ROTATION)
     rows = np.zeros(len(gaussians), dtype=[(name, "<f4") for name in names])
     every = rows.view("<f4").reshape(len(gaussians), len(names))
     every[:, 0:3] = values["means"]
     every[:, 6:9] = values["sh"][:, 0]
     every[:, 9 : 9 + rest] = values["sh"][:, 1:].transpose(0, 2, 1).reshape(len(gaussians), rest)
-    every[:, -8] = logits_from_opacities(opacities)
+    every[:, -8] = logits_from_opacities(values["opacities"])
     every[:, -7:-4] = logs_from_scales(values["scales"])
     every[:, -4:] = values["quats"]
     return PlyTable(Path("<memory>"), rows, (MIP,) if gaussians.antialiased else ())
@@ -249,20 +229,18 @@ def as_stored(gaussians: Gaussians) -> Gaussians:
 
 
 def _check_properties(table: PlyTable) -> tuple[str, ...]:
-    names = {*table.names}
-    names |= {*_BASE_COLOR} if {*_RGB} <= names else set()
-    names |= (
-        {*_SCALE}
-        if [name in names for name in _SCALE] in ([True, False, False], [True, True, False])
-        else set()
-    )
-    missing = [name for name in _REQUIRED if name not in names]
     if is_compressed(table.names):
         raise FileFormatError(
             table.path,
             "is a compressed PLY (PlayCanvas), whose rows do not stand alone",
             "convert it to a plain one: scoup convert in.compressed.ply out.ply",
         )
+    names = {*table.names}
+    if {*_RGB} <= names:
+        names |= {*_BASE_COLOR}
+    if [name in names for name in _SCALE] in ([True, False, False], [True, True, False]):
+        names |= {*_SCALE}
+    missing = [name for name in _REQUIRED if name not in names]
     if missing:
         remedy = "use the PLY of the trained splat, not a point cloud or mesh"
         if any(name.startswith("f_anchor_feat") for name in table.names):
@@ -273,19 +251,16 @@ def _check_properties(table: PlyTable) -> tuple[str, ...]:
             remedy = "export the trained splat again, with these properties"
         problem = f"is not a 3D Gaussian Splatting PLY: it lacks {', '.join(missing)}"
         raise FileFormatError(table.path, problem, remedy)
-    rest = {name for name in table.names if name.startswith("f_rest_")}
-    degrees = {3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1)}
-    if len(rest) not in degrees or rest != set(_rest_names(len(rest))):
+    rest = rest_names(table.names)
+    if rest is None:
+        count = sum(name.startswith("f_rest_") for name in table.names)
         raise FileFormatError(
             table.path,
-            f"has {len(rest)} f_rest properties, expected f_rest_0 onwards, {sorted(degrees)} of them",
+            f"has {count} f_rest properties, expected f_rest_0 onwards, {[3 * (bases - 1) for bases in SH_BASES]} "
+            "of them",
             "export the splat again",
         )
-    return _rest_names(len(rest))
-
-
-def _rest_names(count: int) -> tuple[str, ...]:
-    return tuple(f"f_rest_{number}" for number in range(count))
+    return rest
 
 
 def _in_output(folder: Path) -> Path | None:
@@ -295,3 +270,6 @@ def _in_output(folder: Path) -> Path | None:
 
 
 FORMAT = SplatFormat("Inria PLY", (".ply",), read_ply, write_ply, find=_in_output, keeps_antialiased=True)
+COMPRESSED = SplatFormat(
+    "compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply, keeps_antialiased=True
+)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from codecs import BOM_UTF8
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +14,11 @@ import numpy as np
 from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
 from scoup.base.existing import existing_file
+from scoup.io.splats.activation import SH_BASES
 
 MAX_HEADER_BYTES = 1 << 16
 MAX_PROPERTIES = 4096
+_DAMAGED = "the file is damaged; copy or export it again"
 
 MIP = "SplatRenderMode: mip"
 """A comment in PLY files of splats that were trained with antialiasing, as Brush, gsplat and nerfstudio write it."""
@@ -77,6 +80,13 @@ def read_header(path: str | Path, element: str = "vertex") -> PlyHeader:
     return PlyHeader(path, encoding, wanted.count, dtype, offset, comments, names)
 
 
+def rest_names(names: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the properties f_rest_0 onwards; None if there are others of the kind, or they make no whole SH degree."""
+    count = sum(name.startswith("f_rest_") for name in names)
+    ordered = tuple(f"f_rest_{number}" for number in range(count))
+    return ordered if count in {3 * (bases - 1) for bases in SH_BASES} and {*ordered} <= {*names} else None
+
+
 def ply_type(dtype: np.dtype) -> np.dtype:
     """Return ``dtype`` if PLY has such a number, else the nearest that it has."""
     if dtype.kind not in "biuf":
@@ -87,10 +97,9 @@ def ply_type(dtype: np.dtype) -> np.dtype:
 
 
 def format_header(dtype: np.dtype, count: int, comments: tuple[str, ...] = ()) -> bytes:
-    """Return the header of a binary file with ``count`` vertices of the structured type ``dtype``."""
+    """Return the header of a file with ``count`` vertices of the structured type ``dtype``, little endian."""
     names = dtype.names or ()
-    big = any(dtype[name].byteorder == ">" for name in names)
-    lines = ["ply", f"format binary_{'big' if big else 'little'}_endian 1.0"]
+    lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {comment}" for comment in comments]
     lines.append(f"element vertex {count}")
     lines += [f"property {_NAMES[dtype[name].str[1:]]} {name}" for name in names]
@@ -106,9 +115,7 @@ def _header_lines(path: Path, head: bytes) -> tuple[list[bytes], int]:
     end = head.find(b"\nend_header")
     newline = head.find(b"\n", end + 1) if end >= 0 else -1
     if newline < 0 or head[end + 1 : newline].strip() != b"end_header":
-        raise FileFormatError(
-            path, "has no complete PLY header (no end_header)", "the file is damaged; copy or export it again"
-        )
+        raise FileFormatError(path, "has no complete PLY header (no end_header)", _DAMAGED)
     return head[:end].split(b"\n"), mark + newline + 1
 
 
@@ -134,13 +141,9 @@ def _parse(path: Path, lines: list[bytes]) -> tuple[str, list[_Element], tuple[s
                 elements[-1].fields.append((name, _TYPES[kind]))
             case _:
                 shown = line[:60].decode("utf-8", "replace")
-                raise FileFormatError(
-                    path, f"has the header line {shown!r}", "the file is damaged; export it again"
-                )
+                raise FileFormatError(path, f"has the header line {shown!r}", _DAMAGED)
     if not encoding:
-        raise FileFormatError(
-            path, "does not name its format in the header", "the file is damaged; export it again"
-        )
+        raise FileFormatError(path, "does not name its format in the header", _DAMAGED)
     return encoding, elements, tuple(comments)
 
 
@@ -148,7 +151,7 @@ def _dtype(path: Path, element: _Element, encoding: str) -> np.dtype:
     names = [name for name, _ in element.fields]
     if not names or len(set(names)) != len(names) or len(names) > MAX_PROPERTIES:
         problem = f"has no, twice the same, or too many properties in element {element.name!r}"
-        raise FileFormatError(path, problem, "the file is damaged; export it again")
+        raise FileFormatError(path, problem, _DAMAGED)
     return np.dtype([(name, _ORDERS[encoding] + kind) for name, kind in element.fields])
 
 

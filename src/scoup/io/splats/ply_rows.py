@@ -23,7 +23,7 @@ _MICROSOFT = {rb"-?nan\(\w*\)|-?1\.#(ind|qnan|snan)\d*": b"nan", rb"1\.#inf\d*":
 
 
 def read_rows(header: PlyHeader) -> np.ndarray:
-    """Return the rows a header describes: [N] structured."""
+    """Return the rows a header describes: [N] structured, little endian."""
     return _read_ascii(header) if header.encoding == "ascii" else _read_binary(header, 0, header.count)
 
 
@@ -54,7 +54,7 @@ def _read_binary(header: PlyHeader, first: int, count: int) -> np.ndarray:
         raise refused_read(header.path, error) from error
     if len(rows) != count:
         raise FileFormatError(header.path, "was truncated while being read", "copy it again")
-    return rows
+    return rows.astype(header.dtype.newbyteorder("<"), copy=False)
 
 
 def _read_ascii(header: PlyHeader) -> np.ndarray:

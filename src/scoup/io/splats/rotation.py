@@ -9,33 +9,30 @@ from scoup.scene.harmonics import sh_basis
 from scoup.scene.rotations import quats_of_rotations
 
 
-def rotation_from_quat(quat: np.ndarray) -> np.ndarray | None:
-    """Return the rotation [3, 3] float64 of a quaternion (w, x, y, z) of any norm; None if that is 0 or infinite."""
-    largest = np.abs(quat).max()
-    if not 0 < largest < np.inf:
-        return None
-    scaled = quat / largest
-    w, x, y, z = scaled / np.linalg.norm(scaled)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def quat_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Return [4] float64 unit quaternion (w, x, y, z) of a rotation [3, 3]."""
-    return quats_of_rotations(torch.from_numpy(rotation)[None])[0].numpy()
-
-
 def rotated_quats(quats: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return quaternions [N, 4] (w, x, y, z) turned by a rotation [3, 3]: float32."""
-    a, b, c, d = quat_from_rotation(rotation)
+    a, b, c, d = quats_of_rotations(torch.from_numpy(rotation)[None])[0].tolist()
     left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
     with np.errstate(all="ignore"):
         return (quats.astype(np.float64) @ left.T).astype(np.float32)
+
+
+def without_largest(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which component of unit quaternions [N, 4] is the largest in size [N], and the others [N, 3], in their
+    order and with the sign that makes the largest positive."""
+    which = np.abs(quats).argmax(1)
+    is_largest = np.arange(4) == which[:, None]
+    positive = quats * np.where(quats[is_largest] < 0, -1.0, 1.0)[:, None]
+    return which, positive[~is_largest].reshape(-1, 3)
+
+
+def with_largest(which: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the quaternions [N, 4] float64 of ``without_largest``."""
+    is_largest = np.arange(4) == which[:, None]
+    quats = np.empty((len(which), 4))
+    quats[~is_largest] = others.ravel()
+    quats[is_largest] = np.sqrt(np.clip(1.0 - (others**2).sum(1), 0.0, None))
+    return quats
 
 
 def rotated_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:

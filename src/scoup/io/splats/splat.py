@@ -11,7 +11,7 @@ from scoup.base.atomic import atomic_file
 from scoup.base.counts import counted, share_of
 from scoup.base.errors import FileFormatError, refused_read
 from scoup.base.existing import existing_file
-from scoup.io.splats.activation import keep_finite, unit_quats
+from scoup.io.splats.activation import finite_arrays, keep_finite, unit_quats
 from scoup.io.splats.splat_format import SplatFormat, kind_inside
 from scoup.scene.gaussians import SH_C0, Gaussians
 
@@ -64,21 +64,18 @@ def read_splat(path: str | Path) -> Gaussians:
 
 def write_splat(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
     """Write a .splat file. Colour, opacity and rotation are rounded to bytes; SH above degree 0 is left out."""
+    arrays = finite_arrays(gaussians, path)
     rows = np.zeros(len(gaussians), dtype=_ROW)
-    rows["center"] = gaussians.means.detach().cpu().numpy()
-    rows["scale"] = gaussians.scales.detach().cpu().numpy()
-    rows["color"][:, :3] = _bytes(
-        gaussians.sh[:, 0].detach().cpu().numpy().astype(np.float64) * SH_C0 + 0.5, 255.0
-    )
-    rows["color"][:, 3] = _bytes(gaussians.opacities.detach().cpu().numpy(), 255.0)
-    quats = unit_quats(gaussians.quats.detach().cpu().numpy()).astype(np.float64)
-    rows["rotation"] = _bytes(quats + 1.0, 128.0)
+    rows["center"], rows["scale"] = arrays["means"], arrays["scales"]
+    rows["color"][:, :3] = _bytes((arrays["sh"][:, 0] * SH_C0 + 0.5) * 255.0)
+    rows["color"][:, 3] = _bytes(arrays["opacities"] * 255.0)
+    rows["rotation"] = _bytes((arrays["quats"] + 1.0) * 128.0)
     with atomic_file(path, overwrite) as stream:
         stream.write(rows.tobytes())
 
 
-def _bytes(values: np.ndarray, factor: float) -> np.ndarray:
-    return np.clip(np.nan_to_num(np.round(values * factor), nan=0.0), 0, 255).astype(np.uint8)
+def _bytes(values: np.ndarray) -> np.ndarray:
+    return np.rint(values).clip(0, 255).astype(np.uint8)
 
 
 FORMAT = SplatFormat(".splat", (".splat",), read_splat, write_splat)

@@ -42,14 +42,6 @@ def kind_inside(content: bytes) -> str:
     return ""
 
 
-def _any_name(path: Path) -> bool:
-    return True
-
-
-def _in_no_folder(folder: Path) -> Path | None:
-    return None
-
-
 @dataclass(frozen=True)
 class SplatFormat(Entry):
     """A format of splats: how to recognise, read and write it."""
@@ -64,9 +56,9 @@ class SplatFormat(Entry):
     """Constants of the rasteriser that these splats are trained with."""
     axis: Axis | None = None
     """Of the half-turn that reading and writing make, for a format that names its axes."""
-    has_name: Callable[[Path], bool] = _any_name
+    has_name: Callable[[Path], bool] = lambda path: True
     """Whether a file with one of the endings is of this format, by its name."""
-    find: Callable[[Path], Path | None] = _in_no_folder
+    find: Callable[[Path], Path | None] = lambda folder: None
     """Return the splat of a folder that a training has left: a file, or the folder itself; None if it is not one."""
     keeps_antialiased: bool = False
     """Whether its files say that a splat was trained with antialiasing."""

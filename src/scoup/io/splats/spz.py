@@ -1,4 +1,6 @@
-"""Niantic's .spz: about 20 bytes per Gaussian, compressed; versions 1 to 4 (github.com/nianticlabs/spz).
+"""Niantic's .spz: about 20 bytes per Gaussian, compressed (github.com/nianticlabs/spz).
+
+Versions 1 to 4 are read. Version 3 is written: most programs read it, and it keeps rotations, unlike 2.
 
 Axes in the file are those of OpenGL (right, up, back), unless it says others: y and z change their signs on the way, as
 in the format's own tools (``axes``).
@@ -20,17 +22,18 @@ from scoup.base.existing import existing_file
 from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
 from scoup.io.splats.axes import Axis, Columns, flipped, half_turn
-from scoup.io.splats.rotation import rotated_quats, rotated_sh
+from scoup.io.splats.rotation import rotated_quats, rotated_sh, with_largest, without_largest
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz_container import SpzHeader, read_container, write_container
 from scoup.scene.gaussians import Gaussians
 
-VERSIONS = (1, 2, 3, 4)
 _AXIS: Axis = "x"
 _QUARTER = np.array(
     [[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32
 )  # from right, back, down to right, down, front
 MOST_BITS = 16  # after the binary point of a coordinate
+_MOST_FIXED = (1 << 23) - 1  # what 24 bits with a sign hold
+_WRITTEN, _MOST_DEGREE = 3, 3  # version, and what it has a place for
 _COLOR = 0.15  # of a base colour's coefficient in a byte
 _STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degrees
 _ROOT = math.sqrt(0.5)  # the largest value of a component that is not the largest
@@ -45,21 +48,18 @@ def read_spz(path: str | Path) -> Gaussians:
         ScoupWarning: rows with values that are not finite were dropped.
     """
     path = existing_file(path, "a .spz file")
-    header, columns = _columns(path, read_bytes(path))
+    header, columns = spz_columns(path, read_bytes(path))
     return replace(keep_finite(**columns, source=str(path))[0], antialiased=header.antialiased)
 
 
-def spz_columns(path: Path, content: bytes) -> Columns:
-    """Return the values in the bytes of a .spz file; ``path`` is for errors."""
-    return _columns(path, content)[1]
-
-
-def _columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
+def spz_columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
+    """Return the header and the values in the bytes of a .spz file; ``path`` is for errors."""
     header, parts = read_container(path, content)
     count = header.count
-    byte = {name: np.frombuffer(part, np.uint8).reshape(count, -1) for name, part in parts.items() if count}
-    if not count:
-        byte = {name: np.zeros((0, size), np.uint8) for name, size in _one(header).sizes.items()}
+    byte = {
+        name: np.frombuffer(part, np.uint8).reshape(count, header.row_sizes[name])
+        for name, part in parts.items()
+    }
     with np.errstate(all="ignore"):
         sh = np.empty((count, (header.degree + 1) ** 2, 3))
         sh[:, 0] = (byte["colors"] / 255.0 - 0.5) / _COLOR
@@ -85,31 +85,20 @@ def _columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
     }
 
 
-def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, version: int = 3) -> None:
-    """Write a .spz file; docs/formats.md says how values are rounded.
-
-    Args:
-        gaussians: N of them; rows that are not finite are refused.
-        path: of the file.
-        overwrite: replace what is there.
-        version: 1 to 4. Most software reads 2 and 3.
+def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
+    """Write a .spz file; docs/formats.md says how values are rounded. Rows that are not finite are refused.
 
     Warns:
-        ScoupWarning: coefficients of SH degree 4 were left out, which versions before 4 have no place for, or scales
-            were clipped.
+        ScoupWarning: coefficients of SH degree 4 were left out, or scales were clipped.
     """
-    if version not in VERSIONS:
-        raise InputError(f"{path}: there is no version {version} of .spz; versions: 1, 2, 3, 4")
     arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
-    means, sh = arrays["means"], arrays["sh"]
-    if sh.shape[1] > 16 and version < 4:
-        warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz {version}", ScoupWarning, stacklevel=2)
-        sh = sh[:, :16]
-    degree = round(sh.shape[1] ** 0.5) - 1
+    means, scales, sh = arrays["means"], arrays["scales"], arrays["sh"]
+    if gaussians.sh_degree > _MOST_DEGREE:
+        warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz", ScoupWarning, stacklevel=2)
+        sh = sh[:, : (_MOST_DEGREE + 1) ** 2]
     largest = float(np.abs(means).max(initial=0.0))
-    if largest > (65504 if version == 1 else (1 << 23) - 1):
+    if largest > _MOST_FIXED:
         raise InputError(f"{path}: .spz cannot store coordinates of {largest:.3g}; use another format")
-    scales = np.abs(arrays["scales"])
     clipped = int(((scales < _LEAST / _HALF_STEP) | (scales > _MOST * _HALF_STEP)).any(1).sum())
     if clipped:
         warnings.warn(
@@ -118,32 +107,25 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, v
             ScoupWarning,
             stacklevel=2,
         )
-    bits = 0 if version == 1 else _fraction_bits(largest)
-    header = SpzHeader(version, len(means), degree, bits, gaussians.antialiased)
+    # The most bits after the binary point that leave room for the largest coordinate.
+    bits = next(bits for bits in range(MOST_BITS, -1, -1) if round(largest * (1 << bits)) <= _MOST_FIXED)
+    degree = min(gaussians.sh_degree, _MOST_DEGREE)
+    header = SpzHeader(_WRITTEN, len(means), degree, bits, gaussians.antialiased)
+    fixed = np.rint(means * (1 << bits)).astype("<i4")
+    steps = np.where(np.arange(1, sh.shape[1]) < 4, *_STEPS)[:, None]  # degree 1, higher ones
     with np.errstate(all="ignore"):
         parts = {
-            "positions": _packed_positions(header, means),
+            "positions": np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes(),
             "alphas": _bytes(arrays["opacities"] * 255.0),
             "colors": _bytes(sh[:, 0] * (_COLOR * 255.0) + 127.5),
             "scales": _bytes((np.log(scales) + 10.0) * 16.0),
-            "rotations": _packed_quats(unit_quats(arrays["quats"]).astype(np.float64), version),
-            "sh": _packed_sh(sh[:, 1:]),
+            "rotations": _packed_quats(arrays["quats"]),
+            # Rounded to steps that compress well.
+            "sh": _bytes(np.floor((np.rint(sh[:, 1:] * 128.0) + 128.0 + steps // 2) / steps) * steps),
         }
     packed = write_container(header, parts)
     with atomic_file(path, overwrite) as stream:
         stream.write(packed)
-
-
-def _one(header: SpzHeader) -> SpzHeader:
-    return SpzHeader(header.version, 1, header.degree, header.fraction_bits)
-
-
-def _fraction_bits(largest: float) -> int:
-    """Return the most bits after the binary point that leave room for the largest coordinate in 24 bits with a sign."""
-    bits = MOST_BITS
-    while bits and round(largest * (1 << bits)) > (1 << 23) - 1:
-        bits -= 1
-    return bits
 
 
 def _positions(header: SpzHeader, packed: np.ndarray) -> np.ndarray:
@@ -155,13 +137,6 @@ def _positions(header: SpzHeader, packed: np.ndarray) -> np.ndarray:
     return (fixed - ((fixed & 0x800000) << 1)) / float(1 << header.fraction_bits)
 
 
-def _packed_positions(header: SpzHeader, means: np.ndarray) -> bytes:
-    if header.version == 1:
-        return means.astype("<f2").tobytes()
-    fixed = np.rint(means * (1 << header.fraction_bits)).astype("<i4")
-    return np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes()
-
-
 def _quats(packed: np.ndarray) -> np.ndarray:
     """Return [N, 4] float64 quaternions w, x, y, z, of three bytes (x, y, z; w is not negative) or four."""
     if packed.shape[1] == 3:
@@ -169,38 +144,17 @@ def _quats(packed: np.ndarray) -> np.ndarray:
         w = np.sqrt(np.clip(1.0 - (vector**2).sum(1), 0.0, None))
         return np.concatenate([w[:, None], vector], axis=1)
     word = np.ascontiguousarray(packed).view("<u4")[:, 0].astype(np.int64)
-    which = word >> 30  # the largest of x, y, z, w, which is not stored
-    others = np.stack([word >> 20 & 1023, word >> 10 & 1023, word & 1023], axis=1)
-    values = (others & 511) * (_ROOT / 511.0) * np.where(others & 512, -1.0, 1.0)
-    quats = np.empty((len(word), 4))
-    quats[np.arange(4)[None] != which[:, None]] = values.ravel()
-    quats[np.arange(len(word)), which] = np.sqrt(np.clip(1.0 - (values**2).sum(1), 0.0, None))
-    return np.concatenate([quats[:, 3:], quats[:, :3]], axis=1)
+    fields = np.stack([word >> 20 & 1023, word >> 10 & 1023, word & 1023], axis=1)
+    others = (fields & 511) * (_ROOT / 511.0) * np.where(fields & 512, -1.0, 1.0)
+    return np.roll(with_largest(word >> 30, others), 1, axis=1)  # from x, y, z, w
 
 
-def _packed_quats(quats: np.ndarray, version: int) -> bytes:
-    turned = np.concatenate([quats[:, 1:], quats[:, :1]], axis=1)  # x, y, z, w
-    # A rotation of zeros has no direction; files cannot say so.
-    turned = np.where(np.isfinite(turned).all(1, keepdims=True), turned, [0.0, 0.0, 0.0, 1.0])
-    if version < 3:
-        positive = np.where(turned[:, 3:] < 0, -1.0, 1.0)
-        return _bytes(turned[:, :3] * positive * 127.5 + 127.5)
-    which = np.abs(turned).argmax(1)
-    rows = np.arange(len(turned))
-    turned *= np.where(turned[rows, which] < 0, -1.0, 1.0)[:, None]
-    others = turned[np.arange(4)[None] != which[:, None]].reshape(-1, 3)
-    magnitudes = np.floor(np.abs(others) / _ROOT * 511.0 + 0.5).astype(np.int64).clip(0, 511)
-    fields = magnitudes | (others < 0).astype(np.int64) << 9
-    word = which << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
-    return word.astype("<u4").tobytes()
-
-
-def _packed_sh(higher: np.ndarray) -> bytes:
-    """Return coefficients [N, B - 1, 3] as bytes, rounded to steps that compress well."""
-    signed = _last_turned(higher)
-    steps = np.where(np.arange(higher.shape[1]) < 3, _STEPS[0], _STEPS[1])[:, None]
-    whole = np.rint(signed * 128.0) + 128.0
-    return _bytes(np.floor((whole + steps // 2) / steps) * steps)
+def _packed_quats(quats: np.ndarray) -> bytes:
+    """Return four bytes each of unit quaternions w, x, y, z."""
+    which, others = without_largest(np.roll(quats, -1, axis=1))
+    sizes = np.rint(np.abs(others) / _ROOT * 511.0).astype(np.int64).clip(0, 511)
+    fields = sizes | (others < 0).astype(np.int64) << 9
+    return (which << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]).astype("<u4").tobytes()
 
 
 def _last_turned(higher: np.ndarray) -> np.ndarray:

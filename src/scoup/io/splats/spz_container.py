@@ -16,7 +16,6 @@ from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, ScoupWarning
 
 MAGIC = 0x5053474E  # "NGSP"
-ATTRIBUTES = ("positions", "alphas", "colors", "scales", "rotations", "sh")
 _START = struct.Struct(
     "<IIIBBBB"
 )  # magic, version, count, SH degree, fraction bits, flags, reserved or streams
@@ -47,9 +46,9 @@ class SpzHeader:
     axes: str = "RUB"  # where x, y, z point: left or right, up or down, front or back
 
     @property
-    def sizes(self) -> dict[str, int]:
-        """Bytes of each attribute."""
-        row = {
+    def row_sizes(self) -> dict[str, int]:
+        """Bytes of each attribute of a Gaussian."""
+        return {
             "positions": 6 if self.version == 1 else 9,
             "alphas": 1,
             "colors": 3,
@@ -57,7 +56,11 @@ class SpzHeader:
             "rotations": 4 if self.version >= 3 else 3,
             "sh": 3 * ((self.degree + 1) ** 2 - 1),
         }
-        return {name: self.count * each for name, each in row.items()}
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of each attribute."""
+        return {name: self.count * each for name, each in self.row_sizes.items()}
 
 
 def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
@@ -89,29 +92,13 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
 
 
 def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
-    """Return the bytes of a file; the same for the same header and attributes."""
-    start = (
-        MAGIC,
-        header.version,
-        header.count,
-        header.degree,
-        header.fraction_bits,
-        int(header.antialiased),
-    )
-    if header.version < 4:
-        packed = io.BytesIO()
-        with gzip.GzipFile("", "wb", 9, packed, mtime=0) as stream:
-            stream.write(_START.pack(*start, 0))
-            for name in ATTRIBUTES:
-                stream.write(parts[name])
-        return packed.getvalue()
-    # Without higher harmonics there is no stream of them; the format's own reader counts.
-    names = ATTRIBUTES if header.degree else ATTRIBUTES[:-1]
-    streams = [(_compressed(parts[name]), len(parts[name])) for name in names]
-    size = _START.size + _PLACE.size
-    table = b"".join(_STREAM.pack(len(stream), original) for stream, original in streams)
-    body = b"".join(stream for stream, _ in streams)
-    return _START.pack(*start, len(streams)) + _PLACE.pack(size) + table + body
+    """Return the bytes of a file of a version before 4; the same for the same header and attributes."""
+    flags = _ANTIALIASED if header.antialiased else 0
+    start = _START.pack(MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags, 0)
+    packed = io.BytesIO()
+    with gzip.GzipFile("", "wb", 9, packed, mtime=0) as stream:
+        stream.writelines([start, *(parts[name] for name in header.sizes)])
+    return packed.getvalue()
 
 
 def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:
@@ -124,7 +111,7 @@ def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byte
     if (
         place < _START.size + _PLACE.size
         or after > len(content)
-        or count < len(ATTRIBUTES) - (not header.degree)
+        or count < len(header.sizes) - (not header.degree)
     ):
         raise FileFormatError(path, "has no whole table of streams", _DAMAGED)
     if flags & _HAS_EXTENSIONS:
@@ -194,12 +181,6 @@ def _header(path: Path, start: bytes, available: int) -> tuple[SpzHeader, int, i
         problem = f"says {count:,} Gaussians, more than {available:,} bytes can hold"
         raise FileFormatError(path, problem, _DAMAGED)
     return header, flags, last
-
-
-def _compressed(content: bytes) -> bytes:
-    import zstandard
-
-    return zstandard.ZstdCompressor(level=12).compress(content)
 
 
 def _unpacked(path: Path, packed: bytes, size: int) -> bytes:

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from scoup.base.atomic import atomic_path
 from scoup.base.errors import InputError, ScoupError, WriteError
-from scoup.io.splats.activation import keep_finite, linear_arrays
+from scoup.io.splats.activation import finite_arrays
 from scoup.io.splats.axes import Axis, half_turn, turned_direction
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.scene.gaussians import Gaussians
@@ -54,30 +54,28 @@ def write_usd(
 ) -> None:
     """Write an OpenUSD file; the suffix decides between text (.usda), binary (.usd, .usdc) and a package (.usdz).
 
-    All float32 values are kept bit by bit, but for what ``linear_arrays`` changes. Rows that are not finite are left
-    out. Axes are turned to those of a stage with y up (right, up, back) by signs (``axes``); a unit is a metre.
+    All float32 values are kept bit by bit, but for what ``finite_arrays`` changes. Axes are turned to those of a stage
+    with y up (right, up, back) by signs (``axes``); a unit is a metre.
 
     Args:
-        gaussians: at least one.
+        gaussians: at least one; rows that are not finite are refused.
         things: of them.
 
     Raises:
         ScoupError: usd-core is missing or too old.
-
-    Warns:
-        ScoupWarning: rows were left out.
     """
     path = Path(path)
     usd = _package(path)
-    finite, kept = keep_finite(**half_turn(linear_arrays(gaussians), _AXIS), source=str(path))
-    if not len(finite):
+    if not len(gaussians):
         raise InputError(f"{path}: there are no Gaussians to write")
+    arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
+    finite = Gaussians(*(torch.from_numpy(array).float() for array in arrays.values()))
     with atomic_path(path, overwrite) as temporary:
         is_package = path.suffix.lower() == ".usdz"
         # A short name: usd-core writes to a longer one first.
         layer = temporary.with_name("splat.usdc" if is_package else f"splat{path.suffix}")
         # Kept until the end: without it the layer crashes the process.
-        stage = _stage(usd, finite, torch.from_numpy(kept), things)
+        stage = _stage(usd, finite, things)
         try:
             stage.GetRootLayer().Export(str(layer))
         except usd.Tf.ErrorException:  # it names places in its sources, and not what the system said
@@ -120,8 +118,8 @@ def _package(path: Path) -> Any:
     return package
 
 
-def _stage(usd: Any, gaussians: Gaussians, kept: Tensor, things: Sequence[UsdThing]) -> Any:
-    """Return a stage in memory; the things are of all Gaussians, of which those ``kept`` [N] boolean are written."""
+def _stage(usd: Any, gaussians: Gaussians, things: Sequence[UsdThing]) -> Any:
+    """Return a stage in memory."""
     stage = usd.Usd.Stage.CreateInMemory()
     usd.UsdGeom.SetStageUpAxis(stage, usd.UsdGeom.Tokens.y)
     usd.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -131,17 +129,16 @@ def _stage(usd: Any, gaussians: Gaussians, kept: Tensor, things: Sequence[UsdThi
     stage.SetDefaultPrim(usd.UsdGeom.Xform.Define(stage, SCENE).GetPrim())
     rest = torch.ones(len(gaussians), dtype=torch.bool)
     for thing in things:
-        mine = thing.members[kept]
-        if not mine.any():
+        if not thing.members.any():
             continue
         name = usd.Tf.MakeValidIdentifier(thing.label)
         while stage.GetPrimAtPath(path := f"{SCENE}/{name}_{thing.number}"):
             name += "_"  # another label with the same identifier
         prim = usd.UsdGeom.Xform.Define(stage, path).GetPrim()
         usd.UsdSemantics.LabelsAPI.Apply(prim, TAXONOMY).CreateLabelsAttr([thing.label])
-        _define_splat(usd, stage, path + SPLAT, gaussians.select(mine))
+        _define_splat(usd, stage, path + SPLAT, gaussians.select(thing.members))
         _define_collider(usd, stage, f"{path}/Box", thing)
-        rest &= ~mine
+        rest &= ~thing.members
     if rest.any():
         _define_splat(usd, stage, f"{SCENE}/Rest", gaussians.select(rest))
     return stage
