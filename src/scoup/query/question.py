@@ -99,6 +99,8 @@ class Question(TextVectors, Generic[Asked]):
     """The words that name all objects, where it asks for things that it does not name."""
     frame: Frame | None = None
     """What left, front and up mean in phrases; None: ``field.frame()``."""
+    model: str = ""
+    """Id of the model of its vectors; "" if unknown."""
 
     def __post_init__(self) -> None:
         if self.threshold is not None and not 0 <= self.threshold <= 1:
@@ -166,6 +168,7 @@ def make_question(
             frame=frame,
             level=None if level is None else field.level_index(level),
             near=_near_names(field, vectors),
+            model=source.name or field.embedding_model,
         )
 
     if not 0 < len(given) <= MOST_TEXTS:
@@ -199,8 +202,11 @@ def literal(texts: Any) -> Any:
 
 
 def as_question(field: LanguageField, question: Question[Any] | str | Several) -> Question[Any]:
-    """Return a question, or the question that texts alone are."""
-    return question if isinstance(question, Question) else make_question(field, question)
+    """Return a question, or the question that texts alone are; warn of a question of another field's model."""
+    if not isinstance(question, Question):
+        return make_question(field, question)
+    warn_of_another_model(question.model, field.embedding_model, question.source)
+    return question
 
 
 def _near_names(field: LanguageField, vectors: TextVectors) -> tuple[str | None, ...]:
