@@ -55,6 +55,9 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         field.at("view_09.png").answer("word 1")
     with pytest.raises(InputError, match="has 3"):
         field.at(7).answer("word 1")
+    for scale in (0, -1, float("nan"), float("inf"), "1"):
+        with pytest.raises(InputError, match=f"`scale={scale}`: must be a number above 0"):
+            field.at(0, scale)  # pyright: ignore[reportArgumentType]
     assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="must be vectors"):
         field.gaussian_relevancy("word 1", ["object"])  # pyright: ignore[reportArgumentType]

@@ -394,7 +394,7 @@ class LanguageField:
             backend: of the rasteriser; by default the best one.
 
         Raises:
-            InputError, UnknownNameError: there is no such camera.
+            InputError, UnknownNameError: there is no such camera, or the scale is not above 0.
 
         Example:
             >>> view = field.at("view_00.png")
