@@ -84,6 +84,8 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         ("word 1", {"encoder": 3}, "encoder is of type int"),
         ("word 1", {"encoder": {"object": "abc"}}, "must contain vectors"),
         ("word 1", {"present_from": float("nan")}, "must be 0 to 1, got nan"),
+        ("word 1", {"present_from": "a"}, "presence must be 0 to 1, got a"),
+        ("word 1", {"threshold": "a"}, "the threshold must be 0 to 1, got a"),
     ],
 )
 def test_what_is_no_query(
@@ -226,6 +228,8 @@ def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor])
         assert place.level == level
         own = field.gaussian_relevancy(texts.queries[:1], texts.canonical)[number, 0]
         assert torch.equal(place.relevancy(), own)
+        asked = field.question(texts.queries, level=np.int64(number), encoder=table)  # pyright: ignore
+        assert asked.level == number
     best = answer_scene(field, texts)[0]
     assert torch.equal(
         best.mask, answer_scene(field, replace(texts, level=field.level_index(best.level)))[0].mask

@@ -152,12 +152,11 @@ class LanguageField:
 
     def level_index(self, level: str | int) -> int:
         """Return the position of a level, given by name or position."""
-        if isinstance(level, int) and 0 <= level < len(self.levels):
-            return level
-        if level not in self.levels:
-            named = level if isinstance(level, int) else repr(level)
+        known: Sequence[str | int] = range(len(self.levels)) if isinstance(level, Integral) else self.levels
+        if level not in known:
+            named = level if isinstance(level, Integral) else repr(level)
             raise InputError(f"there is no level {named}; expected one of {', '.join(self.levels)}")
-        return self.levels.index(level)
+        return known.index(level)
 
     def coded(self) -> Tensor:
         """Return which Gaussians have a code at any level, boolean [N]."""

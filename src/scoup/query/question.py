@@ -19,7 +19,7 @@ from scoup.field.language_field import Encoder, LanguageField
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.expression import Expression, parse_expression
-from scoup.query.presence import presence_threshold
+from scoup.query.presence import check_share, presence_threshold
 from scoup.scene.directions import query_vectors
 from scoup.scene.names import number_of
 from scoup.scene.regions import LEAST_EMBEDDING
@@ -103,8 +103,7 @@ class Question(TextVectors, Generic[Asked]):
     """Id of the model of its vectors; "" if unknown."""
 
     def __post_init__(self) -> None:
-        if self.threshold is not None and not 0 <= self.threshold <= 1:
-            raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
+        check_share("the threshold", self.threshold)
 
     @property
     def nbytes(self) -> int:
