@@ -152,11 +152,12 @@ class LanguageField:
 
     def level_index(self, level: str | int) -> int:
         """Return the position of a level, given by name or position."""
-        known: Sequence[str | int] = range(len(self.levels)) if isinstance(level, Integral) else self.levels
-        if level not in known:
-            named = level if isinstance(level, Integral) else repr(level)
+        if not isinstance(level, str) and level in range(len(self.levels)):
+            return int(level)
+        if level not in self.levels:
+            named = repr(level) if isinstance(level, str) else level
             raise InputError(f"there is no level {named}; expected one of {', '.join(self.levels)}")
-        return known.index(level)
+        return self.levels.index(level)
 
     def coded(self) -> Tensor:
         """Return which Gaussians have a code at any level, boolean [N]."""
