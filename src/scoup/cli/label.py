@@ -105,8 +105,9 @@ def _report(
     from scoup.query.label_files import label_record
     from scoup.query.place import numbered_things
 
-    record: dict[str, Any] = label_record(labels)
-    for one, answer in zip(record["classes"], answers, strict=True):
+    record, of_name = label_record(labels), {answer.text: answer for answer in answers}
+    for one in record["classes"]:
+        answer = of_name[one["name"]]
         things = f", {numbered_things(one['things'])}" if one["things"] else ""
         seen = f", as seen from {answer.seen_from}" if answer.seen_from else ""
         found = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"

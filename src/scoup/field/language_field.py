@@ -506,7 +506,8 @@ class LanguageField:
         return select(self, question, reshaping)
 
     def label(self, question: Question | str | Several) -> GaussianLabels:
-        """Return the word that fits each Gaussian best, or "none". Words must differ from each other and from "none".
+        """Return the word that fits each Gaussian best, or "none", which cannot be a word itself. Repeated words
+        count once.
 
         Example:
             >>> sorted(field.label(["kettle", "wooden table"]).counts())
