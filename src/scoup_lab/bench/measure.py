@@ -228,14 +228,6 @@ class Meter:
                 self._peak = max(self._peak, now)
 
 
-@contextmanager
-def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
-    """Put the wall-clock seconds of the block into a table, under the name of the stage."""
-    started = time.perf_counter()
-    yield
-    seconds[stage] = time.perf_counter() - started
-
-
 def resident_bytes() -> int | None:
     """Return the memory of this process that is in RAM; None where the system does not say."""
     try:

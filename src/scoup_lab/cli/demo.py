@@ -66,8 +66,7 @@ class Demo(WritesCommon):
             if not no_page:
                 _write_page(result, hidden)
         result = replace(result, field_path=self.out / FIELD)
-        _say_names(console, result)
-        _say_totals(console, result)
+        _say_scores(console, result, record)
         page = no_page or f"{self.out / PAGE} (open it in a browser; it needs no server)"
         console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
         console.say(f"field:    {self.out / FIELD}\npage:     {page}")
@@ -102,15 +101,17 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
 
     import torch
 
-    from scoup_lab.evaluate.demonstration import rows_by_name, summary
+    from scoup_lab.evaluate.demonstration import rows_by_name
+    from scoup_lab.evaluate.scores import miou_interval
 
     return {
         "layout": result.scene.layout.name,
-        "protocol": "lerf-ovs 2D on held-out views",
         "gaussians": len(result.field),
         "coded": int(result.field.coded().sum()),
         "field_bytes": result.field_path.stat().st_size,
-        "methods": summary(result),
+        "miou": result.score.miou,
+        "miou_interval": miou_interval([result.score]).ends,
+        "accuracy": result.score.accuracy,
         "names": [asdict(row) for row in rows_by_name(result)],
         "seconds": {stage: round(value, 2) for stage, value in result.seconds.items()},
         "threads": torch.get_num_threads(),
@@ -119,50 +120,24 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
     }
 
 
-def _say_names(console: Console, result: DemoResult) -> None:
-    """Print the scores of each name."""
+def _say_scores(console: Console, result: DemoResult, record: dict[str, Any]) -> None:
+    """Print the scores of each name and their means, the size of the field and the seconds of each stage."""
+    from scoup.field.part_sizes import part_sizes
     from scoup_lab.bench import markdown
-    from scoup_lab.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name
+    from scoup_lab.evaluate.demonstration import rows_by_name
 
     rows = []
     for row in rows_by_name(result):
         levels = sorted(row.levels.items(), key=lambda item: -item[1])
-        rows.append(
-            [
-                row.name,
-                str(row.views),
-                f"{row.iou[METHOD]:.2f}",
-                f"{row.accuracy[METHOD]:.0%}",
-                " ".join(f"{level}{count}" for level, count in levels),
-                f"{row.iou[ALL_ATOMS]:.2f}",
-                f"{row.iou[DENSE]:.2f}",
-            ]
-        )
-    heads = ["query", "views", "IoU", "hit", "levels", f"IoU {ALL_ATOMS}", f"IoU {DENSE}"]
+        chosen = " ".join(f"{level}{count}" for level, count in levels)
+        rows.append([row.name, str(row.views), f"{row.iou:.2f}", f"{row.accuracy:.0%}", chosen])
+    heads = ["query", "views", "IoU", "hit", "levels"]
     console.say(f"Every name that the held-out views show\n{markdown(heads, rows)}\n")
-
-
-def _say_totals(console: Console, result: DemoResult) -> None:
-    """Print the means by variant, the size of the field and the seconds of each stage."""
-    from scoup.field.part_sizes import part_sizes
-    from scoup_lab.bench import markdown
-    from scoup_lab.evaluate.demonstration import summary
-
-    rows = []
-    for method, row in summary(result).items():
-        low, high = row["interval"]  # pyright: ignore[reportGeneralTypeIssues]
-        rows.append(
-            [
-                method,
-                f"{row['miou']:.3f}",
-                f"{low:.3f} to {high:.3f}",
-                f"{row['accuracy']:.1%}",
-                f"{row['bytes_per_gaussian']:.0f}",
-            ]
-        )
-    heads = ["method", "mIoU", "95 % interval over names", "localisation", "bytes per Gaussian"]
-    console.say(f"Means over all (view, name) pairs\n{markdown(heads, rows)}\n")
-    size = result.field_path.stat().st_size
-    console.say(f"the field: {size / 1e6:.2f} MB ({part_sizes(result.field_path)})")
+    low, high = record["miou_interval"]
+    console.say(
+        f"mIoU {record['miou']:.3f} (95 % interval over names {low:.3f} to {high:.3f}), "
+        f"localisation {record['accuracy']:.1%}, over all (view, name) pairs"
+    )
+    console.say(f"the field: {record['field_bytes'] / 1e6:.2f} MB ({part_sizes(result.field_path)})")
     for stage, value in result.seconds.items():
         console.say(f"  {value:6.1f} s  {stage}")

@@ -63,7 +63,7 @@ class Evaluated(DataSetOptions):
         out = self.out or Path(f"eval_{self.protocol}")
         evaluation.check_outputs(out, self.overwrite)
         scenes = self.opened(console)
-        console.kept = lambda: kept_in(out, "fields and predictions")
+        console.kept = lambda: kept_in(out, "fields")
         results = {}
         with console.progress() as progress:
             for scene in scenes:
@@ -104,7 +104,7 @@ class OfPixels(Evaluated):
         )
 
     def made(self) -> str:
-        return "fields, cache" + (", failures" if self.sheets == "worst" else "")
+        return "fields" + (", failures" if self.sheets == "worst" else "")
 
     def opened(self, console: Console) -> Iterator[SceneFiles]:
         from scoup_lab.evaluate.protocols import PIXELS
@@ -117,8 +117,8 @@ class OfPixels(Evaluated):
 class LerfOvs(OfPixels):
     """Score LERF-OVS (figurines, ramen, teatime, waldo_kitchen): masks and points, with the rules of its protocol.
 
-    Builds the fields that are missing, predicts once into a cache, and writes tables by query, by scene and overall,
-    with intervals, published figures marked as such, and the worst answers as pictures.
+    Builds the fields that are missing, and writes tables by query, by scene and overall, with intervals, published
+    figures marked as such, and the worst answers as pictures.
     """
 
     protocol: ClassVar[str] = "lerf-ovs"

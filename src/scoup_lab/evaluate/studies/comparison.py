@@ -11,6 +11,9 @@ from pathlib import Path
 from statistics import mean
 from typing import Any, ClassVar
 
+import torch
+from torch import Tensor
+
 from scoup import raster
 from scoup.base.progress import Progress, no_progress
 from scoup.base.version import VERSION
@@ -20,7 +23,6 @@ from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
 from scoup_lab.bench.measure import Cost, Meter
 from scoup_lab.evaluate.evaluation import Say, say_nothing
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
-from scoup_lab.evaluate.predictions import tensor_digest
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import (
@@ -158,7 +160,13 @@ def _digests(scene: StudyScene) -> list[str]:
     masks = [mask for frame, _ in scene.labelled.frames for mask in frame.masks.values()]
     embeddings = [regions.embeddings(level)[0] for level in regions.levels]
     tensors = [scene.vectors.queries, scene.vectors.canonical, *poses, *embeddings, *masks]
-    return [rasterised.gaussians.fingerprint(), rasterised.raster_preset, *map(tensor_digest, tensors)]
+    return [rasterised.gaussians.fingerprint(), rasterised.raster_preset, *map(_digest, tensors)]
+
+
+def _digest(tensor: Tensor) -> str:
+    """Return SHA-256 of the shape and the values of a tensor, as float32."""
+    values = tensor.detach().cpu().to(torch.float32).contiguous()
+    return hashlib.sha256(str(list(values.shape)).encode() + values.numpy().tobytes()).hexdigest()
 
 
 def _query_seconds(scene: StudyScene, fitted: FittedMethod) -> float:
