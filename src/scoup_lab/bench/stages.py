@@ -148,15 +148,14 @@ def time_stages(
     work: Workload,
     runs: Mapping[str, Mapping[str, Run]],
     threads: Iterable[int],
-    repeats: Callable[[str], int],
+    repeats: int,
     device: str = "cpu",
     progress: Progress = no_progress,
 ) -> list[Row]:
-    """Time the ``stage_runs`` of backends, all of the same stages, interleaved, with each number of torch threads;
-    ``repeats`` says how often a backend runs."""
+    """Time the ``stage_runs`` of backends, all of the same stages, interleaved, with each number of torch threads."""
     stages = dict.fromkeys(stage for own in runs.values() for stage in own)
     tasks = {
-        (stage, backend, used): Task(own[stage], used, repeats(backend))
+        (stage, backend, used): Task(own[stage], used, repeats)
         for stage in stages
         for backend, own in runs.items()
         for used in dict.fromkeys(threads)

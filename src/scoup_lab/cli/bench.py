@@ -118,7 +118,7 @@ class Bench(WritesCommon):
             work = random_workload(size, *self._size()).to(self.device)
             runs = {backend: stage_runs(work, backend, stages) for backend in backends}
             with console.progress() as progress:
-                rows += time_stages(work, runs, threads, lambda _: self.repeats, self.device, progress)
+                rows += time_stages(work, runs, threads, self.repeats, self.device, progress)
         return rows
 
 

@@ -6,7 +6,7 @@ import importlib.util
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from scoup.base.errors import InputError
 from scoup_lab.evaluate.metrics import Interval
@@ -18,14 +18,6 @@ if TYPE_CHECKING:
 HOW_TO_GET_THEM = "plots need the package matplotlib: pip install 'scoup[eval]', and run again"
 _GREY = "#6e727a"
 _ROW = 0.27  # inches
-
-
-class Plot(Protocol):
-    """A plot."""
-
-    def figure(self) -> Figure:
-        """Return the drawing."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -73,7 +65,7 @@ def can_draw() -> bool:
     return importlib.util.find_spec("matplotlib") is not None
 
 
-def png(plot: Plot) -> bytes:
+def png(plot: IntervalPlot) -> bytes:
     """Return a plot as PNG: the same bytes for the same plot and version of matplotlib."""
     if not can_draw():
         raise InputError(HOW_TO_GET_THEM)

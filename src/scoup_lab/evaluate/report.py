@@ -10,7 +10,7 @@ from typing import Any
 from scoup.base.atomic import atomic_file
 from scoup.base.records import record_text
 from scoup.base.staging import check_outputs, staged
-from scoup_lab.evaluate.plots import Plot, can_draw, png
+from scoup_lab.evaluate.plots import IntervalPlot, can_draw, png
 from scoup_lab.evaluate.tables import Table
 
 OURS = "this run"  # the name of our own row
@@ -25,7 +25,7 @@ class Report:
     title: str  # of the page
     tables: Sequence[Table]
     record: dict[str, Any]  # for JSON; no NaN
-    plots: Mapping[str, Plot] = field(default_factory=dict)  # by file name
+    plots: Mapping[str, IntervalPlot] = field(default_factory=dict)  # by file name
     shown: int | None = None  # how many tables are printed; None for all, which the JSON then contains too
 
     def write(self, folder: Path, overwrite: bool = False) -> list[Path]:
