@@ -77,7 +77,7 @@ class Baselines(StudyOptions):
     with product quantisation (Dr. Splat), LangSplat's autoencoder and, by name, codes learned through renderings
     (LangSplatV2), on the same regions and with the same queries.
 
-    Accuracy, time, memory and storage of each; docs/evaluation.md says what each follows and where it departs. The same
+    Accuracy, time and storage of each; docs/evaluation.md says what each follows and where it departs. The same
     command resumes: results are kept in OUT/baselines.
     """
 
@@ -105,7 +105,7 @@ class Baselines(StudyOptions):
         settings = replace(_settings(self.seed, self.epochs), joint=joint)
         folder = out / Comparison.stem
         console.kept = lambda: kept_in(folder, "results")
-        return Comparison(methods, self.mask_rule(), settings, self.selection, folder, console.say)
+        return Comparison(methods, self.mask_rule(), folder, settings, self.selection, console.say)
 
 
 @dataclass(frozen=True, kw_only=True)
