@@ -66,8 +66,3 @@ def test_a_backend_is_compared_with_the_reference(monkeypatch: pytest.MonkeyPatc
     other, reference = (row["median_s"] for row in record["rows"])
     assert record["ratios"][0]["time_over_reference"] == pytest.approx(other / reference)
     assert "time over reference" in run(*TINY, "--stages", "project", "--threads", "1")[1]
-
-
-def test_quick_is_smaller():
-    record = run_json(*TINY, "--stages", "project", "--quick")
-    assert (record["rows"][0]["gaussians"], record["width"], record["height"]) == (12, 8, 5)

@@ -12,7 +12,7 @@ from benchmarks.scenes.yard import YARD
 from cli_support import QUICK, refused, run, run_json
 from scoup.view import export, page
 from scoup.view.page import page_files
-from scoup_lab.evaluate.demonstration import DemoSettings, rows_by_name, run_demo
+from scoup_lab.evaluate.demonstration import rows_by_name, run_demo
 from scoup_lab.evaluate.demonstration_sheet import query_sheet
 from view.view_samples import PAGE
 
@@ -77,8 +77,7 @@ def test_demo_finds_things(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_another_layout_is_queried_for_what_it_shows(tmp_path: Path) -> None:
-    size = DemoSettings(n_gaussians=12000, width=160, height=120, n_building=6, layout=YARD)
-    result = run_demo(tmp_path, size)
+    result = run_demo(tmp_path, 0, 12000, 160, 120, 6, YARD)
     assert {"fountain", "gnome"} <= {row.name for row in rows_by_name(result)}
     assert query_sheet(result).ndim == 3
     note = (tmp_path / "scene" / "README.txt").read_text()

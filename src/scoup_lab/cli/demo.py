@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -47,7 +47,7 @@ class Demo(WritesCommon):
         import json
 
         from scoup.io import save_png, write_text
-        from scoup_lab.evaluate.demonstration import DemoSettings, run_demo
+        from scoup_lab.evaluate.demonstration import run_demo
         from scoup_lab.evaluate.demonstration_sheet import query_sheet
         from scoup_lab.synthetic.folder import FILES
 
@@ -57,22 +57,21 @@ class Demo(WritesCommon):
             f"a scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
             f"{self.width} x {self.height}"
         )
-        settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views)
+        size = self.n_gaussians, self.width, self.height, self.views
         with staged(self.out, files, self.overwrite) as hidden, console.progress() as progress:
-            result = run_demo(hidden, settings, progress=progress)
+            result = run_demo(hidden, self.seed, *size, progress=progress)
             save_png(query_sheet(result), hidden / SHEET)
-            record = _record(result, self.out)
+            record = _record(result, hidden / FIELD, self.out)
             write_text(hidden / SCORES, json.dumps(record, indent=2))
             if not no_page:
                 _write_page(result, hidden)
-        result = replace(result, field_path=self.out / FIELD)
         _say_scores(console, result, record)
         page = no_page or f"{self.out / PAGE} (open it in a browser; it needs no server)"
         console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
         console.say(f"field:    {self.out / FIELD}\npage:     {page}")
         thing = result.scene.layout.favourites[0]
-        console.say(f'query it: scoup query {result.field_path} "{thing}" --camera all')
-        console.say(f"look at it, and type a word: scoup view {result.field_path}")
+        console.say(f'query it: scoup query {self.out / FIELD} "{thing}" --camera all')
+        console.say(f"look at it, and type a word: scoup view {self.out / FIELD}")
         console.result(record)
 
 
@@ -96,7 +95,7 @@ def _write_page(result: DemoResult, folder: Path) -> None:
     export_page(ViewedField(result.field), folder / PAGE)
 
 
-def _record(result: DemoResult, out: Path) -> dict[str, Any]:
+def _record(result: DemoResult, field: Path, out: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
     import torch
@@ -108,7 +107,7 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
         "layout": result.scene.layout.name,
         "gaussians": len(result.field),
         "coded": int(result.field.coded().sum()),
-        "field_bytes": result.field_path.stat().st_size,
+        "field_bytes": field.stat().st_size,
         "miou": result.score.miou,
         "miou_interval": miou_interval([result.score]).ends,
         "accuracy": result.score.accuracy,
@@ -138,6 +137,8 @@ def _say_scores(console: Console, result: DemoResult, record: dict[str, Any]) ->
         f"mIoU {record['miou']:.3f} (95 % interval over names {low:.3f} to {high:.3f}), "
         f"localisation {record['accuracy']:.1%}, over all (view, name) pairs"
     )
-    console.say(f"the field: {record['field_bytes'] / 1e6:.2f} MB ({part_sizes(result.field_path)})")
+    console.say(
+        f"the field: {record['field_bytes'] / 1e6:.2f} MB ({part_sizes(Path(record['out']) / FIELD)})"
+    )
     for stage, value in result.seconds.items():
         console.say(f"  {value:6.1f} s  {stage}")

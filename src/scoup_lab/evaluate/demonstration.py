@@ -26,25 +26,12 @@ from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scen
 from scoup_lab.synthetic.words import CANONICAL
 
 
-@dataclass(frozen=True)
-class DemoSettings:
-    """Sizes of the demo."""
-
-    seed: int = 0  # of the scene and of the codebook
-    n_gaussians: int = 160_000  # of the scene
-    width: int = 480  # of its views, in pixels
-    height: int = 360
-    n_building: int = 24  # views the field is built from; a quarter as many are held out for scoring
-    layout: Layout = TABLE  # the kind of scene
-
-
 @dataclass(frozen=True, eq=False)
 class DemoResult:
     """The demo's scene, field and scores."""
 
     scene: DemoScene  # the scene and its truth
     field: LanguageField  # the field built
-    field_path: Path  # its file
     score: SceneScore  # as `scoup query --always` answers, every named thing in sight in the held-out views
     seconds: dict[str, float]  # by stage, in the order they ran
 
@@ -60,25 +47,28 @@ class NameRow:
     levels: dict[str, int]  # how often each level was chosen, "s", "m", "l"
 
 
-def run_demo(out: Path, settings: DemoSettings, progress: Progress = no_progress) -> DemoResult:
-    """Run everything. New files go to ``out/scene`` and ``out/demo.scoup``."""
-    path, clock = out / "demo.scoup", Stopwatch()
-    scene = clock(
-        "make the scene",
-        make_demo_scene,
-        settings.seed,
-        settings.n_gaussians,
-        settings.width,
-        settings.height,
-        settings.n_building,
-        max(1, settings.n_building // 4),
-        settings.layout,
-    )
+def run_demo(
+    out: Path,
+    seed: int,
+    n_gaussians: int,
+    width: int,
+    height: int,
+    n_building: int,
+    layout: Layout = TABLE,
+    progress: Progress = no_progress,
+) -> DemoResult:
+    """Run everything. New files go to ``out/scene`` and ``out/demo.scoup``.
+
+    ``seed``: of the scene and of the codebook; a quarter as many views as ``n_building`` are held out for scoring.
+    """
+    clock = Stopwatch()
+    size = n_gaussians, width, height, n_building, max(1, n_building // 4)
+    scene = clock("make the scene", make_demo_scene, seed, *size, layout)
     folder = clock("write it as files", write_demo_scene, scene, out / "scene", progress=progress)
-    field = clock("read the files, and build the field", _built, folder, settings.seed, progress)
-    field.save(path)
+    field = clock("read the files, and build the field", _built, folder, seed, progress)
+    field.save(out / "demo.scoup")
     score = clock("query and score", answered, field, scene)
-    return DemoResult(scene, field, path, score, {stage: sum(each) for stage, each in clock.seconds.items()})
+    return DemoResult(scene, field, score, {stage: sum(each) for stage, each in clock.seconds.items()})
 
 
 def _built(folder: Path, seed: int, progress: Progress) -> LanguageField:

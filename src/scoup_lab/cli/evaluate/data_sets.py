@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, Names, OptionalInteger, OptionalText, OptionGroups
+from scoup.cli.options import Flag, Names, OptionalInteger, OptionGroups
 from scoup_lab.cli.evaluate.options import DataSetOptions, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.evaluation import Evaluation
-    from scoup_lab.evaluate.scenes import Places, SceneFiles
+    from scoup_lab.evaluate.scenes import SceneFiles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,11 +157,9 @@ class ScanNet(Evaluated):
     positions and order.
     """
 
-    option_groups: ClassVar[OptionGroups] = {"data set": "cameras", "scoring": "classes level methods"}
+    option_groups: ClassVar[OptionGroups] = {"scoring": "classes level methods"}
     protocol: ClassVar[str] = "scannet"
 
-    cameras: OptionalText = None
-    """The cameras (folder or file), with {scene} for the scene's name. Default: those in each scene's folder."""
     classes: Names = ()
     """Lists of classes to score by; repeat it for several. Default: 19, 15 and 10."""
     level: Literal["best", "s", "m", "l"] = "best"
@@ -186,8 +184,3 @@ class ScanNet(Evaluated):
 
         names = scannet.find(self.root, self.scenes)
         return (scannet.open_scene(self.root, name, self.places()) for name in names)
-
-    def places(self) -> Places:
-        from dataclasses import replace
-
-        return replace(super().places(), cameras=self.cameras)

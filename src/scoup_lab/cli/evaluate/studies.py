@@ -43,11 +43,10 @@ class StudyOptions(DataSetOptions):
         return PIXELS[self.data_set].rule(self.rules)
 
     def run(self, console: Console) -> None:
-        """Refuse outputs that are there, run all, write and show tables and plots."""
+        """Refuse outputs that are there, run all, write and show tables."""
         from scoup.io import check_output
         from scoup_lab.bench.environment import describe_environment
         from scoup_lab.evaluate.label_vectors import encode_labels
-        from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, can_draw
         from scoup_lab.evaluate.protocols import PIXELS
         from scoup_lab.evaluate.report import SUFFIXES
         from scoup_lab.evaluate.studies.study_scene import open_study_scene
@@ -66,8 +65,6 @@ class StudyOptions(DataSetOptions):
         written = report.write(out, self.overwrite)
         say_tables(console, report)
         console.say("written: " + ", ".join(str(path) for path in written))
-        if report.plots and not can_draw():
-            console.say(HOW_TO_GET_THEM)
         console.result({"out": out, **report.record})
 
 
@@ -111,7 +108,7 @@ class Baselines(StudyOptions):
 @dataclass(frozen=True, kw_only=True)
 class Ablations(StudyOptions):
     """Change one thing at a time: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver,
-    levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each. Table and plot.
+    levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each.
     """
 
     groups: Names = ()
