@@ -205,7 +205,6 @@ HIDDEN = {
     "bench": "100,000",
     "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
     "baselines": "visible-centre-pixel|top-contributors",
-    "lerf sized": "GB moved|by copying|GFLOP|by multiplying",
     "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",
