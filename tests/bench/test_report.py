@@ -15,7 +15,7 @@ from scoup_lab.bench.report import Row, comparison, markdown, milliseconds, rati
 
 
 def row(stage: str, backend: str, threads: int, *milliseconds: float, count: int = 1000) -> Row:
-    return Row("room", count, stage, backend, threads, Timing(tuple(1e-3 * value for value in milliseconds)))
+    return Row(count, stage, backend, threads, Timing(tuple(1e-3 * value for value in milliseconds)))
 
 
 def test_a_table_of_stages():
@@ -39,7 +39,7 @@ def test_ratios_are_of_the_same_scene_stage_and_threads():
     assert ratios(rows) == {rows[0]: 0.25}
     found = comparison(rows)
     assert found["rows"] == [item.to_dict() for item in rows]
-    at = {"scene": "room", "gaussians": 1000, "stage": "project", "backend": "native", "threads": 1}
+    at = {"gaussians": 1000, "stage": "project", "backend": "native", "threads": 1}
     assert found["ratios"] == [{**at, "time_over_reference": 0.25}]
 
 
@@ -60,7 +60,7 @@ def test_json_is_written_once(tmp_path: Path):
     path = tmp_path / "new" / "a.json"
     write_json(path, {"rows": [row("project", "native", 1, 2).to_dict()]})
     assert set(json.loads(path.read_text())["rows"][0]) == {
-        "scene", "gaussians", "stage", "backend", "threads", "median_s", "min_s", "max_s", "repeats",
+        "gaussians", "stage", "backend", "threads", "median_s", "min_s", "max_s", "repeats",
     }  # fmt: skip
     with pytest.raises(OutputExistsError):
         write_json(path, {})

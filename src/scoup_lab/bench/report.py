@@ -18,7 +18,6 @@ SPECIFICATION = "reference"  # the backend others are compared with
 class Row:
     """One measured thing."""
 
-    scene: str  # name of the scene
     n_gaussians: int  # N
     stage: str  # see ``stages.STAGES``
     backend: str  # of the rasteriser
@@ -28,7 +27,6 @@ class Row:
     def setting(self) -> dict[str, Any]:
         """Return what was measured, for JSON."""
         return {
-            "scene": self.scene,
             "gaussians": self.n_gaussians,
             "stage": self.stage,
             "backend": self.backend,
@@ -44,13 +42,13 @@ def ratios(rows: Iterable[Row]) -> dict[Row, float]:
     """Time of a row over that of the reference, same scene, stage and threads, wherever both were measured."""
     rows = list(rows)
     base = {
-        (row.scene, row.n_gaussians, row.stage, row.threads): row.timing.median
+        (row.n_gaussians, row.stage, row.threads): row.timing.median
         for row in rows
         if row.backend == SPECIFICATION
     }
     found = {}
     for row in rows:
-        against = base.get((row.scene, row.n_gaussians, row.stage, row.threads))
+        against = base.get((row.n_gaussians, row.stage, row.threads))
         if row.backend != SPECIFICATION and against is not None:
             found[row] = row.timing.median / against
     return found

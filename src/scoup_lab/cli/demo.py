@@ -47,6 +47,8 @@ class Demo(WritesCommon):
         import json
 
         from scoup.io import save_png, write_text
+        from scoup.view.export import export_page
+        from scoup.view.viewed_field import ViewedField
         from scoup_lab.evaluate.demonstration import run_demo
         from scoup_lab.evaluate.demonstration_sheet import query_sheet
         from scoup_lab.synthetic.folder import FILES
@@ -64,7 +66,7 @@ class Demo(WritesCommon):
             record = _record(result, hidden / FIELD, self.out)
             write_text(hidden / SCORES, json.dumps(record, indent=2))
             if not no_page:
-                _write_page(result, hidden)
+                export_page(ViewedField(result.field), hidden / PAGE)  # with the words of its table
         _say_scores(console, result, record)
         page = no_page or f"{self.out / PAGE} (open it in a browser; it needs no server)"
         console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
@@ -85,14 +87,6 @@ def _page_problem() -> str:
     except ScoupError as error:
         return str(error)
     return ""
-
-
-def _write_page(result: DemoResult, folder: Path) -> None:
-    """Write the page of the demo, with the words of its table."""
-    from scoup.view.export import export_page
-    from scoup.view.viewed_field import ViewedField
-
-    export_page(ViewedField(result.field), folder / PAGE)
 
 
 def _record(result: DemoResult, field: Path, out: Path) -> dict[str, Any]:

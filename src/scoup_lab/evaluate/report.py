@@ -10,10 +10,17 @@ from typing import Any
 from scoup.base.atomic import atomic_file
 from scoup.base.records import record_text
 from scoup.base.staging import check_outputs, staged
+from scoup.io import check_output
 from scoup_lab.evaluate.tables import Table
 
 OURS = "this run"  # the name of our own row
 SUFFIXES = (".md", ".json", ".tex")
+
+
+def refuse_existing(folder: Path, stem: str, overwrite: bool) -> None:
+    """Refuse a report that is there already, before any work."""
+    for suffix in SUFFIXES:
+        check_output(folder / f"{stem}{suffix}", overwrite)
 
 
 @dataclass(frozen=True)

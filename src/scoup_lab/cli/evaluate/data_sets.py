@@ -58,10 +58,12 @@ class Evaluated(DataSetOptions):
     def run(self, console: Console) -> None:
         """Build what is missing, score, write."""
         from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.report import refuse_existing
 
         evaluation = self.evaluation()
         out = self.out or Path(f"eval_{self.protocol}")
-        evaluation.check_outputs(out, self.overwrite)
+        for stem in evaluation.stems:
+            refuse_existing(out, stem, self.overwrite)
         scenes = self.opened(console)
         console.kept = lambda: kept_in(out, "fields")
         results = {}

@@ -44,17 +44,15 @@ class StudyOptions(DataSetOptions):
 
     def run(self, console: Console) -> None:
         """Refuse outputs that are there, run all, write and show tables."""
-        from scoup.io import check_output
         from scoup_lab.bench.environment import describe_environment
         from scoup_lab.evaluate.label_vectors import encode_labels
         from scoup_lab.evaluate.protocols import PIXELS
-        from scoup_lab.evaluate.report import SUFFIXES
+        from scoup_lab.evaluate.report import refuse_existing
         from scoup_lab.evaluate.studies.study_scene import open_study_scene
 
         out = self.out or Path(f"eval_{self.data_set}")
         study, protocol = self.study(console, out), PIXELS[self.data_set]
-        for suffix in SUFFIXES:
-            check_output(out / f"{study.stem}{suffix}", self.overwrite)
+        refuse_existing(out, study.stem, self.overwrite)
         labelled = self.open_labelled(console, protocol)
         scenes = [open_study_scene(each, encode_labels(each, self.text_source(each))) for each in labelled]
         with console.progress() as progress:
