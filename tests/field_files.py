@@ -1,4 +1,4 @@
-"""Files of language fields, taken apart and put together."""
+"""A small field without anything random, and files of language fields, taken apart and put together."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -14,6 +15,47 @@ from torch import Tensor
 from scoup.base.digests import sealed
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import METADATA_KEY
+from scoup.field.language_field import LanguageField
+from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.field_info import FieldInfo
+from scoup.scene.gaussians import Gaussians
+
+COUNT, LEVELS, K, ATOMS, DIM = 6, 3, 2, 4, 8
+
+
+def steps(*shape: int) -> torch.Tensor:
+    """Numbers from 0 to below 1, rising, as float32."""
+    count = int(torch.tensor(shape).prod())
+    return (torch.arange(count, dtype=torch.float32) / count).reshape(shape)
+
+
+def small_field() -> LanguageField:
+    """Six Gaussians, three levels, two cameras; the same on every machine."""
+    quats = torch.zeros(COUNT, 4)
+    quats[:, 0] = 1
+    gaussians = Gaussians(
+        steps(COUNT, 3), quats, steps(COUNT, 3) + 0.125, steps(COUNT) / 2 + 0.25, steps(COUNT, 1, 3) - 0.5
+    )
+    K_matrix = torch.tensor([[40.0, 0, 20], [0, 40.0, 15], [0, 0, 1]], dtype=torch.float64)
+    viewmats = [torch.eye(4, dtype=torch.float64) for _ in range(2)]
+    viewmats[1][2, 3] = 0.5
+    cameras = Cameras(
+        Camera(f"view {number}.png", viewmat, K_matrix, 40, 30) for number, viewmat in enumerate(viewmats)
+    )
+    first = torch.arange(COUNT * LEVELS).reshape(COUNT, LEVELS, 1) % ATOMS
+    indices = torch.cat([first, (first + 1) % ATOMS], -1).to(torch.uint8)
+    weights = torch.tensor([0.75, 0.25], dtype=torch.float16).expand(COUNT, LEVELS, K).clone()
+    weights[-1] = 0  # a Gaussian without a code
+    codebook = steps(LEVELS, ATOMS, DIM) + 0.5
+    info = FieldInfo(
+        ("s", "m", "l"),
+        "a/model é",
+        gaussians.fingerprint(),
+        COUNT,
+        "inria",
+        {"settings": {"k": K, "share": 0.1}},
+    )
+    return LanguageField(indices, weights, codebook, info, gaussians, Path("somewhere/splat.ply"), cameras)
 
 
 def parts_of(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:

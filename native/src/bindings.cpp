@@ -3,7 +3,6 @@
 #include <nanobind/stl/string.h>
 
 #include "buffer.h"
-#include "clock.h"
 #include "isa.h"
 
 namespace nb = nanobind;
@@ -25,7 +24,6 @@ NB_MODULE(_native, m) {
           "Use the kernels for an instruction set: baseline, v3, v4 or best. False if there is none or the CPU lacks it.");
     m.def("current_isa", [] { return std::string(scoup::name_of(scoup::current_isa())); }, "The instruction set in use.");
     m.def("release_memory", &scoup::release_kept, "Give back the memory that is kept for the arrays of the next view, and what else is free.");
-    m.def("measure_clock_hz", &scoup::measure_clock_hz, "Cycles a second of this core; 0 where it cannot be told.");
     scoup::bind_code_sums(m);
     scoup::bind_coder(m);
     scoup::bind_mask_parts(m);

@@ -11,7 +11,7 @@ import pytest
 import torch
 from benchmarks import gpu
 from benchmarks.gpu import Gpu
-from benchmarks.gpu_rows import TESTS, answers_row
+from benchmarks.gpu_rows import QUERIES, TESTS, answers_row
 from benchmarks.study import run
 
 from scoup import raster
@@ -57,7 +57,7 @@ def test_every_row_is_timed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         assert [len(set(parity["region sums"]["entries"])), parity["vote"]["other codes"]] == [1, 0]
         names = ("RGB", "coefficient maps", "cosines", "relevancy")
         assert all(parity[name]["mean"] < 1e-6 for name in names)
-    assert len(rows) == 5 + 3 + 5 + 3
+    assert len(rows) == 5 + 3 + 5 + len(QUERIES)
     assert all(row["median_s"] > 0 for row in rows.values())
     assert "| gsplat: RGB " in capsys.readouterr().out
 

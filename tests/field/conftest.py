@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from field_files import parts_of
-from frozen_fields import small_field
+from field_files import parts_of, small_field
 from scoup.field.content import TENSORS
 from scoup.field.facts import read_facts
 from scoup.field.language_field import LanguageField

@@ -11,6 +11,7 @@ from shutil import copytree
 
 import numpy as np
 import torch
+from tests.field_files import small_field
 from tests.foreign_samples import (
     LangSplatAutoencoder,
     save_langsplatv2,
@@ -18,7 +19,6 @@ from tests.foreign_samples import (
     save_run,
     save_splatfacto,
 )
-from tests.frozen_fields import small_field
 from tests.gltf_samples import spz_in_gltf
 from tests.io_samples import (
     save_checkpoint,

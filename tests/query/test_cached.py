@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
 from query.conftest import WORDS, random_vectors
+from query.planted_room import BACK, FRONT, planted_room
+from query.test_named import LAMP, MUG, named_room
 from scoup.base.native import native_core
 from scoup.field.cache import ENTRY_BYTES, Cache
 from scoup.field.language_field import LanguageField
-from scoup.field.relevancy import relevancy
+from scoup.field.relevancy import PixelCosines, pixel_relevancy, relevancy
+from scoup.models.text import TextEncoder
+from scoup.models.words import CANONICAL_PHRASES
+from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes, cosines_from_codes
 
 
@@ -123,6 +130,40 @@ def test_parts_that_change_while_a_value_is_made_leave_nothing() -> None:
     with torch.inference_mode():
         part = torch.zeros(3)  # such tensors count no versions
         assert kept.value("sum", lambda: part.sum(), [part]) == 0
+
+
+def test_a_view_keeps_what_further_questions_reuse(
+    field: LanguageField, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view, queries, canonical = field.at(0), random_vectors(12, 16), random_vectors(3, 16, seed=1)
+    view.relevancy(queries[:1], canonical)
+    known = view.cache.get(PixelCosines, field.parts())
+    view.relevancy(queries, canonical)  # more than are rendered as channels
+    assert view.cache.get(PixelCosines, field.parts()) is known
+
+    def edited(*arguments: Any) -> Any:
+        """Another thread writes between the computing and the keeping."""
+        found = pixel_relevancy(*arguments)
+        field.code_weights.mul_(0)
+        return found
+
+    monkeypatch.setattr("scoup.query.field_view.pixel_relevancy", edited)
+    view.relevancy(queries[:1], canonical)
+    monkeypatch.undo()
+    assert view.relevancy(queries[1:2], canonical).eq(0.5).all()
+
+
+def test_other_cameras_and_encoders_are_noticed() -> None:
+    room = planted_room(cameras=(FRONT,))
+    for cameras in ((FRONT,), (BACK,)):
+        room.cameras = Cameras(cameras)
+        assert room.select("mug left of the laptop").seen_from == cameras[0].name
+    room = named_room({"mug": {MUG: 0.6}, "lamp": {LAMP: 0.6}})
+    encoder = room.text_encoder()
+    mug, lamp, *others = encoder.encode(["mug", "lamp", *CANONICAL_PHRASES])
+    for one, other in ((mug, lamp), (lamp, mug)):
+        vectors = dict(zip(CANONICAL_PHRASES, others, strict=True), mug=one, lamp=other, beaker=one + 0.01)
+        assert room.question("beaker", encoder=TextEncoder.open(vectors)).near == ("mug",)
 
 
 def test_several_threads_ask_one_field(field: LanguageField) -> None:

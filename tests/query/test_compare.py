@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -79,6 +81,18 @@ CUPS = tuple(Box("cup", (side, 0, 1), (0.3, 0.3, 0.3)) for side in (-1, 1))
 def test_what_is_cut_or_numbered_in_another_way_did_not_change(old, new) -> None:
     for one, other in ((old, new), (new, old)):
         assert not compare(planted_room(one), planted_room(other), [old[0].name]).changes
+
+
+def test_a_capture_without_things_that_count_can_be_compared() -> None:
+    room = planted_room()
+    assert room.thing_table is not None
+    bare, owners = (
+        planted_room(),
+        torch.where(torch.arange(len(room)) % 40 == 0, room.thing_table.owners.T, -1),
+    )
+    bare.thing_table = replace(room.thing_table, owners=owners.T.contiguous())
+    assert bare.things() == []
+    assert changes(room, bare) == changes(bare, room) == set()  # what is of no thing may be anything
 
 
 def test_captures_that_cannot_be_compared() -> None:

@@ -75,6 +75,13 @@ def test_from_above_the_top_of_the_image_is_away() -> None:
     torch.testing.assert_close(frame.axes, torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]).double())
 
 
+@pytest.mark.parametrize("ahead", [0.0, 0.5])
+def test_left_and_right_of_a_camera_that_looks_up_are_its_own(ahead: float) -> None:
+    camera = Camera.look_at((0, 0, 0), (ahead, 0, 5), "sky.png", 64, 48, 50, up=(-1, 0, 0))
+    frame = planted_room([Box("ball", (0, 0, 4), (1, 1, 1))], [camera]).frame("sky.png", up=(0, 0, 1))
+    torch.testing.assert_close(frame.axes[0], camera.viewmat[0, :3])
+
+
 def test_axes_are_orthonormal_and_told() -> None:
     field = planted_room()
     aside = Camera.look_at((4, -4, 3), (0, 0, 1), "aside.png", 64, 48, 50)

@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 import torch
 
+from query.planted_room import Box, planted_room
 from scoup.query.matching import ComparedTable, find_instances
 from scoup.scene.things import NO_THING
 from support import things_of
@@ -56,3 +57,18 @@ def test_instances_are_what_looks_and_fits_like_the_answer(
     table = things_of(own, torch.tensor(levels), torch.eye(DIM)[looks])
     compared = ComparedTable.of(table, torch.eye(DIM))
     assert find_instances(compared, torch.tensor(fits), torch.tensor(chosen)).tolist() == found
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 9])
+def test_things_that_are_all_the_same_are_instances(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("query.planted_room.CLUTTER", ())
+    room = planted_room([Box("mug", (1.0 * place, 0, 1), (0.3, 0.3, 0.3)) for place in range(count)])
+    assert len(room.things("how many mug")) == count
+
+
+def test_things_that_are_not_there_do_not_count() -> None:
+    """The best one lacks all of its Gaussians."""
+    own = torch.arange(20, 180)[:, None] // 20
+    table = things_of(own, torch.zeros(9), torch.eye(DIM)[[7, 0, 0, *REST]])
+    compared, fits = ComparedTable.of(table, torch.eye(DIM)), torch.tensor([9.0, 3.0, 2.9, *OTHERS])
+    assert find_instances(compared, fits, torch.tensor([1])).tolist() == [1, 2]

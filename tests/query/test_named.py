@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from cli_support import run
-from query.planted_room import BACK, FRONT, planted_room
+from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder, everyday_vocabulary
@@ -62,6 +62,20 @@ def test_votes_and_the_field_answer_together(votes: dict[int, float], sure: floa
     assert set(answer.things) == things
     assert answer.presence
     assert bool(answer.mask.any())
+
+
+def test_votes_for_things_that_do_not_count_decide_nothing() -> None:
+    room = named_room({"mug": {MUG: 0.6}})
+    assert room.thing_table is not None
+    part = room[room.thing_table.owners[:, 0] != MUG]
+    part.keep_encoder_of(room)
+    assert [thing.number for thing in part.things("how many mug")] == [OTHER_MUG]
+    # Most things fit as well as the best one, and another one has all votes.
+    boxes = (*(Box("mug", (k - 4.0, 0, 1.1), (0.3, 0.3, 0.3)) for k in range(12)), ROOM[LAMP])
+    room = planted_room(boxes)
+    assert room.thing_table is not None
+    room.thing_table = replace(room.thing_table, names=names_of({"mug": {12: 0.6}}, 0.9))
+    assert room.answer("mug").things == (12,)
 
 
 def test_presence_joins_the_odds_of_the_photographs_and_of_the_field() -> None:

@@ -9,6 +9,7 @@ import torch
 
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
+from scoup.scene.codes import float32_products
 
 if not torch.cuda.is_available():
     pytest.skip("needs a CUDA device", allow_module_level=True)
@@ -52,3 +53,14 @@ def test_codes_on_a_gpu(kind: str, seed: int, levels: int, n_atoms: int, k: int,
 def test_a_build_on_a_gpu() -> None:
     for rounds in (1, 2):
         gpu_checks.check_build(rounds, "cuda")
+
+
+def test_products_have_all_bits_of_float32_whatever_the_user_allows() -> None:
+    rows, others = torch.rand(2, 300, 512, generator=torch.Generator().manual_seed(0))
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("medium")
+    try:
+        found = float32_products(rows.cuda(), others.cuda()).cpu()
+    finally:
+        torch.set_float32_matmul_precision(before)
+    assert torch.allclose(found, (rows.double() @ others.double().T).float(), rtol=1e-6, atol=0)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
-from scoup.scene.codes import SparseCodes, cosines_from_codes, full_float32, index_dtype
+from scoup.scene.codes import SparseCodes, cosines_from_codes, index_dtype
 from support import unit
 
 
@@ -61,36 +61,3 @@ def test_gram_shortcut_equals_decoding(seed, scale):
     queries = unit(torch.randn(4, 32, generator=generator))
     decoded = unit(weights.double() @ codebook.double()) @ queries.double().T
     assert torch.allclose(cosines_from_codes(weights, codebook, queries).double(), decoded, atol=1e-5)
-
-
-@pytest.mark.skipif(
-    not hasattr(torch.backends.cuda.matmul, "fp32_precision"), reason="torch is older than 2.9"
-)
-@pytest.mark.parametrize("precision", ["tf32", "ieee"])
-def test_products_are_full_however_the_user_set_their_precision(precision):
-    matmul = torch.backends.cuda.matmul
-    before = matmul.fp32_precision
-    matmul.fp32_precision = precision  # after which torch's older names for it raise an error
-    try:
-        with full_float32():
-            assert matmul.fp32_precision == "ieee"
-        assert matmul.fp32_precision == precision
-    finally:
-        matmul.fp32_precision = before
-
-
-@pytest.mark.filterwarnings("ignore:Please use the new API")
-@pytest.mark.parametrize("precision", ["highest", "high", "medium"])
-def test_products_are_full_whatever_bits_the_user_allows(precision):
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision(precision)
-    try:
-        with full_float32():
-            if hasattr(torch.backends.cuda.matmul, "fp32_precision"):
-                assert torch.backends.cuda.matmul.fp32_precision == "ieee"
-            else:
-                assert torch.get_float32_matmul_precision() == "highest"
-        assert torch.get_float32_matmul_precision() == precision
-        assert torch.backends.cuda.matmul.allow_tf32 == (precision != "highest")
-    finally:
-        torch.set_float32_matmul_precision(before)

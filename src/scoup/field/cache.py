@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from torch import Tensor
 
 Value = TypeVar("Value")
-Parts = Sequence[object]
+Parts: TypeAlias = Sequence[object]
 """What values are made from: tensors, and objects that do not change."""
+State: TypeAlias = tuple[tuple[object, int], ...]
 
 ENTRY_BYTES = 512
 """Counted for every entry, besides its tensors."""
@@ -33,7 +34,7 @@ class Cache:
         self.most_bytes = most_bytes
         self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
-        self._parts: tuple[tuple[object, int], ...] = ()
+        self._parts: State = ()
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type[Cache], tuple[int]]:
@@ -51,10 +52,9 @@ class Cache:
         """Return the value of a key; ``make`` it from the parts if it is missing."""
         found = self.get(key, parts)
         if found is None:
-            state = _state(parts)
+            since = state_of(parts)
             found = make()
-            if _same(state, _state(parts)):  # no thread has changed a part meanwhile
-                self.keep(key, found, parts)
+            self.keep(key, found, parts, since)
         return found
 
     def get(self, key: Hashable, parts: Parts = ()) -> Any:
@@ -66,11 +66,14 @@ class Cache:
             self._values.move_to_end(key)
             return self._values[key][0]
 
-    def keep(self, key: Hashable, value: Any, parts: Parts = ()) -> None:
-        """Store a value that was made from the parts, unless it is larger than the whole cache."""
+    def keep(self, key: Hashable, value: Any, parts: Parts = (), since: State = ()) -> None:
+        """Store a value that was made from the parts, unless it is larger than the whole cache, or a thread has changed
+        a part ``since`` it was begun (``state_of``)."""
         n_bytes = ENTRY_BYTES + size_of(value)
         with self._lock:
             self._check(parts)
+            if not _same(since, self._parts):
+                return
             self._bytes -= self._values.pop(key, (None, 0))[1]
             if n_bytes > self.most_bytes:
                 return
@@ -89,7 +92,7 @@ class Cache:
         self._bytes = 0
 
     def _check(self, parts: Parts) -> None:
-        state = _state(parts)
+        state = state_of(parts)
         if not _same(state, self._parts):
             self._empty()
             self._parts = state
@@ -102,7 +105,7 @@ def size_of(value: Any) -> int:
     return len(value) if isinstance(value, bytes) else getattr(value, "nbytes", 0)
 
 
-def _state(parts: Parts) -> tuple[tuple[object, int], ...]:
+def state_of(parts: Parts) -> State:
     """Return each part with how often it was written to; inference tensors do not count that."""
     return tuple(
         (part, part._version if isinstance(part, Tensor) and not part.is_inference() else 0) for part in parts

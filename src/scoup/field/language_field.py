@@ -172,10 +172,11 @@ class LanguageField:
         return self.cache.value(key, make, self.parts())
 
     def parts(self) -> list[object]:
-        """Return the tensors that answers depend on."""
+        """Return what answers depend on: tensors, and the cameras, which say where up is."""
         known = self._gaussians
         geometry = () if known is None else (known.means, known.scales, known.opacities)
-        return [self.code_indices, self.code_weights, self.codebook, self.thing_table, *geometry]
+        codes = self.code_indices, self.code_weights, self.codebook
+        return [*codes, self.thing_table, self.cameras, *geometry]
 
     # ---- geometry and cameras
 
@@ -307,10 +308,14 @@ class LanguageField:
             encoder = self.encoder_source
         name = str(encoder) if isinstance(encoder, (str, Path)) else ""
         if isinstance(encoder, TextEncoder):
-            self._encoder = encoder
-        elif self._encoder is None or not name or name != self.encoder_name:
+            found = encoder
+        elif self._encoder is not None and name and name == self.encoder_name:
+            found = self._encoder
+        else:
+            found = TextEncoder.open(encoder, device=self.codebook.device)
+        if found is not self._encoder:
             self.cache.clear()
-            self._encoder = TextEncoder.open(encoder, device=self.codebook.device)
+        self._encoder = found
         self.encoder_name = name
         return self._encoder
 

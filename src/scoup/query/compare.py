@@ -262,6 +262,8 @@ class _Missing:
 
 def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
     """Return what is not there in the other capture; things in the box of a larger one belong to it."""
+    if not one.things:
+        return []
     absent, things = 1 - _present(one, other, centre), one.things
     together: dict[int, list[int]] = {}
     gone = np.flatnonzero(absent >= GONE).tolist()
@@ -296,13 +298,13 @@ def _present(one: _Capture, other: _Capture, centre: Array) -> Array:
     """Return the share of each thing [T] that lies on what looks like it in the other capture."""
     numbers = np.array([thing.number for thing in one.things], np.int64)
     cosines = _looks(one.embeddings, centre)[numbers] @ _looks(other.embeddings, centre).T
-    alike = ((cosines - LIKE[0]) / (LIKE[1] - LIKE[0])).clip(0, 1)
+    alike = np.pad(((cosines - LIKE[0]) / (LIKE[1] - LIKE[0])).clip(0, 1), ((0, 0), (0, 1)))  # last: NO_THING
     points, table = one.points, other.field.thing_table
     assert table is not None
     found = other.tree.query(one.places, k=min(NEAREST, len(other.solid)))
     distances, near = (np.asarray(part).reshape(len(points.means), -1) for part in found)
     owners = table.owners.cpu().numpy()[other.solid[near]]  # [M, k, S]
-    found = np.where(owners == NO_THING, 0.0, alike[points.owners[:, None, None], owners]).max(2)
+    found = alike[points.owners[:, None, None], owners].max(2)
     found = np.where((owners == NO_THING).all(2), 1.0, found)  # what is of no thing may be anything
     on = np.where(distances <= one.reach[:, None], found, 0.0).max(1)
     return points.sums(points.weights * on) / points.sums(points.weights).clip(1e-12)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.cache import Cache
+from scoup.field.cache import Cache, state_of
 from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import PixelCosines, pixel_relevancy
 from scoup.field.renders import Vectors, checked_vectors, render_codes
@@ -100,9 +100,10 @@ class FieldView:
         """Return the relevancy of every pixel, [S, Q, H, W] float32; see ``field.relevancy``."""
         field, parts = self.field, self.field.parts()
         queries, canonical = checked_vectors(field.codes, field.embedding_model, queries, canonical)
+        since = state_of(parts)
         known: PixelCosines | None = self.cache.get(PixelCosines, parts)
         maps, known = pixel_relevancy(self.projection, field.codes, queries, canonical, known)
-        self.cache.keep(PixelCosines, known, parts)
+        self.cache.keep(PixelCosines, known, parts, since)
         return maps
 
     @cached_property

@@ -76,8 +76,8 @@ def scene_frame(
     else:
         rotation = torch.as_tensor(viewer.viewmat)[:3, :3].double().cpu()
         away = rotation[2]
-        if float(torch.linalg.cross(away, direction).norm()) < 1e-3:  # looking straight down
-            away = -rotation[1]
+        if float(torch.linalg.cross(away, direction).norm()) < 1e-3:  # looking straight up or down
+            away = rotation[1] if away @ direction > 0 else -rotation[1]
     away = away - (away @ direction) * direction
     away = away / away.norm()
     right = torch.linalg.cross(away, direction)

@@ -56,6 +56,8 @@ FIT_SHARE = 0.17
 """An instance fits at most so much less than the best thing, as a share of the best fit's distance from the median."""
 LEAST_LIKENESS = 0.65
 """Least cosine of an instance's embedding with that of the best thing, both less the mean embedding of all things."""
+SAME_LOOK = 0.99
+"""Embeddings of a larger cosine are of one look, whatever the mean is."""
 RIVAL, AGREEMENT = 2.0, 0.25
 """Weights of the choice (docs/answers.md#constants): of the lead of things elsewhere over the mean fit of a set, and of
 the score of a set of another level with the same Gaussians."""
@@ -284,12 +286,16 @@ def find_instances(known: ComparedTable, fits: Tensor, chosen: Tensor) -> Tensor
         fits: [T] of the text.
         chosen: [M] int64, the things that answer, M >= 1.
     """
-    levels = known.things.levels.long().cpu()
-    best = fits.argmax()
-    looks = torch.nn.functional.normalize(known.embeddings - known.embeddings.mean(0), dim=1)
-    near = fits[best] - fits <= FIT_SHARE * (fits[best] - fits.quantile(0.5))
-    alike = near & (looks @ looks[best] >= LEAST_LIKENESS) & known.usable
-    instances = (alike & (levels == levels[chosen[0]])).nonzero()[:, 0]
+    levels, embeddings = known.things.levels.long().cpu(), known.embeddings
+    usable = fits[known.usable]
+    best = torch.where(known.usable, fits, -torch.inf).argmax()
+    looks = torch.nn.functional.normalize(embeddings - embeddings[known.usable].mean(0), dim=1)
+    near = known.usable & (
+        fits[best] - fits <= FIT_SHARE * (fits[best] - usable.quantile(0.5)).clamp(min=1e-3)
+    )
+    # Where all things are nearly the same, what they differ by is noise.
+    alike = (looks @ looks[best] >= LEAST_LIKENESS) | (embeddings @ embeddings[best] >= SAME_LOOK)
+    instances = (near & alike & (levels == levels[chosen[0]])).nonzero()[:, 0]
     if not len(instances):
         return chosen[:1]
     return instances[fits[instances].argsort(descending=True, stable=True)]

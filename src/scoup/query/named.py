@@ -8,6 +8,7 @@ Presence has the odds of the photographs, times a power of the field's. Measured
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -113,9 +114,10 @@ def joined(
         return _chosen(choice, choice.things[mine >= TOGETHER * mine.max()], fits)
     usable = fits[known.usable]
     best = usable.max()
-    # A thing that fits like the median thing has e times fewer votes than one that fits best.
-    lowered = votes * ((fits - best).clamp(max=0) / (best - usable.median()).clamp(min=1e-6)).exp()
-    together = (lowered >= TOGETHER * lowered.max()) & (levels == levels[lowered.argmax()])
+    # A thing that fits like the median thing has e times fewer votes than one that fits best; as logarithms, because
+    # where most things fit alike, others have fewer than any number is small.
+    lowered = votes.log() + (fits - best).clamp(max=0) / (best - usable.median()).clamp(min=1e-6)
+    together = (lowered >= lowered.max() + math.log(TOGETHER)) & (levels == levels[lowered.argmax()])
     things = together.nonzero()[:, 0]
     return _chosen(choice, things[lowered[things].argsort(descending=True, stable=True)], fits)
 
@@ -129,12 +131,13 @@ def _chosen(choice: Choice, things: Tensor, fits: Tensor) -> Choice:
 def instances_of(known: ComparedTable, fits: Tensor, choice: Choice, named: Named | None) -> Tensor:
     """Return the things [I] int64 of the level of an answer to a text that are one instance each, best first.
 
-    By the votes where the model is sure of the text, else by the fits [T].
+    By the votes where the model is sure of the text and has seen it at this level, else by the fits [T].
     """
-    if named is None or not named.is_sure:
+    levels, mine = known.things.levels.cpu(), torch.zeros(1)
+    if named is not None and named.is_sure:
+        mine = torch.where(known.usable & (levels == levels[choice.things[0]]), named.votes, 0.0)
+    if mine.max() == 0:
         return find_instances(known, fits, choice.things)
-    levels = known.things.levels.cpu()
-    mine = torch.where(known.usable & (levels == levels[choice.things[0]]), named.votes, 0.0)
     instances = (mine >= TOGETHER * mine.max()).nonzero()[:, 0]
     return instances[mine[instances].argsort(descending=True, stable=True)]
 

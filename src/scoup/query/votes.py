@@ -24,6 +24,7 @@ from scoup.base.native import native_core
 from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import FieldCodes, GaussianCosines
 from scoup.query.question import Question
+from scoup.scene.codes import rows_of
 
 BINS = 100
 MOST_TEXTS, MOST_BYTES = 16, 192 << 20
@@ -129,7 +130,7 @@ class SampledVotes:
     def __init__(self, field: LanguageField, question: Question) -> None:
         rows = true_rows(field.coded())
         rows = rows[:: max(1, -(-len(rows) // MOST_SAMPLED))]
-        codes = FieldCodes(field.code_indices[rows], field.code_weights[rows], field.codebook)
+        codes = FieldCodes(rows_of(field.code_indices, rows), field.code_weights[rows], field.codebook)
         canonical = question.canonical.to(field.codebook.device)
         self._coded = codes.coded()
         self._cosines = GaussianCosines.of(codes, codes.inverse_norms(), canonical)
@@ -203,7 +204,8 @@ def plain_stretched_counts(values: Tensor, included: Tensor | None, share: float
         if ends.isfinite().all():
             # A little lower than needed, for rounding.
             counted = values_of_row[values_of_row >= low + (high - low) * share - 1e-6]
-            bins = torch.histc(rescale(counted, low, high).float(), BINS, 0, 1).double().cpu()
+            for part in rescale(counted, low, high).float().split(1 << 24):  # float32 counts no further
+                bins += torch.histc(part, BINS, 0, 1).double().cpu()
         spans.append(ends.cpu())
         counts.append(bins.long())
     if not counts:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,36 +154,11 @@ def float32_products(rows: Tensor, others: Tensor) -> Tensor:
     """Return [..., R, N]: ``rows`` [..., R, D] times the transposed ``others`` [..., N, D], with all bits of float32.
 
     That holds even if the user allows torch fewer bits on a GPU: similarities rounded to 10 bits of mantissa would
-    select other atoms.
+    select other atoms. There products are of float64; those that fields need are small.
     """
-    if rows.device.type != "cuda":
+    if rows.device.type == "cpu":
         return rows @ others.transpose(-1, -2)
-    with full_float32():
-        return rows @ others.transpose(-1, -2)
-
-
-@contextmanager
-def full_float32() -> Iterator[None]:
-    """Keep all bits of torch's float32 products on a GPU, whatever precision the user has set."""
-    matmul = torch.backends.cuda.matmul
-    if hasattr(matmul, "fp32_precision"):
-        # Since torch 2.9. The older functions raise an error once the user has set this attribute.
-        before = matmul.fp32_precision
-        if before != "tf32":
-            yield
-            return
-        matmul.fp32_precision = "ieee"
-        try:
-            yield
-        finally:
-            matmul.fp32_precision = before
-        return
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("highest")
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision(before)
+    return (rows.double() @ others.double().transpose(-1, -2)).float()
 
 
 def stable_products(rows: Tensor, others: Tensor) -> Tensor:

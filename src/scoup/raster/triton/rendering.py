@@ -153,9 +153,10 @@ def render_cosines_and_norms(
     table = torch.cat([scores, scores.new_ones(*scores.shape[:2], 1)], 2)
     shape = (levels, count + 1, projection.height, projection.width)
     found = _render_products(projection, indices, weights, codebook, table, shape, pixels_last=True)
-    sums = render_channels(projection, weights.to(projection.device).float().sum(-1))[0].permute(
-        2, 0, 1
-    )  # [S, H, W]
+    device = projection.device
+    counting = indices.to(device).long() < codebook.shape[1]
+    of_codes = (weights.to(device).float() * counting).sum(-1)
+    sums = render_channels(projection, of_codes)[0].permute(2, 0, 1)  # [S, H, W]
     shares = found[:, count]
     return found[:, :count].contiguous(), torch.where(shares > 0, sums / shares, 0.0)
 
