@@ -36,9 +36,6 @@ from benchmarks.query import Query
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
-from scoup.base.registry import Registry
-from scoup.extract.registry import EMBEDDERS, SEGMENTERS
-from scoup.models.entry import ModelEntry
 from scoup_lab.bench import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,32 +80,10 @@ def readme() -> str:
     return markdown(["mIoU", *columns], rows)
 
 
-def extraction() -> str:
-    """Return what each way of cutting photographs into masks finds, and its CPU time."""
-    names = {
-        "fast": "MobileSAM, preset `fast` (default on a CPU)",
-        "fast, 32 bits": "the same on a CPU without AVX-512 BF16",
-        "32 x 32 points, all": "MobileSAM, all 32 x 32 points",
-        "fast, SAM 2 tiny": "SAM 2 tiny, preset `fast`",
-    }
-    found = {row["way"]: row for row in record("extract")["rows"]}
-    rows = [
-        [title, *(f"{found[way][key]:.3f}" for key in ("things", "iou")), f"{found[way]['seconds']:.1f}"]
-        for way, title in names.items()
-    ]
-    return markdown(["masks", "objects with a region", "mean IoU", "CPU seconds per photograph"], rows)
-
-
 def single_steps() -> str:
     """Return the time of steps of scenes as large as LERF's."""
-    dense = record("embed")["rows"]["clip/dense"]
     build, query = record("lerf_sized"), record("query")["least"]
     rows = [
-        [
-            "embeddings, CLIP ViT-B/16, `dense:MODEL`",
-            f"{dense['regions']} regions of one photograph of 988 x 731",
-            f"{dense['cpu_seconds']:.1f} CPU s",
-        ],
         ["`scoup build`", "1M Gaussians, 200 views of 988 x 731", f"{build['total_s']:.0f} s, 2 threads"],
         [
             "`scoup query`, one text and view",
@@ -125,9 +100,9 @@ REAL_COLUMNS = {
     **{name: f"**{name}**" for name in ("table", "shelves", "hall", "yard")},
 }
 README_COLUMNS = {
-    "kitchen draws, desk's statistics": "simulated: kitchen, as desk",
-    "kitchen draws, CLIP's statistics": "kitchen, as CLIP",
-    "kitchen draws": "kitchen, as before",
+    "kitchen draws, desk's statistics": "simulated: kitchen, desk's statistics",
+    "kitchen draws, CLIP's statistics": "kitchen, CLIP's statistics",
+    "kitchen draws": "kitchen",
     "procedural": "procedural",
 }
 
@@ -149,25 +124,6 @@ def bench() -> str:
     return markdown(["Gaussians", "stage", *head], [*body.values()])
 
 
-def models(of: Registry[ModelEntry]) -> str:
-    """Return the table of segmenters or embedders, as `scoup extract --list` prints it."""
-    rows = [{**entry.cells(), "what it is": entry.help} for entry in of.values()]
-    return markdown(list(rows[0]), [list(row.values()) for row in rows], left=len(rows[0]))
-
-
-def scannet() -> str:
-    """Return mIoU by class on ScanNet's points: every system with its interval."""
-    rows = [
-        [
-            system,
-            f"{100 * of['overall']['mIoU']:.1f}",
-            "{:.1f} to {:.1f}".format(*(100 * end for end in of["intervals"]["mIoU"])),
-        ]
-        for system, of in record("eval-scannet")["systems"].items()
-    ]
-    return markdown(["ScanNet points, 19 classes", "mIoU", "95 % interval"], rows)
-
-
 STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
@@ -186,30 +142,31 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
 """Tables that a study makes of its record: the study, and the name of the record."""
 TABLES: dict[str, Callable[[], str]] = {
     "readme": readme,
-    "readme, extraction": extraction,
     "single steps": single_steps,
     "answers": lambda: answers(record, "answers", ("always", "peak")),
     "scales": lambda: scales(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
-    "scannet": scannet,
     "bench": bench,
-    "segmenters": lambda: models(SEGMENTERS),
-    "embedders": lambda: models(EMBEDDERS),
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""
 HIDDEN = {
-    "segmenters": "sam-vit-[bl]|sam2.1-(small|base-plus)",
     "extract": "at level [sml]",
     "bench": "100,000",
-    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|(right of|behind|under): .*",
+    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|bytes per .*|"
+    r"(right of|behind|under|near|between|inside): .*",
     "baselines": "visible-centre-pixel|top-contributors",
+    "real": "from 0.[235]",
+    "archive times": "150,062 .*|shell, help|write one scan|same texts again|"
+    "memory: (import of torch alone|shell, help)",
     "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",
-    "query": "location in the scene, (same text again|ten further .*)",
-    "viewer": "exported words.*|program, bytes",
+    "query": "location in the scene, (same text again|ten further .*)|relevancy, .*",
+    "photographs": "blurred of the chosen",
+    "scales": "scale 0.35",
+    "viewer": "exported words.*|program, bytes|scoup info, s",
 }
 """Headings and first cells of the columns and rows that only the record has."""
 

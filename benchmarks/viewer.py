@@ -205,7 +205,7 @@ def sent_bytes(path: Path) -> dict[str, float]:
         "program, bytes": page,
         "scene, bytes a Gaussian": scene / count,
         "query, bytes both ways": len(json.dumps(request)) + answer,
-        "exported page, bytes a Gaussian": report.n_bytes / count,
+        "exported page, bytes a Gaussian": report.bytes / count,
         "exported words": report.words,
         "exported words, bytes": report.words_bytes,
     }

@@ -2,8 +2,8 @@
 
     python examples/04_own_embeddings.py demo/scene red
 
-Put your segmenter and your image model in the place of ``tiles`` and ``describe``: any masks, any vectors of one
-length. Texts need vectors of the same kind; here a few colours serve as words.
+Replace ``tiles`` and ``describe`` by your segmenter and your image model: any masks, any vectors of one length.
+Texts need vectors of the same kind; here a few colours serve as words.
 """
 
 import sys

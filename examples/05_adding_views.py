@@ -1,4 +1,4 @@
-"""A field that grows: built from some views, then given the others one by one, and asked in between.
+"""Add views to a field: build it from some of them, add the others one by one, and ask in between.
 
     python examples/05_adding_views.py demo/scene demo/scene/text.npz teapot
 

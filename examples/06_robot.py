@@ -1,4 +1,4 @@
-"""Where is it, for a robot: position, size and score in the world, and in the frame of the camera that sees it best.
+"""Locate a thing for a robot: position, size and score in the world, and in the frame of the camera that sees it best.
 
     python examples/06_robot.py demo/demo.scoup demo/scene/text.npz teapot 0.25
 

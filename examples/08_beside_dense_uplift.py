@@ -1,8 +1,8 @@
-"""What sparse codes cost and keep, beside dense uplift of whole embeddings, from the same region sums.
+"""Compare sparse codes with dense uplift of whole embeddings, from the same region sums.
 
     python examples/08_beside_dense_uplift.py demo/scene demo/scene/text.npz teapot
 
-Dense uplift keeps the mean embedding of each Gaussian: D numbers a level. It is the reference for what codes lose.
+Dense uplift keeps the mean embedding of each Gaussian: D numbers per level. It is the reference for what codes lose.
 """
 
 import sys

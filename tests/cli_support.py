@@ -9,7 +9,6 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from subprocess import CompletedProcess
 from typing import Any
@@ -23,8 +22,6 @@ from scoup.io import save_gaussians, save_png, save_regions, write_colmap
 from scoup.models.word_table import load_table, save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.raster import render_colors
-from scoup.scene.cameras import Cameras
-from scoup.scene.regions import Regions
 from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
@@ -43,25 +40,16 @@ RUN = "from scoup.cli.app import entry; entry()"
 """The command line as a program."""
 
 
-def write_scene(folder: Path, count: int = 150, seed: int = 0, mark: str = "") -> Path:
-    """point_cloud.ply, renders of it as images, sparse/0, language_features and words.npz of a random scene; names of
-    views and words begin with the mark."""
+def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
+    """point_cloud.ply, renders of it as images, sparse/0, language_features and words.npz of a random scene."""
     gaussians, cameras, regions = small_scene(count, seed=seed)
-    if mark:
-        cameras = Cameras([replace(camera, name=mark + camera.name) for camera in cameras])
-        regions = Regions.from_maps(
-            {
-                mark + view: {level: regions.load(view, level) for level in regions.levels}
-                for view in regions.view_names
-            }
-        )
     save_gaussians(gaussians, folder / "point_cloud.ply")
     write_colmap(cameras, folder / "sparse" / "0")
     for camera in cameras:
         image = render_colors(gaussians, camera)
         save_png((image * 255).byte(), folder / "images" / camera.name, overwrite=True)
     save_regions(regions, folder / "language_features")
-    names = [*(mark + word for word in WORDS), *CANONICAL_PHRASES]
+    names = [*WORDS, *CANONICAL_PHRASES]
     vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))
     save_table(folder / "words.npz", names, vectors.numpy())
     return folder

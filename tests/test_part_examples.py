@@ -1,5 +1,5 @@
-"""The examples that build in parts, without the engines (tests/test_engines.py has Slurm and Ray), and the recipes for
-many scenes, with the tools that are installed."""
+"""The examples that build in parts, without the engines (tests/test_engines.py has Slurm and Ray), and the script for
+many scenes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ pytestmark = pytest.mark.usefixtures("quick_python")
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
-TOOLS = (ROOT / "docs" / "many_scenes.md").read_text().partition("## Other tools")[2]
-RECIPES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```$", TOOLS, re.M | re.S))
+(SLURM,) = re.findall(
+    r"^```bash\n(.*?)^```$", (ROOT / "docs" / "many_scenes.md").read_text(), re.MULTILINE | re.DOTALL
+)
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="there is no program make")
 SCOUP = """#!/bin/sh
 exec "$PYTHON" -c "from scoup.cli.app import entry; entry()" "$@"
@@ -115,29 +116,14 @@ def scenes(parts_folder: Path) -> None:
     Path("fields").mkdir()
 
 
-def check_fields() -> None:
-    for name in "ab":
-        assert run("info", f"fields/{name}.scoup")[0] == 0
-
-
-def test_the_page_has_the_recipes_that_are_tested() -> None:
-    assert list(RECIPES) == ["Make", "Slurm"]
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of Unix shells")
 def test_slurm_deals_scenes_out(scenes: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each task as Slurm would start it, without a GPU."""
-    script = RECIPES["Slurm"].replace(" --device cuda", "")
+    script = SLURM.replace(" --device cuda", "")
     monkeypatch.setenv("SLURM_ARRAY_TASK_COUNT", "2")
     for task, made in (("1", ["b.scoup"]), ("0", ["a.scoup", "b.scoup"])):
         monkeypatch.setenv("SLURM_ARRAY_TASK_ID", task)
         launched("bash", "-c", script)
         assert sorted(path.name for path in Path("fields").glob("*.scoup")) == made
-    check_fields()
-
-
-@needs_make
-def test_make_builds_all_scenes(scenes: None) -> None:
-    Path("Makefile").write_text(RECIPES["Make"])
-    launched("make", "--keep-going", "--jobs", "2")
-    check_fields()
+    for name in "ab":
+        assert run("info", f"fields/{name}.scoup")[0] == 0

@@ -12,8 +12,6 @@ import scoup
 from scoup.io import save_regions
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.answer_scene import answer_scene
-from scoup.query.question import encode_texts
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
@@ -75,10 +73,6 @@ SWAPPED: list[tuple[Callable[[Any], Any], str]] = [
     (lambda t: t.field.answer(t.cameras[0]), "expected a text, a list of texts, or vectors"),
     (lambda t: t.field.select(t.path, t.texts), "select: the argument reshaping is of type Question"),
     (lambda t: t.field.select(t.gaussians.opacities > 0.5), "got Tensor; a part of a field is field[mask]"),
-    (lambda t: answer_scene(t.field, ["kettle"]), "question is of type list, expected Question (the order is "  # type: ignore
-     "field, question); get one from field.question(texts)"),
-    (lambda t: answer_scene(t.texts, t.field), "answer_scene: the argument field is of type Question"),
-    (lambda t: encode_texts(t.field, t.encoder, ["kettle"]), "encode_texts: the argument encoder is of type"),
     (lambda t: api.project(t.cameras[0], t.gaussians), "project: the argument gaussians is of type Camera"),
     (lambda t: api.project(t.gaussians, t.cameras), "project: the argument camera is of type Cameras"),
 ]  # fmt: skip

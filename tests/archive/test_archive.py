@@ -1,4 +1,4 @@
-"""Archives: what answers in each scan is what its field answers, and files are replaced whole and never trusted."""
+"""Archives: what answers in each scan is what its field answers."""
 
 from __future__ import annotations
 
@@ -7,14 +7,8 @@ import json
 import os
 import re
 import shutil
-import sys
-import threading
-import time
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -24,60 +18,22 @@ import scoup
 from cli_support import refused, run, run_json
 from mask_samples import smooth_image
 from query import planted_room as planted
-from query.planted_room import ABSENT, ROOM, Box, planted_room
+from query.planted_room import ABSENT, planted_room
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
-from scoup.archive import kept_scans
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
-from scoup.archive.read_scans import ScanBlock, read_block, read_records
 from scoup.archive.results_page import results_page
-from scoup.archive.scan_files import ScanRecord
 from scoup.archive.search import ImageSearch, Search
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning, UnknownNameError
+from scoup.base.errors import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.field.language_field import LanguageField
 from scoup.models.image import open_image_model
-from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.query.presence import LIKELY
 from scoup.scene.names import NameTable
 from support import unit
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
-MODEL = "some/model"
-
-
-@pytest.fixture(scope="module")
-def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]:
-    """Saved fields of three rooms, of other things each: one has three mugs, one no mug and no laptop."""
-    folder = tmp_path_factory.mktemp("fields")
-    rooms = {
-        "office": ROOM,
-        "kitchen": (*ROOM, Box("mug", (-1, 0.7, 1.1), (0.2, 0.2, 0.2))),
-        "hall": tuple(box for box in ROOM if box.name not in ("mug", "laptop")),
-    }
-    # Words of one table, as embeddings of one model have.
-    encoder = planted_room().text_encoder()
-    assert encoder.names is not None
-    save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
-    made = {}
-    for name, room in rooms.items():
-        made[name] = field = planted_room(room)
-        assert field.thing_table is not None
-        names = [box.name for box in room] + [f"clutter {number}" for number in range(6)]
-        field.thing_table = replace(field.thing_table, embeddings=encoder.encode(names).half())
-        field.info = replace(field.info, embedding_model=MODEL, words=folder / "words.npz")
-        field.text_encoder(encoder)
-        field.save(folder / f"{name}.scoup")
-    return made
-
-
-@pytest.fixture
-def archive(fields: dict[str, LanguageField], tmp_path: Path) -> scoup.Archive:
-    made = scoup.Archive(tmp_path / "sc[an]*s")
-    for floor, field in enumerate(fields.values()):
-        made.add(field, floor=floor, city="Graz")
-    return made
 
 
 @pytest.mark.parametrize(
@@ -157,7 +113,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     archive.add(fields["hall"])
     assert field.thing_table is not None
     things = replace(fields["office"].thing_table or field.thing_table, names=names_of(votes, presence))
-    field.thing_table, field.info = things, replace(field.info, embedding_model=MODEL)
+    field.thing_table, field.info = things, replace(field.info, embedding_model="some/model")
     field.text_encoder(table)
     field.save(tmp_path / "named.scoup")
     archive.add(field)
@@ -212,193 +168,12 @@ def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, 
         archive.find("mug", where=where)
 
 
-def test_a_scan_is_replaced_and_removed(
-    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
-    before = archive.find("mug")
-    archive.add(fields["office"], floor=7)
-    assert archive.scans()["office"].columns == {"floor": 7}
-    assert [each.thing for each in archive.find("mug")] == [each.thing for each in before]
-    archive.remove("office")
-    assert {each.scan for each in archive.find("mug")} == {each.scan for each in before} - {"office"}
-    assert sorted(path.name for path in archive.folder.iterdir()) == [
-        "archive.json",
-        "hall.parquet",
-        "kitchen.parquet",
-    ]
-    with pytest.raises(UnknownNameError, match="no scan named 'ofice'"):
-        archive.remove("ofice")
-    copy = tmp_path / "hall.scoup"
-    fields["hall"].save(copy)
-    fields["hall"].path = archive.scans()["hall"].field_path
-    with pytest.raises(InputError, match=r"is of .*rename one"):
-        archive.add(copy)
-
-
-def test_what_has_not_changed_is_read_once(
-    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read: list[list[str]] = []
-
-    def reading(records: Sequence[ScanRecord], connection: Any) -> ScanBlock:
-        read.append([record.name for record in records])
-        time.sleep(0.1)  # other threads wait
-        return read_block(records, connection)
-
-    monkeypatch.setattr(kept_scans, "read_block", reading)
-    run_threads([partial(archive.find, "mug", where) for where in (None, "floor = 1", None)])
-    archive.add(fields["hall"], floor=7)
-    archive.find("mug")
-    archive.remove("kitchen")
-    archive.find("mug")
-    assert read == [["hall", "kitchen", "office"], ["hall"]]
-
-
-def test_what_was_read_of_many_scans_is_kept(
-    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(kept_scans, "LEAST_KEPT", 1)
-    kept, wanted = archive.folder / kept_scans.KEPT, [each.to_dict() for each in archive.find("mug")]
-    read: list[int] = []
-    monkeypatch.setattr(
-        kept_scans, "read_block", lambda *given: read.append(len(given[0])) or read_block(*given)
-    )
-
-    def found() -> list[dict[str, Any]]:
-        return [each.to_dict() for each in scoup.Archive(archive.folder).find("mug")]
-
-    assert (found(), read) == (wanted, [])
-    for damage in (lambda: flipped(kept, 5000), lambda: flipped(kept, 9), lambda: kept.write_bytes(b"")):
-        damage()
-        assert (found(), read.pop()) == (wanted, 3)
-        assert (found(), read) == (wanted, [])
-    monkeypatch.setattr(kept_scans, "VERSION", 9)
-    assert (found(), read.pop()) == (wanted, 3)
-    size = kept.stat().st_size
-    archive.remove("hall")
-    assert found() == [each for each in wanted if each["scan"] != "hall"]
-    assert kept.stat().st_size < size
-    archive.add(fields["office"], floor=9)
-    assert {each["columns"]["floor"] for each in found()} == {1, 9}
-    assert (read, kept.stat().st_size < size) == ([1], True)
-    warm = scoup.Archive(archive.folder)
-    assert warm.find("mug")
-    kept.unlink()
-    kept.mkdir()  # cannot be written
-    assert ({each["scan"] for each in found()}, read) == ({"kitchen", "office"}, [1, 2])
-    for name in ("kitchen", "office"):
-        archive.remove(name)
-    assert (warm.find("mug"), found()) == ([], [])
-
-
-def run_threads(calls: Sequence[Callable[[], Any]]) -> None:
-    threads = [threading.Thread(target=call, daemon=True) for call in calls]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-
-
-def flipped(path: Path, place: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[place] ^= 1
-    path.write_bytes(data)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no file that is open")
-def test_threads_ask_while_scans_are_removed_and_replaced(
-    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(kept_scans, "LEAST_KEPT", 1)
-    files = sorted(archive.folder.glob("*.parquet"))[:2]
-    contents = [file.read_bytes() for file in files]
-    done, errors = threading.Event(), list[Exception]()
-
-    def ask() -> None:
-        try:
-            while not done.is_set():
-                for found in (archive.find("lamp"), archive.find("lamp", "floor < 9"), archive.scans()):
-                    assert found
-        except Exception as error:
-            errors.append(error)
-
-    def replace_files() -> None:
-        try:
-            for file, content in [*zip(files, contents, strict=True)] * 100:
-                file.unlink()
-                time.sleep(0.003)
-                new = archive.folder / ".new"
-                new.write_bytes(content)
-                new.replace(file)
-                time.sleep(0.003)
-        finally:
-            done.set()
-
-    run_threads([ask] * 4 + [replace_files])
-    assert errors == []
-    assert {each.scan for each in archive.find("lamp")} == set(fields)
-
-
-def test_scans_are_listed_again_if_one_has_gone(
-    archive: scoup.Archive, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gone = ["office"]
-
-    def reading(files: Sequence[Path], connection: Any) -> list[ScanRecord]:
-        while gone:
-            (archive.folder / f"{gone.pop()}.parquet").unlink()
-        return read_records(files, connection)
-
-    monkeypatch.setattr(kept_scans, "read_records", reading)
-    assert set(archive.scans()) == {"hall", "kitchen"}
-    gone.append("hall")
-    assert {each.scan for each in archive.find("mug")} == {"kitchen"}
-
-
-def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
-    paths = [str(field.path) for field in fields.values()] * 2
-    run_threads([lambda path=path: scoup.Archive(tmp_path / "a").add(path) for path in paths])
-    assert set(scoup.Archive(tmp_path / "a").scans()) == set(fields)
-
-
-def test_what_does_not_fit_is_refused(
-    archive: scoup.Archive, fields: dict[str, LanguageField], tmp_path: Path
-) -> None:
-    field = planted_room()
-    with pytest.raises(InputError, match="is not saved"):
-        archive.add(field)
-    for change, said in (
-        ({"embedding_model": "other/model"}, "other/model .*some/model .*archive per embedding model"),
-        ({"embedding_model": MODEL}, ""),
-    ):
-        field.info = replace(field.info, **change)
-        field.save(tmp_path / "new.scoup", overwrite=True)
-        if said:
-            with pytest.raises(InputError, match=said):
-                archive.add(field)
-        else:
-            archive.add(field)
-    for columns in ({"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}):
-        with pytest.raises(InputError, match="column"):
-            archive.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
-    bare = planted_room(has_things=False)
-    bare.save(tmp_path / "bare.scoup")
-    with pytest.raises(InputError, match="has no things"):
-        archive.add(bare)
-    with pytest.raises(InputError, match="`top`"):
-        archive.find("mug", top=0)
-    with pytest.raises(InputError, match="dimensions"):
-        scoup.Archive(archive.folder, TextEncoder.open({"mug": torch.ones(5)})).find("mug")
-    with pytest.raises(InputError, match="there is no such archive"):
-        scoup.Archive(tmp_path / "nothing").find("mug")
-
-
 def test_a_field_that_left_or_changed_answers_no_phrase(
     fields: dict[str, LanguageField], tmp_path: Path
 ) -> None:
     archive, path = scoup.Archive(tmp_path / "a"), tmp_path / "moved.scoup"
     field = planted_room()
-    field.info = replace(field.info, embedding_model=MODEL, words=fields["office"].info.words)
+    field.info = replace(field.info, embedding_model="some/model", words=fields["office"].info.words)
     field.save(path)
     archive.add(path)
     assert archive.find("mug left of the laptop")
@@ -427,6 +202,22 @@ def test_a_page_has_no_pictures_of_what_is_gone(fields: dict[str, LanguageField]
     assert ("<img" not in page, page.count("<li>"), "<h1>&lt;mug&gt;</h1>" in page) == (True, 2, True)
 
 
+def test_other_words_give_the_answers_of_the_fields(
+    archive: scoup.Archive, fields: dict[str, LanguageField]
+) -> None:
+    """Statistics of the words that were known when scans were added are not used for others."""
+    known = fields["office"].text_encoder()
+    assert known.names is not None
+    names = [name for name in known.names if name != "word 3"]
+    fewer = dict(zip(names, known.encode(names), strict=True))
+    found = scoup.Archive(archive.folder, fewer).find("mug", where="scan = 'office'")
+    field = LanguageField.load(archive.scans()["office"].field_path)
+    field.text_encoder(fewer)
+    assert [(each.thing, each.score) for each in found] == [
+        (thing.number, thing.score) for thing in field.things("mug")
+    ]
+
+
 def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("transformers", reason="transformers is not installed")
     from tiny_models import saved, tiny_clip
@@ -452,6 +243,11 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
         found = archive.find_image(f"{thing}.png", top=3)
         assert (found[0].thing, len(found), found[0].text) == (thing, 3, f"{thing}.png")
         assert found[0].score == pytest.approx(1, abs=2e-3)
+        with Image.open(f"{thing}.png") as opened:
+            by_pixels = [
+                each.to_dict() | {"text": found[0].text} for each in archive.find_image(opened, top=3)
+            ]
+        assert by_pixels == [each.to_dict() for each in found]
     assert [each.thing for each in archive.find_image(f"{BALL}.png", "thing > 3", 1)] == [BALL]
     assert archive.find_image(f"{LAMP}.png", "floor = 2") == []
     save_table("words.npz", encoder.names or (), encoder.encode(encoder.names or ()).numpy())
@@ -502,90 +298,6 @@ def test_an_image_needs_an_embedder_of_images(
         archive.find_image(path, top=0)
 
 
-def cut(data: bytes) -> bytes:
-    return data[: len(data) // 2]
-
-
-def other_parquet(column: str) -> Callable[[Path], None]:
-    """Rewrite a scan with a column changed, and its metadata as they were."""
-
-    def change(path: Path) -> None:
-        import duckdb
-
-        connection = duckdb.connect()
-        (metadata,) = connection.execute(f"SELECT value FROM parquet_kv_metadata('{path}')").fetchone() or (
-            b"",
-        )
-        connection.execute(f"CREATE TABLE t AS SELECT * {column} FROM read_parquet('{path}')")
-        text = metadata.decode().replace("'", "''")
-        connection.execute(f"COPY t TO '{path}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})")
-
-    return change
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda path: path.write_bytes(b""),
-        lambda path: path.write_bytes(cut(path.read_bytes())),
-        lambda path: path.write_bytes(path.read_bytes().replace(b'"levels": ["m"]', b'"levels": ["z"]')),
-        lambda path: path.write_bytes(path.read_bytes().replace(b'"scoup scan"', b'"scoup scar"')),
-        lambda path: path.write_bytes(path.read_bytes().replace(b'"version": 1', b'"version": 9')),
-        other_parquet("EXCLUDE (vector)"),
-        other_parquet("REPLACE (vector[:5] AS vector)"),
-        other_parquet("REPLACE ([NULL] AS vector)"),
-        other_parquet("REPLACE (thing + 1 AS thing)"),
-        other_parquet("REPLACE (999 AS parent)"),
-        other_parquet("REPLACE ('NaN'::FLOAT AS hub)"),
-        other_parquet("REPLACE (-1 AS gaussians)"),
-        other_parquet("REPLACE (NULL AS gaussians)"),
-        other_parquet("REPLACE ('text' AS stability)"),
-        other_parquet("REPLACE ([1.0, 2.0] AS position)"),
-        other_parquet("REPLACE ([{'thing': 99999, 'gaussians': 1}] AS shares)"),
-    ],
-)
-def test_a_damaged_scan_is_named_and_replaced(
-    archive: scoup.Archive, fields: dict[str, LanguageField], damage: Callable[[Path], Any]
-) -> None:
-    damage(archive.folder / "office.parquet")
-    with pytest.raises(FileFormatError, match=r"office\.parquet: .*; (add its field again|update it)"):
-        scoup.Archive(archive.folder).find("mug")
-    archive.add(fields["office"])
-    assert "office" in {each.scan for each in archive.find("mug")}
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{}", "does not describe"),
-        ("[1]", "does not describe"),
-        ('{"format": "x"}', "does not describe"),
-        (None, "no such file"),
-    ],
-)
-def test_a_damaged_description_is_named(archive: scoup.Archive, text: str | None, said: str) -> None:
-    path = archive.folder / "archive.json"
-    path.unlink() if text is None else path.write_text(text)
-    with pytest.raises(FileFormatError, match=rf"archive\.json: .*{said}"):
-        scoup.Archive(archive.folder)
-
-
-def test_other_words_give_the_answers_of_the_fields(
-    archive: scoup.Archive, fields: dict[str, LanguageField]
-) -> None:
-    """Statistics of the words that were known when scans were added are not used for others."""
-    known = fields["office"].text_encoder()
-    assert known.names is not None
-    names = [name for name in known.names if name != "word 3"]
-    fewer = dict(zip(names, known.encode(names), strict=True))
-    found = scoup.Archive(archive.folder, fewer).find("mug", where="scan = 'office'")
-    field = LanguageField.load(archive.scans()["office"].field_path)
-    field.text_encoder(fewer)
-    assert [(each.thing, each.score) for each in found] == [
-        (thing.number, thing.score) for thing in field.things("mug")
-    ]
-
-
 def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     paths = [field.path for field in fields.values()]
@@ -605,13 +317,8 @@ def test_the_verb(fields: dict[str, LanguageField], tmp_path: Path, monkeypatch:
     links = [os.path.relpath(exported) + f"#thing={each.thing}" for each in mugs if each.scan == "kitchen"]
     assert re.findall('href="(.*?)"', page) == links
     assert "exists" in refused("archive", "a", "mug", "--page", "found.html")
-    assert "--page" in refused("archive", "a", "--list", "--page", "b.html")
     code, out, _ = run("archive", "a", ABSENT)
     assert (code, out) == (0, f"{ABSENT}: nothing found\n")
     assert "kitchen: 16 things of" in run("archive", "a", "--list")[1]
-    assert "pass one of" in refused("archive", "a", "mug", "--list")
-    assert "different names" in refused("archive", "a", "--add", paths[0], paths[0])
-    assert "NAME=VALUE" in refused("archive", "a", "--add", paths[0], "--set", "floor")
-    assert "--top" in refused("archive", "a", "mug", "--top", "0")
     assert len(run_json("archive", "a", "--remove", "hall")["scans"]) == 2
-    assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == MODEL
+    assert json.loads(Path("a/archive.json").read_text())["embedding_model"] == "some/model"

@@ -203,9 +203,10 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "indices": (lambda: vote_round(INDICES.astype(np.uint16)), "^indices must be"),
     "weights": (lambda: vote_round(weights=WEIGHTS[1:]), "^weights must be"),
     "no k": (lambda: vote_round(INDICES[:, :, :0].copy(), WEIGHTS[:, :, :0]), "k at least 1"),
-    "earlier atom": (lambda: vote().deviations((INDICES + 1, *DEVIATING[1:]), 0, 2, 1), ""),
-    "earlier rows": (lambda: vote().deviations((INDICES[1:], *DEVIATING[1:]), 0, 2, 1), ""),
-    "earlier levels": (lambda: vote().deviations((*DEVIATING[:2], np.ones(2, np.float32)), 0, 2, 1), ""),
+    "earlier atom": (lambda: vote().deviations((INDICES + 1, *DEVIATING[1:]), 0, 2, 1), "atom 8 of 8"),
+    "earlier rows": (lambda: vote().deviations((INDICES[1:], *DEVIATING[1:]), 0, 2, 1), "^earlier indices must be"),
+    "earlier levels": (lambda: vote().deviations((*DEVIATING[:2], np.ones(2, np.float32)), 0, 2, 1),
+                       "^sharpness must be"),
 }  # fmt: skip
 
 

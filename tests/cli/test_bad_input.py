@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -190,6 +191,16 @@ def test_an_extraction_that_fails_at_once_leaves_nothing():
     free = (*FREE, "--out", "regions/of/it")
     assert "none of the 4 photographs could be read" in refused("extract", "scene", *free)
     assert not Path("regions").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of Unix")
+def test_a_photograph_that_is_a_named_pipe_is_skipped() -> None:
+    image = Path("scene/images/view_00.png")
+    image.unlink()
+    os.mkfifo(image)
+    code, _, err = run("extract", "scene", *FREE, "--out", "regions")
+    assert code == 0
+    assert "view_00.png: is a named pipe (FIFO), not an image" in err
 
 
 def outside_transforms(path: str) -> None:

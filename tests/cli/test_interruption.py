@@ -16,6 +16,7 @@ from children import child, finished
 from cli_support import BUILD, FREE, RUN, plain_photographs, printed, refused, run, run_json
 from scoup.base.atomic import reserved_output
 from scoup.base.locks import locked
+from scoup.cli.stop import stop_on_signals
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.regions.store import RegionStore
 
@@ -216,8 +217,9 @@ except KeyboardInterrupt as stop:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("count", [40, 160, 640, 1200])
+@pytest.mark.parametrize(("number", "count"), [
+    (signal.SIGINT, 40), (signal.SIGTERM, 160), (signal.SIGINT, 640), (signal.SIGTERM, 1200)
+])  # fmt: skip
 def test_a_stop_while_libraries_are_imported_is_quiet(number: int, count: int) -> None:
     arguments = ("query", "f.scoup", "kettle", "--out", "answers")
     done = finished([PYTHON, "-c", AT_AN_IMPORT, int(number), count, *arguments])
@@ -237,6 +239,11 @@ def test_a_stop_during_an_import_waits_where_an_output_is_begun(number: int) -> 
 
 def test_who_ignores_interruptions_still_does() -> None:
     """As jobs in the background of a shell."""
-    program = "import signal; signal.signal(2, signal.SIG_IGN); from scoup.cli.stop import stop_on_signals; "
-    program += "stop_on_signals(); print(signal.getsignal(2) is signal.SIG_IGN)"
-    assert finished([sys.executable, "-c", program], check=True).stdout == "True\n"
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        stop_on_signals()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

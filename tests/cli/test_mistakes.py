@@ -156,6 +156,7 @@ MISTAKES: dict[str, list[tuple[str, str]]] = {
     ],
     "label blind.scoup kettle --text scene/words.npz": [("--outputs maps", "contains no cameras")],
     "catalog f.scoup": [("--up 0 0 0", "not all 0")],
+    "catalog blind.scoup --text scene/words.npz": [("", "contains no things")],
     f"extract scene {FREE}": [
         ("--max-height -1", "--max-height"), ("--points-per-side 0", "points_per_side"),
         (f"--out r --embedder {PLY}", "it is a file; pass a folder with config.json"),
@@ -214,9 +215,34 @@ MISTAKES: dict[str, list[tuple[str, str]]] = {
         ("mug scans", "mug: there is no such archive; add fields first"),
         ("scene mug", "scene: contains no scan; add fields first"),
         ("scans mug --top 0", "--top must be 1 or more, got 0"),
+        ("scans mug --list", "scans: pass one of TEXT, --image, --add, --remove and --list"),
+        ("scans --list --page b.html", "--page is for TEXT and --image"),
+        ("scans mug --set floor=2", "--set is for --add"),
+        ("scans --add f.scoup --set floor", "--set floor: expected NAME=VALUE"),
+        ("scans --add f.scoup f.scoup", "expected .scoup files with different names"),
+        ("scans --image a.png --presence 0.5", "--at-least and --presence are for texts"),
+    ],
+    "view f.scoup": [
+        ("--export page.txt", "page.txt: expected a name that ends in .html"),
+        ("--export f.scoup", "expected a name that ends in .html"),
+        ("--split", "--split belongs to --export"),
+        ("--port 70000", "--port must be 0 to 65535"),
+    ],
+    "words": [
+        ("--out words.json", "words.json: tables are written as .npz"),
+        (f"--model {TABLE}", "words.npz: is a word table, not a model; pass the model that made it"),
+        ("--words none.txt", "none.txt: there is no such file (a list of words was expected)"),
+        ("--words scene", "scene: is a folder, not a list of words"),
+    ],
+    "compare f.scoup": [
+        ("f.scoup --transform scene/README.txt", "scene/README.txt: its content"),
+        ("no.scoup", "no.scoup: there is no such file"),
     ],
     "mcp f.scoup": [
-        ("--http 70000", "--http must be a port"),
+        ("f.scoup", "expected .scoup files with different names"),
+        ("--out f.scoup", "f.scoup: is a file; name a folder"),
+        ("--words list.txt", "no text embedding named 'dragon'"),
+        ("--http 70000", "--http must be 0 to 65535"),
         ("--archive scans", "scans: there is no such archive; add fields first"),
         ("--text scene/README.txt", "scene/README.txt: is not a table of text embeddings; pass"),
     ],
@@ -304,7 +330,7 @@ def mistaken(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_inria_cameras(load_cameras("scene"), "trained/cameras.json")
         contents = {
             "scene/README.txt": "A scene of a kettle and a mug.\n", "file": "precious", "a.xyz": "x",
-            "empty.txt": "\n", "phrase.txt": "mug\nmug on the kettle\n",
+            "empty.txt": "\n", "list.txt": "dragon\n", "phrase.txt": "mug\nmug on the kettle\n",
             **{name: content for name, (content, _) in UNREAD.items()},
         }  # fmt: skip
         for name in ("d.scoup", "empty", "list", "cut", "object"):

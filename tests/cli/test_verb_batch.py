@@ -8,7 +8,6 @@ import socket
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from cli_support import FREE, QUICK, refused, run, run_json, write_scene
 from scoup.field.language_field import LanguageField
@@ -56,16 +55,18 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     assert len(run_json("archive", "archive", "--list")["scans"]) == 3
 
 
-def test_regions_are_extracted_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("skimage", reason="scikit-image is not installed (pip install 'scoup[segment]')")
+def test_builds_get_the_options_that_were_passed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path / "scans" / "a")
-    shutil.rmtree("scans/a/language_features")
-    for path in Path("scans/a/images").iterdir():  # noise of fewer pixels has fewer regions
-        Image.open(path).resize((20, 15)).save(path)
-    said = run_json("batch", "scans", "--out", "fields", *FREE, *QUICK)
-    assert said["failed"] == []
-    assert Path("scans/a/language_features").is_dir()
+    Path("scans/a").mkdir(parents=True)
+    seen: dict[str, list[str]] = {}
+    monkeypatch.setattr(
+        "scoup.cli.batch._in_processes", lambda commands, jobs: iter(seen.update(commands) or ())
+    )
+    passed = [*FREE, "--embed-geometry", *QUICK]
+    run_json("batch", "scans", "--out", "fields", *passed)
+    start, rest = seen["a"][:4], seen["a"][4:]
+    assert start == ["build", "scans/a", "--out", "fields/a.scoup"]
+    assert sorted(rest) == sorted([*passed, "--device", "cpu", "--overwrite", "--json"])
 
 
 def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import WORDS, printed, refused, run, run_json
+from cli_support import WORDS, printed, run, run_json
 from scoup.field.language_field import LanguageField
 from scoup.models.word_table import load_table, save_table
 
@@ -57,13 +57,6 @@ def test_names_out_of_a_list_are_escaped():
     assert {row["name"] for row in rows} <= {"", "<script>alert(1)</script>", "'=1+1", "'@SUM(1)"}
     assert all(not row["other names"].startswith(("=", "@")) for row in rows)
     assert any(float(row["x"]) < 0 for row in rows)  # a number stays one
-
-
-def test_a_field_without_things_is_refused():
-    field = LanguageField.load("f.scoup")
-    field.thing_table = None
-    field.save("bare.scoup")
-    assert "contains no things" in refused("catalog", "bare.scoup", "--out", "c")
 
 
 def test_select_takes_phrases():

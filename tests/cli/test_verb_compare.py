@@ -62,13 +62,10 @@ def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) 
     assert seen == [(), ("lantern",)]
 
 
-def test_refusals() -> None:
-    Path("t.txt").write_text("1 2 3")
-    assert "t.txt: its content" in refused("compare", "old.scoup", "new.scoup", "--transform", "t.txt")
+def test_a_splat_that_has_moved_is_named_by_the_option_of_its_capture() -> None:
     moved = planted_room()
     moved.geometry_path = Path("gone.ply")
     moved.save("moved.scoup")
     for captures, option in (("old", "moved"), "--new-gaussians"), (("moved", "old"), "--gaussians"):
         said = refused("compare", *(f"{name}.scoup" for name in captures))
         assert f"say where it is now with {option}" in said
-    assert "no.scoup: there is no such file" in refused("compare", "old.scoup", "no.scoup")

@@ -35,11 +35,9 @@ REFUSED = {
     "a lone surrogate": (call(7, r'"\ud800"'), 7, INVALID),
     "an id of a lone surrogate": (call("\ud800", '"mug"'), None, INVALID),
     "deep": (call("a", "[" * 500 + "]" * 500), "a", INVALID),
-    "deeper": (call("a", "[" * 50_000 + "]" * 50_000), None, INVALID),
     "deeper than Python's stack": ("[" * 30_000 + "]" * 30_000, None, PARSE),
     "a batch": (f"[{SECOND}]", None, INVALID),
     "no method": ('{"jsonrpc": "2.0", "id": true}', None, INVALID),
-    "ten megabytes": (call(9, json.dumps("a" * 10_000_000)), None, INVALID),
 }
 
 

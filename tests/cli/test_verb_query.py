@@ -12,10 +12,9 @@ import pytest
 import torch
 from PIL import Image
 
-from cli_support import add_words, printed, refused, run, run_json, snapshot
+from cli_support import add_words, printed, refused, run, run_json
 from scoup.io import write_colmap
 from scoup.models.word_table import load_table, save_table
-from scoup.pictures import mask_overlay
 from scoup.scene.cameras import Cameras
 from support import make_camera
 
@@ -168,24 +167,6 @@ def test_cameras_of_another_scene():
 def test_geometry_that_moved_is_named():
     shutil.move("scene/point_cloud.ply", "elsewhere.ply")
     assert run_json("query", "f.scoup", "kettle", "--gaussians", "elsewhere.ply")["answers"]
-
-
-def test_a_failure_half_way_leaves_all_as_it_was(monkeypatch):
-    ask = ("query", "f.scoup", "--camera", "view_00", "--camera", "view_01", "--pictures", "all")
-    run_json(*ask, "kettle")
-    before = snapshot(Path())
-    overlay, drawn = mask_overlay, []
-
-    def failing(*arguments):
-        drawn.append(arguments)
-        if len(drawn) == 3:
-            raise OSError(28, "No space left on device")
-        return overlay(*arguments)
-
-    monkeypatch.setattr("scoup.query.view_answer.mask_overlay", failing)
-    code, out, err = run(*ask, "mug", "kettle", "--overwrite")
-    assert (code, out, len(err.splitlines())) == (2, "", 1)
-    assert snapshot(Path()) == before
 
 
 def test_the_table_named_on_the_command_line_wins():

@@ -63,8 +63,7 @@ def test_one_picture_by_its_name():
     assert (pixels("deep/a.png") == pixels("all/view_01.png")).all()
 
 
-@pytest.mark.parametrize("name", ["turn.webp", "turn.gif"])
-@pytest.mark.parametrize("plain", [True, False])
+@pytest.mark.parametrize(("name", "plain"), [("turn.webp", True), ("turn.gif", False)])
 def test_an_animation(name, plain):
     shown = ("--plain",) if plain else ("--what", "relevancy", "--query", "kettle")
     film = ("--camera", "all", "--out", name, "--frames-per-second", "5")

@@ -14,32 +14,22 @@ from query.conftest import Queried
 from scoup.base.errors import InputError
 from scoup.query.answer import Answer, RunnerUp
 from scoup.query.answer_scene import answer_scene
-from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.view_answer import ViewAnswer
 from scoup.query.votes import select_each
 
 
 @pytest.mark.parametrize("threshold", [0.5, None])
 def test_answers_of_the_votes(voted: Queried, threshold: float | None) -> None:
-    """The selected Gaussians, of what is not below the threshold of presence."""
     field, question = voted.field, replace(voted.texts, threshold=threshold)
     found = list(select_each(field, question))
-    answers = answer_scene(field, question)
-    bound = sorted(answer.score or 0 for answer in answers)[5]
-    judged = answer_scene(field, replace(question, present_from=bound))
-    for each, answer, other in zip(found, answers, judged, strict=True):
+    for each, answer in zip(found, answer_scene(field, question), strict=True):
         assert answer.mask.equal(each.mask)
         assert answer.relevancy().equal(each.relevancy)
         assert (answer.level, answer.threshold) == (field.levels[each.level], each.threshold)
         assert (answer.presence, answer.things, answer.runner_up) == (True, (), None)
-        is_there = (answer.score or 0) >= bound and int(each.mask.sum()) >= LEAST_GAUSSIANS
-        assert (other.presence, other.score, other.level) == (is_there, answer.score, answer.level)
-        assert other.mask.equal(each.mask & is_there)
-        record = json.loads(json.dumps(other.to_dict(), allow_nan=False))
-        assert (record["present"], record["gaussians"]) == (is_there, int(other.mask.sum()))
+        record = json.loads(json.dumps(answer.to_dict(), allow_nan=False))
+        assert record["gaussians"] == int(each.mask.sum())
         assert record["threshold"] == pytest.approx(each.threshold, abs=1e-3)
-        assert record["certainty"] == other.certainty
-    assert 0 < sum(answer.presence for answer in judged) < len(judged)
 
 
 def test_what_is_absent_has_neither_mask_nor_point(queried: Queried) -> None:

@@ -135,6 +135,7 @@ def test_parts_that_change_while_a_value_is_made_leave_nothing() -> None:
 def test_a_view_keeps_what_further_questions_reuse(
     field: LanguageField, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    field.code_weights = field.code_weights.clone()  # those of other tests stay as they are
     view, queries, canonical = field.at(0), random_vectors(12, 16), random_vectors(3, 16, seed=1)
     view.relevancy(queries[:1], canonical)
     known = view.cache.get(PixelCosines, field.parts())

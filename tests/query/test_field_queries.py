@@ -19,8 +19,6 @@ from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.answer_scene import answer_scene
-from scoup.query.presence import PRESENT_FROM
-from scoup.query.question import Question, encode_texts
 from scoup.query.view_answer import ViewAnswer
 from support import altered
 
@@ -30,25 +28,6 @@ def assert_same_answer(first: ViewAnswer, second: ViewAnswer) -> None:
     assert first.main_parts.equal(second.main_parts)
     assert first.heat.equal(second.heat)
     assert first.to_dict() == second.to_dict()
-
-
-def test_a_query_is_what_the_command_line_answers(queried: Queried, table: dict[str, Tensor]) -> None:
-    field, camera = queried.field, queried.camera
-    texts = encode_texts(TextEncoder.open(table), field, ["word 3", "word 7"]).with_everyday()
-    question = Question.from_vectors(texts, present_from=PRESENT_FROM)
-    expected = [answer.in_view(camera) for answer in answer_scene(field, question)]
-    found = field.at(camera.name).answer(field.question(["word 3", "word 7"], encoder=table))
-    assert isinstance(found, list)
-    for one, other in zip(found, expected, strict=True):
-        assert_same_answer(one, other)
-        assert one.score is not None
-    alone = field.at(0).answer("word 3")  # the encoder is kept
-    torch.testing.assert_close(alone.heat, expected[0].heat, atol=1e-5, rtol=0)
-    again = field.at(camera).answer("word 3")
-    torch.testing.assert_close(again.heat, alone.heat, atol=1e-5, rtol=0)
-    assert (alone.text, alone.view) == ("word 3", camera.name)
-    assert alone.source is not None
-    assert alone.source.colors().shape == (*alone.mask.shape, 3)
 
 
 def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, Tensor]) -> None:

@@ -95,6 +95,8 @@ def test_phrases_within_expressions(words, texts) -> None:
     [
         ("mug near p and near q", "mug near p and mug near q"),
         ("what is on p and near q", "what is on p and what is near q"),
+        ("mug near p or near q and not near r", "mug near p or (mug near q and not mug near r)"),
+        ("mug near p or cup near q - near r", "(mug near p or cup near q) and not cup near r"),
         ("mug and not near p and between p and q", "mug and not mug near p and mug between p and q"),
         ("how many mugs and cups", "mugs or cups"),
         ("how many mugs and cups on p", "mugs on p or cups on p"),
@@ -105,7 +107,7 @@ def test_phrases_within_expressions(words, texts) -> None:
         ("how many cups and mugs near p and not near q", "cups or (mugs near p and not mugs near q)"),
     ],
 )
-def test_and_joins_relations_of_a_thing_and_things_of_a_count(text: str, said: str) -> None:
+def test_operators_join_relations_of_a_thing_and_things_of_a_count(text: str, said: str) -> None:
     found = parse_expression(text)
     assert parse_expression(str(found)) == found
     assert found == parse_expression(text.removeprefix("how many ")).as_count() or not found.counted

@@ -28,7 +28,7 @@ def test_fields_and_what_they_answer(field: LanguageField, copied: Callable[[Any
     field.at(0).answer("word 3")
     other = copied(field)
     assert other.location("word 3").to_dict() == expected
-    assert len(other.cache) == 4  # its own comparison of things, question, answer and place
+    assert len(other.cache) == 4  # its own comparison of things with words and the text, question and answer
     assert field.cameras is not None
     assert other.cameras.names == field.cameras.names
     question = field.question(["word 1", "word 2"], threshold=0.6)

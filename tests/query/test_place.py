@@ -202,7 +202,11 @@ def test_quantiles_of_many_things_are_those_of_sorted_values(
     weights = random.integers(0, 4, starts[-1]).astype(np.float64)  # sums are exact
     weights[starts[:-1][np.array(sizes) > 0]] += 1
     shares = [0.0, 0.02, 0.5, 1.0]
-    found = PointSets(values, weights, starts).quantiles(shares)
+    points = PointSets(values, weights, starts)
+    found = points.quantiles(shares)
+    assert np.array_equal(
+        points.quantiles(shares, np.tile(np.eye(3), (len(sizes), 1, 1))), found, equal_nan=True
+    )
     for thing, (first, last) in enumerate(pairwise(starts)):
         for axis in range(3):
             order = np.argsort(values[first:last, axis])

@@ -18,7 +18,7 @@ from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
 from scoup.query.answer_scene import answer_scene
 from scoup.query.matching import compare_things
-from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, NullScores, other_words, presence_threshold
+from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, TextScore, other_words, presence_threshold
 from scoup.query.question import Question
 from scoup.query.votes import SampledVotes, select_each
 from support import examples, unit
@@ -29,7 +29,7 @@ from support import examples, unit
 def test_the_score_is_the_share_of_words_that_fit_worse(words: list[tuple[int, bool]], fit: int) -> None:
     best_fits = torch.tensor([float(value) for value, _ in words])
     counted = [value for value, counts in words if counts]
-    found = NullScores(best_fits, torch.tensor([counts for _, counts in words], dtype=torch.bool))(fit)
+    found = TextScore(best_fits, torch.tensor([counts for _, counts in words], dtype=torch.bool))(fit)
     assert found == (sum(value < fit for value in counted) / len(counted) if counted else None)
 
 

@@ -113,9 +113,14 @@ def test_look_at_puts_the_target_in_the_middle():
     eye, target = [1.0, -2.0, 1.5], [0.1, 0.2, 0.8]
     camera = Camera.look_at(eye, target, "a.png", 40, 30, 35.0)
     assert camera.position.tolist() == pytest.approx(eye)
-    x, y, z, _ = (camera.viewmat @ torch.tensor([*target, 1.0], dtype=torch.float64)).tolist()
-    assert (x, y) == pytest.approx((0, 0), abs=1e-12)
-    assert z == pytest.approx(((torch.tensor(eye) - torch.tensor(target)) ** 2).sum().sqrt().item())
+    way = torch.tensor(target) - torch.tensor(eye)
+    points = (
+        torch.tensor(eye) + torch.tensor([[1.0], [-1.0], [0.1]]) * way + torch.tensor([[0.0], [0.0], [1.0]])
+    )
+    pixels, depths = camera.pixels(points)
+    assert pixels[0].tolist() == pytest.approx((20, 15), abs=1e-4)
+    assert depths[:2].tolist() == pytest.approx([float(way.norm()), -float(way.norm())])
+    assert camera.shows(points).tolist() == [True, False, False]  # behind it, and beside its image
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (35, 35, 20, 15)
 
 

@@ -430,18 +430,12 @@ CONTRASTS = """() => {
     const [low, high] = [luminance(a), luminance(b)].sort((x, y) => x - y);
     return (high + 0.05) / (low + 0.05);
   };
-  const isPage = (element) => element === document.body || element === document.documentElement;
-  // Where something lies half-transparent on the picture, black and white may be under it.
-  const ground = (element) => parts(getComputedStyle(element).backgroundColor);
-  const behind = (element, base, onPicture) => {
+  const behind = (element, base) => {
     const layers = [];
-    for (let at = element; at && !(onPicture && isPage(at)); at = at.parentElement) layers.unshift(ground(at));
+    for (let at = element; at !== document.body; at = at.parentElement) {
+      layers.unshift(parts(getComputedStyle(at).backgroundColor));
+    }
     return layers.reduce((under, layer) => over(layer, under), base);
-  };
-  const overPicture = (element) => {
-    let at = element;
-    while (at && ground(at)[3] < 1) at = at.parentElement;
-    return !at || isPage(at);
   };
   const faint = (element) => {
     let opacity = 1;
@@ -455,11 +449,10 @@ CONTRASTS = """() => {
     if (!element.checkVisibility({checkOpacity: true, checkVisibilityCSS: true})) return;
     const size = parseFloat(style.fontSize);
     const needed = size >= 24 || (size >= 18.66 && Number(style.fontWeight) >= 700) ? 3 : 4.5;
-    const onPicture = overPicture(element) && document.querySelector("canvas") !== null;
-    const bases = onPicture ? [[0, 0, 0, 1], [255, 255, 255, 1]] : [[255, 255, 255, 1]];
     const ink = parts(style.color);
     ink[3] *= faint(element);
-    const grounds = bases.map((base) => behind(element, base, onPicture));
+    // Where something lies half-transparent on the picture, black and white may be under it.
+    const grounds = [0, 255].map((grey) => behind(element, [grey, grey, grey, 1]));
     const least = Math.min(...grounds.map((under) => ratio(over(ink, under), under)));
     found.push({text: text.trim().slice(0, 60), tag: element.tagName, id: element.id, ratio: least, needed});
   };

@@ -18,7 +18,6 @@ from browser_support import (
     ALIKE,
     AUTOMATIC,
     CONTRASTS,
-    DIM,
     MIXED,
     Visit,
     both_pages,
@@ -27,17 +26,13 @@ from browser_support import (
     places_in,
     render,
     selected_by_votes,
-    things_field,
     views,
     visiting,
 )
 from PIL import Image
 
 import scoup
-from io_samples import some_regions
-from scoup.uplift.build import BuildSettings
 from scoup.view.viewed_field import ViewedField
-from scoup.view.viewer import Viewer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -288,24 +283,3 @@ def test_every_text_can_be_read(browser: Browser, live: str, scheme: str):
         assert faint == []
     seen = {text["text"] for texts in states for text in texts}
     assert {"Keys and gestures", "kettle, mug", "closed", "Heat", "Something went wrong."} <= seen
-
-
-@pytest.mark.usefixtures("few_candidates")
-def test_cameras_that_were_chosen_for_a_splat_are_bookmarks(
-    browser: Browser, saved: Path, tmp_path: Path
-) -> None:
-    gaussians = things_field().gaussians
-    chosen = scoup.choose_cameras(gaussians, width=400, height=300, count=3, up=(0, 0, 1))
-    scoup.save_views(gaussians, chosen, tmp_path)
-    cameras = scoup.load_cameras(tmp_path)
-    field = scoup.build(gaussians, cameras, some_regions(cameras, DIM), BuildSettings(n_atoms=8))
-    viewed = ViewedField(field, str(saved.with_name("words.npz")))
-    with Viewer(viewed, port=0) as viewer, visiting(browser, viewer.address) as visit:
-        visit.tab("View")
-        for camera in cameras:
-            visit.page.get_by_role("button", name=camera.name).wait_for()
-        visit.page.get_by_role("button", name="own_002.png").click()
-        visit.until("window.scoupViewer.state().camera === 'own_002.png'")
-        visit.settle()
-        assert difference(visit.picture(), render(viewed, camera=cameras[2])) < ALIKE
-        assert difference(visit.picture(), render(viewed, camera=cameras[0])) > 3 * ALIKE

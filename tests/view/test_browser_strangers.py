@@ -78,18 +78,6 @@ def test_nothing_else_is_handed_out(viewer: Viewer, path: str):
     assert (status, bool(sentence)) == (404, True)
 
 
-def test_giant_messages_are_refused_at_once(viewer: Viewer):
-    giant = json.dumps({"texts": ["kettle"], "more": "x" * 20_000_000}).encode()
-    try:
-        status, said = refusal(ask(viewer, "POST", "/api/query", giant))
-    except ConnectionError:
-        pass  # it hung up before all was sent
-    else:
-        assert status == 413
-        assert "bytes" in said
-    assert ask(viewer, "GET", "/api/alive")[0] == 204
-
-
 @contextmanager
 def another_site() -> Iterator[str]:
     """Address of an empty page."""

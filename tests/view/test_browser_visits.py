@@ -5,10 +5,7 @@ from __future__ import annotations
 import io
 import re
 import shlex
-import signal
-import sys
 from pathlib import Path
-from subprocess import STDOUT
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,12 +26,10 @@ from browser_support import (
 from PIL import Image
 
 import scoup
-from children import child
-from cli_support import RUN, run_json
+from cli_support import run_json
 from scoup.pictures.colors import Picture
 from scoup.scene.cameras import Camera
 from scoup.view.exact import PictureMode
-from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 
 if TYPE_CHECKING:
@@ -283,34 +278,6 @@ def test_what_is_copied_does_what_is_seen(
     assert torch.equal(without.gaussians.means, viewed.gaussians.means[~both])
 
 
-def test_a_folder_works_without_a_network(browser: Browser, viewed: ViewedField, tmp_path: Path):
-    export_page(viewed, tmp_path / "page", split=True)
-    with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
-        visit.ask("book")
-        assert np.ptp(patches(visit.picture())["book"], 1).max() > 50
-        assert "kettle" in visit.click(places_in()["kettle"])
-
-
-def test_from_the_command_line_to_its_end(browser: Browser, saved: Path):
-    field = saved
-    words = str(field.with_name("words.npz"))
-    command = [sys.executable, "-c", RUN, "view", str(field), "--text", words, "--port", "0"]
-    with child(command, stderr=STDOUT) as process:
-        assert process.stdout is not None
-        address = re.search(r"http://\S+", process.stdout.readline())
-        assert address is not None
-        with visiting(browser, address[0]) as visit:
-            visit.ask("kettle")
-            process.send_signal(signal.SIGINT)
-            assert process.wait() == 0
-            dialog = visit.page.get_by_role("alertdialog")
-            dialog.wait_for()
-            assert "The server was closed. Start it again: scoup view" in dialog.inner_text()
-            assert str(field) in dialog.inner_text()
-            assert visit.problems  # requests that nobody answers
-            visit.problems.clear()
-
-
 @pytest.mark.parametrize("same", [True, False])
 def test_the_page_goes_on_when_its_server_is_back_with_its_field(
     browser: Browser, viewed: ViewedField, same: bool
@@ -325,6 +292,7 @@ def test_the_page_goes_on_when_its_server_is_back_with_its_field(
         first.close()
         dialog = visit.page.get_by_role("alertdialog")
         dialog.wait_for()
+        assert f"The server was closed. Start it again: scoup view {viewed.path}" in dialog.inner_text()
         with opened(viewed if same else other, port=port):
             if same:
                 dialog.wait_for(state="hidden")

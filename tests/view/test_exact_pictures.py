@@ -13,7 +13,7 @@ from scoup.pictures import as_picture
 from scoup.pictures.overlays import heat_overlay, texts_overlay
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.view.exact import LARGEST_SIDE, PictureMode, PictureRequest, what_is_at
+from scoup.view.exact import LARGEST_SIDE, PictureMode, what_is_at
 from scoup.view.viewed_field import ViewedField
 from support import make_camera, unit
 
@@ -92,13 +92,13 @@ def test_the_next_camera_gets_its_own_picture(viewed: ViewedField, camera: Camer
 
 def test_requests_out_of_range_are_refused(viewed: ViewedField, camera: Camera) -> None:
     with pytest.raises(InputError, match="color, heat, mask, codes"):
-        PictureRequest(camera, "depth")  # pyright: ignore[reportArgumentType]
+        viewed.picture(camera, "depth")  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="needs a text"):
-        PictureRequest(camera, "mask")
+        viewed.picture(camera, "mask")
     with pytest.raises(InputError, match="expected 2 colors, got 1"):
-        PictureRequest(camera, "mask", viewed.field.answer(["thing 1", "thing 2"]), [BLUE])
+        viewed.picture(camera, "mask", ["thing 1", "thing 2"], [BLUE])
     with pytest.raises(InputError, match=f"{LARGEST_SIDE} pixels"):
-        PictureRequest(make_camera(LARGEST_SIDE + 1, 1))
+        viewed.picture(make_camera(LARGEST_SIDE + 1, 1))
 
 
 def test_what_is_at_a_pixel_is_what_a_render_of_codes_says(viewed: ViewedField, camera: Camera) -> None:

@@ -51,7 +51,7 @@ def test_one_file_holds_everything(viewed: ViewedField, tmp_path: Path) -> None:
     out = tmp_path / "scene.html"
     report = export_page(viewed, out)
     text = out.read_text()
-    assert report.n_bytes == out.stat().st_size
+    assert report.bytes == out.stat().st_size
     assert report.words == len(WORDS)
     data = page_data(out)
     tensors, metadata = unpacked(base64.b64decode(data["scene"]))
@@ -84,7 +84,7 @@ def test_a_folder_holds_the_same(viewed: ViewedField, tmp_path: Path) -> None:
     out = tmp_path / "page"
     report = export_page(viewed, out, split=True)
     assert sorted(path.name for path in out.iterdir()) == sorted(FOLDER_FILES)
-    assert report.n_bytes == sum(path.stat().st_size for path in out.iterdir())
+    assert report.bytes == sum(path.stat().st_size for path in out.iterdir())
     index = (out / "index.html").read_text()
     assert re.findall(r'src="([^"]*)"', index) == ["scene.js", "words.js", "thumbnails.js", "things.js"]
     scene = data_of((out / "scene.js").read_text(), "window.scoupData.scene")
@@ -101,7 +101,7 @@ def test_a_large_scene_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.M
     report = export_page(viewed, tmp_path / "page", split=True)
     names = (*FOLDER_FILES, "part_0.js", "part_1.js")
     assert sorted(path.name for path in (tmp_path / "page").iterdir()) == sorted(names)
-    assert report.n_bytes == sum(path.stat().st_size for path in (tmp_path / "page").iterdir())
+    assert report.bytes == sum(path.stat().st_size for path in (tmp_path / "page").iterdir())
     assert (
         "part_0" not in (tmp_path / "page" / "index.html").read_text()
     )  # which loads it when the first is shown

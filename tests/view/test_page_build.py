@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-import browser_support
 import pytest
 from tools import build_viewer
 from tools.build_viewer import FILES, Npm, PageError
@@ -166,16 +165,6 @@ def test_types_are_looked_at_where_there_is_npm(
     monkeypatch.setattr(build_viewer, "find_npm", lambda: None)
     assert build_viewer.main(["--check"]) == 0
     assert "there is no npm" in capsys.readouterr().out
-
-
-def test_where_a_browser_is_required_none_is_a_failure(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(browser_support, "program", lambda: None)
-    monkeypatch.delenv("SCOUP_TEST_BROWSER", raising=False)
-    with pytest.raises(pytest.skip.Exception, match="no Chromium"):
-        browser_support.need_browser()
-    monkeypatch.setenv("SCOUP_TEST_BROWSER", "required")
-    with pytest.raises(pytest.fail.Exception, match="no Chromium"):
-        browser_support.need_browser()
 
 
 def test_an_old_node_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

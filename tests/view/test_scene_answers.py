@@ -20,10 +20,10 @@ from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.votes import level_thresholds
 from scoup.scene.things import NO_THING, TENSORS, ThingTable
-from scoup.view.scene_answers import VERDICT, PageAnswer
+from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField
-from scoup.view.vocabulary import read_words, vocabulary_answers, words_data
+from scoup.view.vocabulary import read_words, words_data
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def selected(viewed: ViewedField, answer: PageAnswer, level: int, threshold: flo
     relevancy = viewed.field.gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
     low, high = answer.spans[level].tolist()
     rescaled = ((relevancy - low) / max(high - low, 1e-9)).clamp(0, 1)
-    return (rescaled > threshold) & viewed.codes.coded()[level]
+    return (rescaled > threshold) & viewed.field.coded_levels()[level]
 
 
 def verdict(answer: Answer | PageAnswer) -> dict[str, object]:
@@ -72,18 +72,6 @@ def members(viewed: ViewedField, things: list[int] | None) -> torch.Tensor:
     return torch.isin(viewed.field.thing_table.owners, torch.tensor(things)).any(1)
 
 
-def test_things_level_presence_and_gaussians_are_those_of_select(of_things: ViewedField) -> None:
-    for answer in of_things.answers(WORDS):
-        texts = of_things.question([answer.text])
-        wanted = answer_scene(of_things.field, texts)[0]
-        assert of_things.field.levels[answer.level] == wanted.level
-        assert verdict(answer) == verdict(wanted)
-        anyway = answer_scene(of_things.field, of_things.question([answer.text], always=True))[0]
-        assert answer.chosen_things == list(anyway.things)
-        assert torch.equal(members(of_things, answer.chosen_things), anyway.mask)
-        assert json.loads(json.dumps(answer.to_dict()))["chosen_things"] == answer.chosen_things
-
-
 def test_an_expression_is_present_where_the_page_has_things_to_draw(of_things: ViewedField) -> None:
     for text, things in (("thing 7 and thing 1", []), ("thing 7 and not thing 1", [7])):
         answer = of_things.answers([text])[0]
@@ -92,7 +80,7 @@ def test_an_expression_is_present_where_the_page_has_things_to_draw(of_things: V
 
 def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> None:
     for answer in of_things.answers(WORDS):
-        for level, chosen in enumerate(answer.things):
+        for level, chosen in [(None, answer.chosen_things), *enumerate(answer.things)]:
             question = of_things.question([answer.text], always=True, level=level)
             wanted = answer_scene(of_things.field, question)[0]
             assert chosen == list(wanted.things)
@@ -217,11 +205,6 @@ def test_where_no_gaussian_has_a_code_nothing_is_infinite_in_the_record() -> Non
     )
 
 
-def test_unknown_words_are_named(viewed: ViewedField) -> None:
-    with pytest.raises(UnknownNameError, match="thing 77"):
-        viewed.answers(["thing 77"])
-
-
 def test_the_vocabulary_is_the_table_without_its_phrases_or_a_list(
     viewed: ViewedField, tmp_path: Path
 ) -> None:
@@ -249,10 +232,7 @@ class _Model:
 
 def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     texts = viewed.question(WORDS)
-    seen: list[int] = []
-    answers = vocabulary_answers(viewed.field, texts, lambda stage, done, total: seen.append(done))
-    assert seen[0] == 0
-    assert seen[-1] == len(WORDS)
+    answers = list(scene_answers(viewed.field, texts))
     tensors, metadata = unpacked(words_data(viewed.field, answers))
     assert metadata["names"] == list(WORDS)
     assert tensors["scores"].shape == (len(WORDS), 2, 9)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cli_support import RUN, refused, run, write_scene
+from cli_support import run, write_scene
 from query.planted_room import CLUTTER, ROOM, planted_room
 from query.test_named import BALL, LAMP, MUG, named_room
+from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import Archive
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.facts import read_facts
@@ -44,10 +44,10 @@ def tools(folder: Path) -> SceneTools:
     return SceneTools({"f": LanguageField.load(folder / "f.scoup")}, folder / "out", 0.5)
 
 
-@pytest.mark.parametrize("words", [None, ("lamp", "mug", "laptop")])
-def test_page_catalogue_and_agents_give_things_one_name(words: tuple[str, ...] | None) -> None:
+@pytest.mark.parametrize("words", [(), ("lamp", "mug", "laptop")])
+def test_page_catalogue_and_agents_give_things_one_name(words: tuple[str, ...]) -> None:
     field = named_room({"ball": {LAMP: 0.5}, "pen": {MUG: 0.01}, "Tiffany": {BALL: 0.6}})
-    every = naming_question(field, words or ())
+    every = naming_question(field, words)
     places = [
         {thing.number: thing.text for thing in field.catalog(every).things},
         {row["number"]: row["name"] or "" for row in ViewedField(field, words=words).things()},
@@ -198,12 +198,13 @@ MISTAKES: list[tuple[str, dict[str, Any], str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.usefixtures("quick_python")
-def test_the_server_speaks_to_the_official_client(folder: Path):
+def test_the_server_speaks_to_the_official_client(tools: SceneTools, folder: Path):
     mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
-    Archive(folder / "archive").add(folder / "f.scoup", floor=2)
-    arguments = ["-c", RUN, "mcp", str(folder / "f.scoup"), "--archive", str(folder / "archive")]
-    server = mcp.StdioServerParameters(command=sys.executable, args=arguments)
+    from scoup.view.mcp_server import make_server
+
+    archive = Archive(folder / "archive")
+    archive.add(folder / "f.scoup", floor=2)
+    server = make_server(SceneTools(tools.fields), [archive_tool(archive)])
 
     async def talk() -> list[Any]:
         async with mcp.Client(server) as client:
@@ -234,7 +235,7 @@ def test_the_server_speaks_to_the_official_client(folder: Path):
     expected = LanguageField.load(folder / "f.scoup").things("how many kettles")
     assert json.loads(found.content[0].text)["count"] == len(expected)
     assert [text.removeprefix("Error executing tool ") for text in said] == [text for _, _, text in MISTAKES]
-    kettles = Archive(folder / "archive").find("kettle")
+    kettles = archive.find("kettle")
     records = json.loads(archived.content[0].text)["things"]
     assert [{**each, "field": str(folder / "f.scoup")} for each in records] == [
         each.to_dict() for each in kettles
@@ -259,11 +260,3 @@ def test_errors_name_no_folders(tools: SceneTools, folder: Path):
 
     said = anyio.run(talk)
     assert said == "Error executing tool broken: a.ply: is not f.scoup, and/or https://a.b/c/d"
-
-
-def test_what_cannot_be_served_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(folder)
-    assert "different names" in refused("mcp", "f.scoup", "f.scoup")
-    assert "f.scoup: is a file; name a folder" in refused("mcp", "f.scoup", "--out", "f.scoup")
-    Path("list.txt").write_text("dragon\n")
-    assert "no text embedding named 'dragon'" in refused("mcp", "f.scoup", "--words", "list.txt")

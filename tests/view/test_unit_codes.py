@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from view_samples import DIM, random_field
 
 from scoup.field.relevancy import relevancy
+from scoup.scene.code_sums import code_scores
 from scoup.view.unit_codes import UnitCodes, atom_scores
 from support import examples, unit
 
@@ -24,11 +25,12 @@ def test_cosines_are_those_of_the_field(count: int, seed: int, n_atoms: int, k: 
     queries = unit(torch.randn(3, DIM, generator=torch.Generator().manual_seed(seed)))
     canonical = unit(torch.randn(2, DIM, generator=torch.Generator().manual_seed(seed + 1)))
     codes = UnitCodes.of(field)
-    found = relevancy(
-        codes.cosines(atom_scores(field, queries)), codes.cosines(atom_scores(field, canonical))
+    of_queries, of_canonical = (
+        code_scores(codes.indices, codes.weights, atom_scores(field, vectors)).permute(1, 2, 0)
+        for vectors in (queries, canonical)
     )
+    found = relevancy(of_queries, of_canonical)
     torch.testing.assert_close(found, field.gaussian_relevancy(queries, canonical), atol=2e-5, rtol=0)
-    assert torch.equal(codes.coded(), (field.code_weights > 0).any(-1).T)
 
 
 def test_confidence_is_one_where_all_regions_agree_and_less_the_more_they_differ() -> None:

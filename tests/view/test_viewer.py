@@ -68,16 +68,6 @@ def test_a_port_in_use_is_named_or_another_is_taken() -> None:
         Viewer(viewed_field(), host="no such host", port=0)
 
 
-def test_beyond_loopback_the_address_holds_a_token() -> None:
-    with Viewer(viewed_field(), host="0.0.0.0", port=0) as viewer:
-        port, token = viewer.address.rsplit(":", 1)[1].split("/")[:2]
-        assert len(token) >= 32
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/{token}/api/alive") as answer:
-            assert answer.status == 204
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(f"http://127.0.0.1:{port}/api/alive")
-
-
 def test_a_field_opens_its_viewer() -> None:
     with random_field().view(table(), words=["thing 3"], height=300) as viewer:
         assert 'height="300"' in viewer._repr_html_()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Callable
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import Any
 
-from scoup.archive.archive import Archive, FoundThing
+from PIL import Image
+
+from scoup.archive.archive import Archive
 from scoup.base.errors import InputError
+from scoup.io.images import ANY_PIXELS
 from scoup.models.text import LONGEST
 
 MOST_FOUND = 200
@@ -46,7 +48,7 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
             if image is None:
                 found = archive.find(text, where, limit, at_least)
             else:
-                found = _found_like(image, archive, where, limit)
+                found = archive.find_image(_decoded(image), where, limit)
         records = [each.to_dict() for each in found]
         for record in records:
             del record["field"]  # a path of this machine
@@ -55,13 +57,14 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
     return find_in_archive
 
 
-def _found_like(image: str, archive: Archive, where: str | None, limit: int) -> list[FoundThing]:
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "image")
-        try:
-            path.write_bytes(base64.b64decode(image, validate=True))
-            return archive.find_image(path, where, limit)
-        except ValueError as error:  # of base64, or of Scoup
-            if isinstance(error, InputError) and getattr(error, "path", None) != path:
-                raise
-            raise InputError("`image` is not a JPEG or PNG; pass a picture in base64") from error
+def _decoded(picture: str) -> Image.Image:
+    """Return a picture in base64 that a stranger has sent."""
+    try:
+        data = io.BytesIO(base64.b64decode(picture, validate=True))
+        with Image.open(data, formats=("JPEG", "PNG")) as image:
+            if image.width * image.height > ANY_PIXELS:
+                raise ValueError("it claims more pixels than so few bytes can contain")
+            image.load()
+            return image
+    except Exception as error:  # damaged images raise nearly everything inside Pillow
+        raise InputError("`image` is not a JPEG or PNG; pass a picture in base64") from error

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
 from torch import Tensor
 
 from scoup.archive.kept_scans import KeptScans, file_of, scan_names
@@ -67,7 +69,7 @@ class FoundThing:
     thing: int
     """Its number in the field of the scan (``Thing.number``)."""
     text: str
-    """The text that it answers, or the name of the image."""
+    """The text that it answers, or the name of the image's file."""
     level: str
     """Name of its level."""
     score: float | None
@@ -250,13 +252,15 @@ class Archive:
         enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
         return [found for each in enough[:top] for _, found in each]
 
-    def find_image(self, image: str | Path, where: str | None = None, top: int = 20) -> list[FoundThing]:
+    def find_image(
+        self, image: str | Path | Image.Image, where: str | None = None, top: int = 20
+    ) -> list[FoundThing]:
         """Return the things of all scans that look most like an image, best first; their score is the cosine with it.
 
         Whether any shows the same is not judged.
 
         Args:
-            image: a file, of one object, as large as the picture if possible.
+            image: a file or an image of Pillow, of one object, as large as the picture if possible.
             where: as of ``find``.
             top: most things.
 
@@ -266,8 +270,13 @@ class Archive:
         """
         if top < 1:
             raise InputError(f"`top` must be 1 or more, got {top}")
-        search = ImageSearch(Path(image).name, self._embedded(Path(image)))
-        return self._best(search, self._wanted(where), top)
+        if isinstance(image, Image.Image):
+            name, pixels = "image", _pixels(image)
+        else:
+            name = Path(image).name
+            with open_image(Path(image)) as opened:
+                pixels = _pixels(opened)
+        return self._best(ImageSearch(name, self._embedded(pixels)), self._wanted(where), top)
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
         """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
@@ -355,16 +364,12 @@ class Archive:
             self._cached = encoder, lru_cache(ENCODED)(encoder.encode)
         return self._cached[1]
 
-    def _embedded(self, image: Path) -> Tensor:
-        """Return the vector [D] of an image by the embedding model of the archive."""
-        from PIL import ImageOps
-
+    def _embedded(self, pixels: NDArray[np.uint8]) -> Tensor:
+        """Return the vector [D] of an image [H, W, 3] by the embedding model of the archive."""
         from scoup.extract.masks import Masks
         from scoup.extract.pipeline import embed_masks
         from scoup.extract.registry import open_embedder
 
-        with open_image(image) as opened:
-            pixels = np.array(rgb_image(ImageOps.exif_transpose(opened)))
         about = self._about()
         if not about:
             raise InputError(f"{self.folder}: contains no scan; add fields")
@@ -459,6 +464,11 @@ def _found(asked: Asked, wanted: dict[str, set[int]] | None) -> Iterator[tuple[f
             record.name, number, text, level, score, position, box, int(scan.counts[number]), record.columns,
             record.field_path,
         )  # fmt: skip
+
+
+def _pixels(image: Image.Image) -> NDArray[np.uint8]:
+    """Return [H, W, 3] of an image, the right way up."""
+    return np.array(rgb_image(ImageOps.exif_transpose(image)))
 
 
 def _embeddings(model: str, dim: int) -> str:

@@ -24,7 +24,7 @@ from scoup.query.expression import Expression, parse_expression
 from scoup.query.matching import ComparedTable, compared_words, hub_cosines
 from scoup.query.named import Named, choose, instances_of, joined_presence, named_texts
 from scoup.query.phrases import texts_of
-from scoup.query.presence import NullScores, is_present, other_words, presence_threshold
+from scoup.query.presence import TextScore, is_present, other_words, presence_threshold
 from scoup.query.question import Question, make_question, near_names, text_vectors
 from scoup.scene.names import number_of
 from scoup.scene.things import ThingTable
@@ -136,7 +136,7 @@ class AskedScan:
     scan: Scan
     known: ComparedTable
     fits: Tensor  # [T, Q]
-    scores: list[NullScores]  # Q
+    scores: list[TextScore]  # Q
     named: list[Named | None]  # Q
 
     @classmethod
@@ -152,16 +152,17 @@ class AskedScan:
             scan.compared[search.digest] = compared
         known, best_fits = compared
         fits = known.fits(search.question.queries.float().cpu())
-        scores = [NullScores(best_fits[: len(others)], others) for others in search.others]
         named = named_texts(scan.table, replace(search.question, near=search.near(scan.record)))
+        scores = [
+            TextScore(best_fits[: len(others)], others, name)
+            for others, name in zip(search.others, named, strict=True)
+        ]
         return cls(search, scan, known, fits, scores, named)
 
     def rank(self, thing: int, text: str) -> tuple[float | None, float]:
         """Return the score of a thing for a text, and its rank among the things of all scans."""
         number = self.search.question.texts.index(text)
-        fit, named = float(self.fits[thing, number]), self.named[number]
-        score = self.scores[number](fit)
-        score = score if named is None else named.score(score, thing)
+        score = self.scores[number](float(self.fits[thing, number]), thing)
         known = torch.tensor(math.nan if score is None else score, dtype=torch.float64)
         return score, float(rank_of(known, self._leads[thing, number]))
 
@@ -193,7 +194,6 @@ class AskedScan:
                 continue
             named, size = self.named[number], int(self.known.counts[choice.things].sum())
             score = self.scores[number](choice.fit)
-            score = score if named is None else named.score(score)
             things = choice.things
             if self.search.expression.counted:
                 things = instances_of(self.known, self.fits[:, number], choice, named)

@@ -18,7 +18,6 @@ _MADE_BY = {
     "LanguageField": "scoup.LanguageField.load(path), or scoup.build",
     "RegionSums": "scoup.region_sums(gaussians, cameras, regions)",
     "TextEncoder": "scoup.TextEncoder.open(model_or_table)",
-    "Question": "field.question(texts)",
 }
 """Type -> what gives one."""
 

@@ -196,7 +196,8 @@ def write_text(path: str | Path, text: str, overwrite: bool = False, wait: float
 class _Output(io.BufferedIOBase):
     """An empty file to fill. A write that the system refuses is a WriteError.
 
-    It has no ``fileno`` on purpose: libraries would write past it, and say of a full disk whatever they like.
+    It has no ``fileno`` on purpose: libraries would write past it, and say of a full disk whatever they like. It is not
+    an ``io.BufferedWriter``, because numpy before 1.25 takes it that these have one.
     """
 
     def __init__(self, path: Path) -> None:

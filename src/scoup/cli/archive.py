@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
+from scoup.base.atomic import check_output, write_text
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.options import (
     Model,
@@ -67,7 +69,6 @@ class SearchArchive(WritesCommon):
     def run(self, console: Console) -> None:
         """Add, remove, list, search."""
         from scoup.archive.archive import Archive
-        from scoup.base.errors import InputError
 
         is_search = self.question is not None or self.image is not None
         changes = bool(self.add), bool(self.remove), self.list_scans
@@ -94,8 +95,6 @@ class SearchArchive(WritesCommon):
         return _list(archive, console, self.list_scans)
 
     def _search(self, archive: Archive, console: Console) -> None:
-        from scoup.base.atomic import check_output, write_text
-
         if self.page is not None:
             check_output(self.page, self.overwrite)
         question = str(self.image or self.question)
@@ -116,8 +115,6 @@ class SearchArchive(WritesCommon):
         )
 
     def _found(self, archive: Archive) -> list[FoundThing]:
-        from scoup.base.errors import InputError
-
         if self.image is None:
             assert self.question is not None
             return archive.find(self.question, self.where, self.top, self.at_least, self.presence)
@@ -128,8 +125,6 @@ class SearchArchive(WritesCommon):
 
 def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:
     """Return NAME=VALUE as columns; what reads as a number is one."""
-    from scoup.base.errors import InputError
-
     columns: dict[str, str | int | float] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")

@@ -18,10 +18,13 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 
 import tyro
 
+from scoup.base.atomic import reserved_output, write_text
 from scoup.base.counts import counted
+from scoup.base.errors import InputError, MissingFileError, ScoupError
+from scoup.base.html import page, shown
 from scoup.cli.build_options import BuildOptions
 from scoup.cli.console import Console, with_options
-from scoup.cli.options import Model, OptionalPath, OptionalText, OptionGroups, arg
+from scoup.cli.options import Model, OptionalPath, OptionalText, OptionGroups, arg, check_number
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
@@ -41,7 +44,7 @@ class Batch(BuildOptions):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "scan": "model segmenter embedder jobs ray",
+        "scan": "jobs ray",
         "output": "out archive text",
     }
 
@@ -58,21 +61,12 @@ class Batch(BuildOptions):
     ray: Annotated[OptionalText, arg(metavar="ADDRESS")] = None
     """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
     nodes need scoup, and this folder, SCANS and --out under the same paths."""
-    model: OptionalText = None
-    """Model of the region embeddings, as for scoup build."""
-    segmenter: OptionalText = None
-    """Segmenter for scans without regions, as for scoup extract."""
-    embedder: OptionalText = None
-    """Embedder for scans without regions, as for scoup extract."""
 
     def run(self, console: Console) -> int:
         """Build what is missing, add it to the archive, report."""
         from scoup.archive.archive import Archive
-        from scoup.base.atomic import reserved_output
-        from scoup.base.errors import InputError, ScoupError
 
-        if self.jobs < 1:
-            raise InputError(f"--jobs must be 1 or more, got {self.jobs}")
+        check_number("--jobs", self.jobs, 1)
         if self.ray is not None and self.jobs != 1:
             raise InputError("--jobs is for builds without --ray; Ray builds a scan per CPU or GPU")
         folders = self._folders()
@@ -103,7 +97,6 @@ class Batch(BuildOptions):
         return 2 if failed else 0
 
     def _folders(self) -> list[Path]:
-        from scoup.base.errors import InputError, MissingFileError
         from scoup.io.camera_sources import has_cameras
 
         if not self.scans.is_dir():
@@ -147,15 +140,12 @@ class Batch(BuildOptions):
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
         passed = ["--device", self.device, "--overwrite"]
-        for option in dict.fromkeys((*self.given(), "--model", "--segmenter", "--embedder")):
+        for option in self.given():
             value = getattr(self, option[2:].replace("-", "_"))
-            if value is not None:
-                passed += [option] if value is True else [option, str(value)]
+            passed += [option] if value is True else [option, str(value)]
         return passed
 
     def _write(self, records: dict[str, dict[str, Any]]) -> None:
-        from scoup.base.atomic import write_text
-
         ordered = dict(sorted(records.items()))
         write_text(self.out / REPORT, json.dumps({"scans": ordered}, indent=1) + "\n", overwrite=True)
         write_text(self.out / PAGE, _page(ordered), overwrite=True)
@@ -190,8 +180,6 @@ def _in_processes(commands: Commands, jobs: int) -> Iterator[tuple[str, Ended]]:
 
 def _on_cluster(commands: Commands, address: str, device: str) -> Iterator[tuple[str, Ended]]:
     """Run commands as tasks of Ray; those of killed workers run again, an interruption ends all."""
-    from scoup.base.errors import ScoupError
-
     host, _, port = address.rpartition("/")[2].rpartition(":")
     try:
         if port.isdigit():  # others, as auto, are no addresses; Ray itself tries for minutes
@@ -238,8 +226,6 @@ def _run_here(folder: str, command: Sequence[str]) -> Ended:
 
 
 def _page(records: Mapping[str, Mapping[str, Any]]) -> str:
-    from scoup.base.html import page, shown
-
     rows = [
         f"<tr><td>{shown(name)}<td>{'failed' if 'error' in of else 'done'}<td>{of.get('seconds', 'was there')}"
         f"<td>{shown(of.get('error') or ' '.join(of.get('warnings', [])))}"

@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
+from scoup.base.atomic import reserved_output, reserved_part
 from scoup.base.counts import counted
-from scoup.cli.build_options import BuildOptions, ViewOptions, check_field_name, report_field
+from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.parts import Part
+from scoup.cli.build_options import BuildOptions, ViewOptions, check_field_output, report_field
 from scoup.cli.console import Console, kept
 from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups, arg
 
@@ -52,7 +55,6 @@ class Build(BuildOptions, ViewOptions):
 
     option_groups: ClassVar[OptionGroups] = {
         "scene": "gaussians raster_preset",
-        "scene without regions": "segmenter embedder",
         "coding": "codebook",
         "region sum": "keep_sums sums part",
         "output": "out",
@@ -64,16 +66,8 @@ class Build(BuildOptions, ViewOptions):
     """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
-    model: OptionalText = None
-    """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
-    Default: the model that the features name, else, for embeddings of 512 dimensions,
-    laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
     raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
     """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
-    segmenter: OptionalText = None
-    """Segmenter for a scene without regions, as for scoup extract."""
-    embedder: OptionalText = None
-    """Embedder for a scene without regions, as for scoup extract."""
     codebook: OptionalPath = None
     """An earlier field of the scene, whose codebook codes the regions; only --k of the options of coding counts then.
     For photographs that came later. Default: a new codebook is learned."""
@@ -88,16 +82,19 @@ class Build(BuildOptions, ViewOptions):
 
     def run(self, console: Console) -> None:
         """Make what the scene lacks, build, save and report."""
-        from scoup.base.atomic import check_output, reserved_output
-        from scoup.base.errors import ScoupWarning
         from scoup.cli.views import is_splat
+        from scoup.io.camera_sources import scene_folder
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
-        out = self._output()
+        if self.sums is not None and self.keep_sums is not None:
+            raise InputError(
+                "pass --sums to build from region sums, or --keep-sums to add what they lack, not both"
+            )
         if self.part is not None:
             return self._write_part(console)
-        check_output(out, self.overwrite)
+        out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
+        check_field_output(out, self.overwrite)
         begun = time.perf_counter()
         extracted = self._extract(console)
         loaded = self._load(console)
@@ -118,7 +115,6 @@ class Build(BuildOptions, ViewOptions):
 
     def _extract(self, console: Console) -> dict[str, Any]:
         """Cut the photographs into regions unless that is done; returns what the result says of it."""
-        from scoup.base.errors import InputError
         from scoup.cli.extract import Extract
         from scoup.extract.pipeline import lacks_views
         from scoup.io.scene_parts import find_splat, usual_features
@@ -163,8 +159,6 @@ class Build(BuildOptions, ViewOptions):
 
     def _of_splat(self, console: Console) -> Build:
         """Make views of a splat alone; returns the build of this scene."""
-        from scoup.base.atomic import check_output
-        from scoup.base.errors import InputError
         from scoup.cli.views import make_views
 
         if self.part is not None:
@@ -172,8 +166,7 @@ class Build(BuildOptions, ViewOptions):
         if self.gaussians is not None:
             raise InputError(f"{self.scene}: is a splat; pass the scene, and the splat with --gaussians")
         out = self.out or Path(f"{self.scene.stem}.scoup")
-        check_field_name(out)
-        check_output(out, self.overwrite)
+        check_field_output(out, self.overwrite)
         folder = out.with_name(f"{out.stem}_views")
         make_views(console, self.scene, folder, self.overwrite)
         # Named, so that an extraction that was interrupted is resumed.
@@ -183,9 +176,6 @@ class Build(BuildOptions, ViewOptions):
 
     def _write_part(self, console: Console) -> None:
         """Rasterise a part of the views, keep their region sums and report."""
-        from scoup.base.atomic import reserved_part
-        from scoup.base.errors import InputError
-        from scoup.base.parts import Part
         from scoup.uplift.build import check_scene
         from scoup.uplift.rasterise import add_views, cameras_with_regions
 
@@ -248,19 +238,6 @@ class Build(BuildOptions, ViewOptions):
         concepts = None if store is None else (store.texts, detections_of(store, regions.view_names))
         return _Loaded(gaussians, cameras, regions, source, raster_preset, model, words, concepts)
 
-    def _output(self) -> Path:
-        """The field to write; a mistake in the options shows before long work."""
-        from scoup.base.errors import InputError
-        from scoup.io.camera_sources import scene_folder
-
-        out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
-        check_field_name(out)
-        if self.sums is not None and self.keep_sums is not None:
-            raise InputError(
-                "pass --sums to build from region sums, or --keep-sums to add what they lack, not both"
-            )
-        return out
-
     def _region_sums(self, loaded: _Loaded, temporary: Path) -> RegionSums:
         """The sums named, or those in a temporary folder."""
         from scoup.uplift.region_sums import RegionSums
@@ -280,7 +257,7 @@ class Build(BuildOptions, ViewOptions):
         if self.keep_sums is None:
             return
         before = console.kept()
-        console.kept = lambda: kept(len(sums), views, "views", otherwise=before)
+        console.kept = lambda: kept(f"{len(sums)} of {views} views") if len(sums) else before
         if len(sums):
             console.say(f"{sums.path}: contains {counted(len(sums), 'view')} already")
 

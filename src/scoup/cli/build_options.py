@@ -6,10 +6,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+from scoup.base.atomic import check_output
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.option_groups import borrow_options
-from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon, arg
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon, arg
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 
 if TYPE_CHECKING:
@@ -28,12 +30,21 @@ class BuildOptions(WritesCommon):
     """How a field is made."""
 
     option_groups: ClassVar[OptionGroups] = {
+        "scene without regions": "segmenter embedder",
         "region sum": "scale",
         "coding": "n_atoms k solver effort epochs tolerance",
         "vote": "keep rounds",
         "output": "weight_bits embed_geometry",
     }
 
+    model: OptionalText = None
+    """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
+    Default: the model that the features name, else, for embeddings of 512 dimensions,
+    laion/CLIP-ViT-B-16-laion2B-s34B-b88K."""
+    segmenter: OptionalText = None
+    """Segmenter for a scene without regions, as for scoup extract."""
+    embedder: OptionalText = None
+    """Embedder for a scene without regions, as for scoup extract."""
     preset: Literal["default", "paper"] = "default"
     """default gives the best answers (128 atoms, exact coding, two rounds of the vote); paper is the method as
     published (64 atoms, Adam, one round). Options of coding and vote override it."""
@@ -100,12 +111,11 @@ class ViewOptions(WritesCommon):
         return cameras, load_regions(features, cameras), features
 
 
-def check_field_name(out: Path) -> None:
-    """Refuse a name that no field may have."""
-    from scoup.base.errors import InputError
-
+def check_field_output(out: Path, overwrite: bool) -> None:
+    """Refuse a name that no field may have, and one that is taken."""
     if out.suffix.lower() != ".scoup":
-        raise InputError(f"{out}: expected a name that ends in .scoup; choose another")
+        raise InputError(f"{out}: expected a name that ends in .scoup, for it is a field; choose another")
+    check_output(out, overwrite)
 
 
 def report_field(

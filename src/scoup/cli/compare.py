@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from scoup.base.counts import counted
+from scoup.base.staging import staged
 from scoup.cli.console import Console
 from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups, arg
 from scoup.cli.query_options import NamingOptions, check_metres
@@ -40,18 +41,18 @@ class CompareCaptures(NamingOptions):
 
     def run(self, console: Console) -> None:
         """Compare and write."""
-        from scoup.base.staging import staged
         from scoup.io.similarity import read_similarity
         from scoup.query.compare import compare
         from scoup.query.compare_files import PAGE, RECORD, save_comparison
+        from scoup.view.vocabulary import read_words
 
         check_metres(self.metres_per_unit)
         second = replace(self, field=self.new, gaussians=self.new_gaussians)
         out = second.output_folder(self.out, "changes")
         transform = None if self.transform is None else read_similarity(self.transform)
         old, new = self.open_field(), second.open_field("--new-gaussians")
-        words = self.naming_words()
-        self.text_encoder(old)
+        words = read_words(self.words)
+        old.text_encoder(self.text)
         new.keep_encoder_of(old)
         found = compare(old, new, words, transform)
         old.text_encoder().close()

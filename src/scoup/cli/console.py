@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-from scoup.base.errors import ScoupError, ScoupWarning, WriteError, remedy_of
+from scoup.base.errors import InputError, ScoupError, ScoupWarning, WriteError, remedy_of
 from scoup.base.printable import printable
 from scoup.base.progress import Progress, no_progress
 from scoup.cli.options import Common
@@ -39,7 +39,7 @@ class Console:
     def __init__(self, common: Common) -> None:
         self.common = common
         self.warnings: list[str] = []
-        self.kept: Callable[[], str] = lambda: kept(0, 0, "")
+        self.kept: Callable[[], str] = lambda: "nothing was written"
 
     def say(self, text: str) -> None:
         """Print a line for people."""
@@ -146,12 +146,9 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
             return console.fail(_OUT_OF_MEMORY, 2)
 
 
-def kept(done: int, total: int, what: str, also: str = "", otherwise: str = "nothing was written") -> str:
-    """Return in words what an interruption leaves: some of what a verb makes one by one, or what it makes before."""
-    if not done and not also:
-        return otherwise
-    left = f"{done} of {total} {what}" if done else f"the {also}"
-    return f"{left} are kept, run the same command again to continue"
+def kept(views: str) -> str:
+    """Return in words that an interruption leaves these views."""
+    return f"{views} are kept, run the same command again to continue"
 
 
 def with_options(message: str) -> str:
@@ -197,8 +194,6 @@ def check_device(device: str) -> None:
     if device == "cpu":
         return
     import torch
-
-    from scoup.base.errors import InputError
 
     try:
         wanted = torch.device(device)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
+from scoup.base.errors import FileFormatError, InputError
+from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon, arg
 
@@ -69,8 +71,6 @@ class Convert(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Convert and report."""
-        from scoup.base.errors import FileFormatError
-
         suffix = self.source.suffix.lower()
         if self._is_to_splat():
             self._convert_splat(console)
@@ -95,7 +95,6 @@ class Convert(WritesCommon):
         return kind is not None and kind.write is not None
 
     def _convert_splat(self, console: Console) -> None:
-        from scoup.base.errors import InputError
         from scoup.io import check_output, load_gaussians, save_gaussians
 
         check_output(self.target, self.overwrite)
@@ -134,11 +133,10 @@ class Convert(WritesCommon):
         )
 
     def _convert_features(self, console: Console) -> None:
-        from scoup.base.errors import InputError
         from scoup.io import load_gaussians, splat_source
         from scoup.uplift.foreign import field_from_features, read_features
 
-        self._check_field()
+        check_field_output(self.target, self.overwrite)
         if self.gaussians is None:
             raise InputError(f"{self.source}: name the splat that the features belong to with --gaussians")
         splat = splat_source(self.gaussians)
@@ -160,7 +158,7 @@ class Convert(WritesCommon):
     def _convert_checkpoints(self, console: Console) -> None:
         from scoup.uplift.foreign import field_from_langsplat, langsplat_levels
 
-        self._check_field()
+        check_field_output(self.target, self.overwrite)
         paths = langsplat_levels(self.source)
         for path in paths:
             console.say(f"{path}: read")
@@ -175,14 +173,6 @@ class Convert(WritesCommon):
                 progress=progress,
             )
         self._save(console, field, embed_geometry=True)
-
-    def _check_field(self) -> None:
-        from scoup.base.errors import InputError
-        from scoup.io import check_output
-
-        if self.target.suffix.lower() != ".scoup":
-            raise InputError(f"{self.target}: {self.source} becomes a field; use a name that ends in .scoup")
-        check_output(self.target, self.overwrite)
 
     def _decoder(self) -> Decoder | None:
         from scoup.io.regions.langsplat_autoencoder import read_autoencoder

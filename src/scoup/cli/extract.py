@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
+from scoup.base.atomic import reserved_part
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
+from scoup.base.parts import Part
 from scoup.cli.console import Console, kept
 from scoup.cli.options import (
     CLIP_MODEL,
@@ -21,6 +24,7 @@ from scoup.cli.options import (
     OptionGroups,
     WritesCommon,
     arg,
+    check_number,
 )
 
 if TYPE_CHECKING:
@@ -97,8 +101,6 @@ class Extract(WritesCommon):
 
     def make(self, console: Console) -> dict[str, Any]:
         """Extract and report; returns what the result says."""
-        from scoup.base.errors import InputError
-        from scoup.base.parts import Part
         from scoup.cli.views import is_splat
         from scoup.extract import extract, find_photographs
         from scoup.extract.photograph_choice import total_wanted
@@ -111,8 +113,7 @@ class Extract(WritesCommon):
             raise InputError(
                 f"{self.scene}: is a splat, expected photographs; scoup build {self.scene} makes views of it first"
             )
-        if self.max_height < 0:
-            raise InputError(f"--max-height must not be negative, got {self.max_height}")
+        check_number("--max-height", self.max_height, 0)
         words = self._words()  # a mistake shows before the long work
         if self.views != "all":
             total_wanted(self.views, 0)
@@ -148,7 +149,6 @@ class Extract(WritesCommon):
         self, console: Console, photographs: Sequence[Photograph], out: Path
     ) -> list[Photograph] | None:
         """The photographs that matter; None for all, also where they cannot be compared and no number is passed."""
-        from scoup.base.errors import InputError
         from scoup.extract import choose_photographs
         from scoup.extract.own_views import SHEET
         from scoup.extract.photograph_choice import FEW, total_wanted
@@ -253,8 +253,6 @@ def _list_models(console: Console) -> None:
 @contextmanager
 def _extracting(console: Console, out: Path, part: Part) -> Iterator[Progress]:
     """A progress callback that also says what is continued, and what an interruption leaves; ``out`` is locked."""
-    from scoup.base.atomic import reserved_part
-
     started, before = False, console.kept()
 
     def report(stage: str, done: int, total: int) -> None:
@@ -262,7 +260,7 @@ def _extracting(console: Console, out: Path, part: Part) -> Iterator[Progress]:
         if not started and 0 < done < total:
             console.say(f"{out}: resumes: {done} of {total} views are done")
         started = True
-        console.kept = lambda: kept(done, total, "views", otherwise=before)
+        console.kept = lambda: kept(f"{done} of {total} views") if done else before
         progress(stage, done, total)
 
     with reserved_part(out, part), console.progress() as progress:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
 from scoup.cli.console import Console
 from scoup.cli.options import Common, arg
 
@@ -24,8 +25,6 @@ class Info(Common):
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""
-        from scoup.base.errors import MissingFileError
-
         if not self.path.exists():
             raise MissingFileError(self.path, "there is no such file or folder", "check the path")
         suffix = self.path.suffix.lower()
@@ -38,7 +37,6 @@ class Info(Common):
 
 
 def _folder(path: Path) -> dict[str, Any]:
-    from scoup.base.errors import ScoupWarning
     from scoup.io.describe import describe_folder
     from scoup.uplift.fit import fit_problem, measure_fit
     from scoup.uplift.storage.array_file import ENDING, SCENE
@@ -57,7 +55,6 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def _other(path: Path) -> dict[str, Any]:
-    from scoup.base.errors import FileFormatError
     from scoup.io.camera_sources import camera_format
     from scoup.io.splats.formats import is_splat_name, other_format, read_endings
 
@@ -96,7 +93,6 @@ def _word_table(path: Path) -> dict[str, Any]:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    from scoup.base.errors import FileFormatError
     from scoup.io.reading import read_json
     from scoup.io.splats.formats import is_splat_name
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -84,8 +84,7 @@ class Label(AnswerOptions, CameraOptions):
         """The words of the command line and of the list, each once."""
         from scoup.view.vocabulary import read_words
 
-        listed = () if self.words is None else read_words(self.words)
-        words = tuple(dict.fromkeys((*self.texts, *listed)))
+        words = tuple(dict.fromkeys((*self.texts, *read_words(self.words))))
         check_texts(words)
         return words
 
@@ -96,7 +95,7 @@ class Label(AnswerOptions, CameraOptions):
             self.outputs == USUAL and not self.camera and self.scene is None and not field.cameras
         ):
             return []
-        return (self if self.camera else replace(self, camera=("all",))).open_cameras(field)
+        return self.open_cameras(field, "all")
 
 
 def _report(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.options import (
     Common,
@@ -19,6 +20,7 @@ from scoup.cli.options import (
     OptionalPath,
     OptionGroups,
     arg,
+    check_number,
 )
 from scoup.cli.query_options import check_metres
 from scoup.cli.stop import Terminated
@@ -65,7 +67,7 @@ class ServeAgents(Common):
         from scoup.view.vocabulary import read_words
 
         self._check_options()
-        words = None if self.words is None else read_words(self.words)
+        words = read_words(self.words)
         fields = self._open_fields(words)
         more = []
         if self.archive is not None:
@@ -90,11 +92,8 @@ class ServeAgents(Common):
         return 143 if stopped == signal.SIGTERM else 0
 
     def _check_options(self) -> None:
-        from scoup.base.errors import InputError
-
         check_metres(self.metres_per_unit)
-        if self.http is not None and not 0 <= self.http <= 65535:
-            raise InputError(f"--http must be a port, 0 to 65535, got {self.http}")
+        check_number("--http", self.http, 0, 65535)
         if self.http is not None and self.quiet and not self.as_json:
             raise InputError("--quiet hides the token, without which no client of --http is served; omit it")
         names = [path.stem for path in self.fields]
@@ -103,7 +102,7 @@ class ServeAgents(Common):
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError(f"{self.out}: is a file; name a folder for exports with --out")
 
-    def _open_fields(self, words: tuple[str, ...] | None) -> dict[str, LanguageField]:
+    def _open_fields(self, words: tuple[str, ...]) -> dict[str, LanguageField]:
         """Open the fields by name; what is missing is said now, not to the model."""
         from scoup.field.language_field import LanguageField
         from scoup.query.question import literal

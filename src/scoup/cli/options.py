@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, TypeAlias
 
 import tyro
+
+from scoup.base.errors import InputError
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """LangSplat's, which verbs assume where no other is named."""
@@ -31,6 +34,13 @@ Texts = Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="TEXT [TEXT
 
 OptionGroups: TypeAlias = dict[str, str]
 """Title of a group in the help -> names of its fields, between spaces. Fields in no group come first."""
+
+
+def check_number(option: str, value: float | None, least: float, most: float = math.inf) -> None:
+    """Refuse a number, if one was passed, that is out of the range of its option."""
+    if value is not None and not least <= value <= most:
+        wanted = f"{least:g} to {most:g}" if most < math.inf else f"{least:g} or more"
+        raise InputError(f"{option} must be {wanted}, got {value}")
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.base.file_names import unique_slugs
 from scoup.base.progress import Progress, reported
 from scoup.base.staging import check_outputs, staged
@@ -20,11 +21,12 @@ from scoup.cli.options import (
     OptionalText,
     OptionGroups,
     Texts,
+    check_number,
 )
 from scoup.cli.query_options import (
+    FRAME_RATES,
     AnswerOptions,
     CameraOptions,
-    check_frame_rate,
     check_metres,
     check_texts,
 )
@@ -128,22 +130,19 @@ class Query(AnswerOptions, CameraOptions):
         self._report(console, result, places, metres_per_unit)
 
     def _check_options(self) -> None:
-        from scoup.base.errors import InputError
         from scoup.pictures.video import check_video_writer
 
         check_metres(self.metres_per_unit)
         check_metres(self.longest_side, "--longest-side")
         if self.longest_side is not None and self.metres_per_unit is not None:
             raise InputError("pass --metres-per-unit, or --longest-side to measure it, not both")
-        if not 1 <= self.frames <= MOST_FRAMES:
-            raise InputError(f"--frames must be 1 to {MOST_FRAMES:,}, got {self.frames}")
-        check_frame_rate(self.frames_per_second)
+        check_number("--frames", self.frames, 1, MOST_FRAMES)
+        check_number("--frames-per-second", self.frames_per_second, *FRAME_RATES)
         if self.video != "none":
             check_video_writer()
 
     def _refine(self, console: Console, field: LanguageField) -> Refined | None:
         """Name things with a model, where one is given."""
-        from scoup.base.errors import InputError
         from scoup.field.artefact import save_names
         from scoup.io import load_cameras
         from scoup.query.refine import refine
@@ -155,7 +154,7 @@ class Query(AnswerOptions, CameraOptions):
         cameras = None
         if self.scene is not None:
             cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
-        self.text_encoder(field)
+        field.text_encoder(self.text)
         refined = refine(field, field.question(list(self.texts)).texts, self.refine, cameras)
         console.say(refined.describe())
         if self.keep and field.thing_table is not None and field.thing_table.names is not None:
@@ -164,8 +163,6 @@ class Query(AnswerOptions, CameraOptions):
 
     def _metres_per_unit(self, place: Place) -> float | None:
         """The length of the scene's unit, as given or from the longest side of a thing."""
-        from scoup.base.errors import InputError
-
         if self.longest_side is None:
             return self.metres_per_unit
         if place.box is None:
@@ -216,11 +213,10 @@ class Query(AnswerOptions, CameraOptions):
         """Write the videos that are wanted; their names."""
         from scoup.pictures.video import save_video
         from scoup.query.drawing import heat_frames, moving_cameras
-        from scoup.scene.cameras import Cameras
 
         if self.video == "none":
             return []
-        everywhere = Cameras(replace(self, camera=("all",)).open_cameras(field))
+        everywhere = self.all_cameras(field)
         written = []
         for name, place in zip(self._video_names(), places, strict=True):
             if self.video == "turntable" and place.position is None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from scoup.base.counts import listed, share_of, verb
+from scoup.base.errors import InputError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.cli.options import (
     Direction,
     FieldFile,
@@ -25,7 +26,6 @@ from scoup.cli.options import (
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
-    from scoup.models.text import TextEncoder
     from scoup.query.expression import Expression
     from scoup.query.frame import Frame
     from scoup.query.question import Question, Several
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 Asked = TypeVar("Asked", bound="str | Several | Expression")
 LONGEST_SIDE = 16384  # of a picture, in pixels
+FRAME_RATES = 0.1, 100  # pictures a second that players show
 
 _SAME_FRAME = "check that cameras and splat are in the same frame"
 
@@ -56,7 +57,6 @@ class FieldOptions(WritesCommon):
             MissingFileError, FileFormatError: the field or its geometry is missing or damaged.
             GeometryMismatchError: the geometry is not the one the field was built on.
         """
-        from scoup.base.errors import InputError, MissingFileError
         from scoup.field.language_field import LanguageField
         from scoup.io import load_gaussians
 
@@ -79,8 +79,6 @@ class FieldOptions(WritesCommon):
 
     def output_folder(self, out: Path | None, ending: str) -> Path:
         """The folder to write results into, by default <name of FIELD>_<ending> here."""
-        from scoup.base.errors import InputError
-
         folder = out or Path(f"{self.field.stem}_{ending}")
         if folder.is_file():
             raise InputError(f"{folder}: is a file; name a folder to write the results into with --out")
@@ -102,14 +100,12 @@ class CameraOptions(FieldOptions):
     scale: float = 1.0
     """Size of the pictures relative to the cameras' own."""
 
-    def open_cameras(self, field: LanguageField) -> list[Camera]:
-        """The cameras named.
+    def all_cameras(self, field: LanguageField) -> Cameras:
+        """The cameras of --scene, or of the field, at the size of --scale.
 
         Raises:
-            UnknownNameError: there is no camera of that name.
             InputError: there are no cameras, or the pictures would be too large.
         """
-        from scoup.base.errors import InputError, UnknownNameError
         from scoup.io import load_cameras
 
         cameras: Cameras | None = field.cameras
@@ -124,8 +120,16 @@ class CameraOptions(FieldOptions):
             raise InputError(
                 f"--scale {self.scale}: must be above 0 and at most {most:.3g} for these cameras"
             )
-        cameras = cameras.scaled(self.scale) if self.scale != 1 else cameras
-        if "all" in self.camera:
+        return cameras.scaled(self.scale) if self.scale != 1 else cameras
+
+    def open_cameras(self, field: LanguageField, default: str = "") -> list[Camera]:
+        """The cameras named; where none is named the default: all, or the first; further errors of ``all_cameras``.
+
+        Raises:
+            UnknownNameError: there is no camera of that name.
+        """
+        cameras = self.all_cameras(field)
+        if "all" in (self.camera or (default,)):
             return list(cameras)
         try:
             found = [cameras[name] for name in self.camera] or [cameras[0]]
@@ -141,8 +145,6 @@ class CameraOptions(FieldOptions):
         Raises:
             InputError: nothing is visible in any of them.
         """
-        from scoup.base.errors import InputError, ScoupWarning
-
         names = listed([camera.name for camera in blind])
         if blind and len(blind) == count:
             raise InputError(
@@ -164,22 +166,13 @@ class TextOptions(FieldOptions):
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
-    def text_encoder(self, field: LanguageField) -> TextEncoder:
-        """The encoder of --text, or of the field.
-
-        Raises:
-            InputError, MissingFileError: neither names one, or it is not there.
-        """
-        return field.text_encoder(self.text or None)
-
     def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
         """The question that ``field.question`` makes of texts and options.
 
         Raises:
             InputError, UnknownNameError: as there; or neither the options nor the field name a model or table.
         """
-        self.text_encoder(field)
-        question = field.question(texts, **options)
+        question = field.question(texts, encoder=self.text, **options)
         field.text_encoder().close()  # models are large
         return question
 
@@ -193,21 +186,6 @@ class NamingOptions(TextOptions):
     words: OptionalPath = None
     """Words to name things with, one per line. Default: all words of the table of --text, else everyday words
     and names that a model gave."""
-
-    def naming_question(self, field: LanguageField) -> Question[Any]:
-        """The question of these words."""
-        from scoup.query.question import naming_question
-
-        self.text_encoder(field)
-        question = naming_question(field, self.naming_words())
-        field.text_encoder().close()  # models are large
-        return question
-
-    def naming_words(self) -> tuple[str, ...]:
-        """The words of --words; none without."""
-        from scoup.view.vocabulary import read_words
-
-        return read_words(self.words) if self.words else ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,8 +227,6 @@ class AnswerOptions(TextOptions, FrameOptions):
 
 def check_texts(texts: tuple[str, ...]) -> None:
     """Refuse a call without any text, or with a field for a text."""
-    from scoup.base.errors import InputError
-
     if not texts:
         raise InputError('name at least one text to look for, for example "kettle"')
     for text in texts:
@@ -260,17 +236,7 @@ def check_texts(texts: tuple[str, ...]) -> None:
             raise InputError(f"{text}: is a file, expected a text; type its words")
 
 
-def check_frame_rate(frames_per_second: float) -> None:
-    """Refuse a speed that no player has."""
-    from scoup.base.errors import InputError
-
-    if not 0.1 <= frames_per_second <= 100:
-        raise InputError(f"--frames-per-second must be 0.1 to 100, got {frames_per_second}")
-
-
 def check_metres(length: float | None, option: str = "--metres-per-unit") -> None:
     """Refuse a length of nothing."""
-    from scoup.base.errors import InputError
-
     if length is not None and not 0 < length < math.inf:
         raise InputError(f"{option} must be above 0, got {length}")

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalPath, WritesCommon, arg
+from scoup.cli.options import OptionalPath, WritesCommon, arg, check_number
 
 if TYPE_CHECKING:
     from scoup.scene.cameras import Camera
@@ -36,14 +37,12 @@ class ShowRegions(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Load, draw, write."""
-        from scoup.base.errors import InputError
         from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
         from scoup.io.camera_sources import scene_folder
         from scoup.io.regions.store import RegionStore
         from scoup.pictures import regions_sheet
 
-        if not 200 <= self.width <= 20_000:
-            raise InputError(f"--width must be 200 to 20000 pixels, got {self.width}")
+        check_number("--width", self.width, 200, 20_000)
         cameras = load_cameras(self.scene, self.images, distorted="undistort", missing_images="keep")
         camera: Camera = cameras[self.view]
         out = self.out or Path(f"{camera.stem}_regions.png")

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.base.file_names import unique_slugs
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups
-from scoup.cli.query_options import CameraOptions, TextOptions, check_frame_rate
+from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, check_number
+from scoup.cli.query_options import FRAME_RATES, CameraOptions, TextOptions
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -82,11 +83,9 @@ class Render(TextOptions, CameraOptions):
         console.result({"out": out, "files": [(folder / file).as_posix() for file in files]})
 
     def _check_options(self) -> None:
-        from scoup.base.errors import InputError
-
         if (self.what == "relevancy") != (self.query is not None):
             raise InputError("--what relevancy and --query TEXT belong together; pass both or neither")
-        check_frame_rate(self.frames_per_second)
+        check_number("--frames-per-second", self.frames_per_second, *FRAME_RATES)
 
     def _drawing(self, field: LanguageField) -> Draw:
         """The function that draws one view."""
@@ -103,8 +102,6 @@ class Render(TextOptions, CameraOptions):
 
 def _check_one_file(out: Path, cameras: list[Camera]) -> None:
     """Refuse views that do not go into one picture, or one animation, together."""
-    from scoup.base.errors import InputError
-
     kind = out.suffix.lower()
     if kind == ".png" and len(cameras) > 1:
         raise InputError(f"{out}: one picture cannot hold {len(cameras)} views; use a folder, .webp or .gif")

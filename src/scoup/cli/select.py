@@ -8,8 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, Names, OptionalNumber, OptionalPath, OptionalText, OptionGroups, Texts
+from scoup.cli.options import (
+    Flag,
+    Names,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    OptionGroups,
+    Texts,
+    check_number,
+)
 from scoup.cli.query_options import AnswerOptions, CameraOptions, check_metres, check_texts
 
 if TYPE_CHECKING:
@@ -73,7 +83,7 @@ class Select(AnswerOptions, CameraOptions):
         shape = Reshaping(self.largest, self.shrink, self.grow, self.within)
         self._check_options()
         field = self.open_field()
-        expression = parse_expression(self.texts, self.text_encoder(field).names)
+        expression = parse_expression(self.texts, field.text_encoder(self.text).names)
         self._check_out(field)
         whole = field.select(self.question(field, expression, level=self.level), shape)
         self._check_found(whole)
@@ -81,11 +91,9 @@ class Select(AnswerOptions, CameraOptions):
         self._report(console, whole, written, field.location(whole))
 
     def _check_options(self) -> None:
-        from scoup.base.errors import InputError
         from scoup.io import check_output, written_format
 
-        if not 0 <= self.opacity <= 1:
-            raise InputError(f"--opacity must be 0 to 1, got {self.opacity}")
+        check_number("--opacity", self.opacity, 0, 1)
         check_metres(self.metres_per_unit)
         self._rgb()
         is_field = self.out.suffix.lower() == ".scoup"
@@ -105,8 +113,6 @@ class Select(AnswerOptions, CameraOptions):
 
     def _rgb(self) -> tuple[float, float, float]:
         """The colour of --color, 0 to 1."""
-        from scoup.base.errors import InputError
-
         if not re.fullmatch("#?[0-9a-fA-F]{6}", self.color):
             raise InputError(f"--color {self.color}: is not a colour; expected #rrggbb, for example #ff5c28")
         red, green, blue = bytes.fromhex(self.color[-6:])
@@ -114,8 +120,6 @@ class Select(AnswerOptions, CameraOptions):
 
     def _check_out(self, field: LanguageField) -> None:
         """Refuse to replace the field itself, or its own splat."""
-        from scoup.base.errors import InputError
-
         for what, source in (
             ("splat the field was built on", self.gaussians),
             ("splat the field was built on", field.geometry_path),
@@ -130,8 +134,6 @@ class Select(AnswerOptions, CameraOptions):
         Raises:
             InputError: nothing answers, or all would be removed.
         """
-        from scoup.base.errors import InputError
-
         found, count = int(answer.mask.sum()), len(answer.mask)
         if found and not (self.edit == "remove" and found == count):
             return
@@ -171,15 +173,12 @@ class Select(AnswerOptions, CameraOptions):
 
     def _draw(self, field: LanguageField, whole: Answer, left: Gaussians) -> None:
         """Write the picture, if it is wanted."""
-        from dataclasses import replace
-
         from scoup.io import save_png
         from scoup.query.edits import best_camera, edit_picture
 
         if self.picture is None:
             return
-        cameras = (self if self.camera else replace(self, camera=("all",))).open_cameras(field)
-        camera = best_camera(field, whole.mask, cameras)
+        camera = best_camera(field, whole.mask, self.open_cameras(field, "all"))
         save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
 
     def _report(self, console: Console, whole: Answer, written: int, place: Place) -> None:

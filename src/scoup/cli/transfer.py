@@ -9,7 +9,8 @@ from typing import Annotated, ClassVar, Literal
 import tyro
 
 from scoup.base.counts import counted
-from scoup.cli.build_options import check_field_name
+from scoup.base.errors import InputError
+from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console
 from scoup.cli.options import OptionalPath, OptionGroups, arg
 from scoup.cli.query_options import FieldOptions
@@ -34,13 +35,11 @@ class Transfer(FieldOptions):
 
     def run(self, console: Console) -> None:
         """Transfer, save and report."""
-        from scoup.base.errors import InputError
-        from scoup.io import check_output, load_gaussians
+        from scoup.io import load_gaussians
         from scoup.uplift.transfer import transfer
 
         out = self.out or Path(f"{self.splat.stem}.scoup")
-        check_field_name(out)
-        check_output(out, self.overwrite)
+        check_field_output(out, self.overwrite)
         field, gaussians = self.open_field(), load_gaussians(self.splat)
         if gaussians.fingerprint() == field.fingerprint:
             raise InputError(f"nothing to do: {self.splat} is the splat of {self.field} already")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups, check_number
 from scoup.cli.query_options import TextOptions
 from scoup.cli.stop import Terminated
 
@@ -29,7 +30,7 @@ class View(TextOptions):
 
     option_groups: ClassVar[OptionGroups] = {
         "page": "words most remote",
-        "server": "host port open_browser",
+        "server": "host port",
         "export": "export split",
     }
 
@@ -45,8 +46,6 @@ class View(TextOptions):
     """Address to bind to. 0.0.0.0 admits other machines: all that know the address, which contains a token."""
     port: OptionalInteger = None
     """Port to bind to; 0 takes any. Default: 8350 or, if that is in use, any."""
-    open_browser: Flag = False
-    """Open the page in the browser of this machine."""
     export: OptionalPath = None
     """Write a page to this HTML file, and exit."""
     split: Flag = False
@@ -61,13 +60,9 @@ class View(TextOptions):
         return 0
 
     def _check_options(self) -> None:
-        from scoup.base.errors import InputError
         from scoup.view.viewer import check_needed
 
-        if self.most < 1:
-            raise InputError(f"--most must be 1 or more, got {self.most}")
-        if self.port is not None and not 0 <= self.port <= 65535:
-            raise InputError(f"--port must be 0 to 65535, got {self.port}")
+        check_number("--port", self.port, 0, 65535)
         if self.split and self.export is None:
             raise InputError("--split belongs to --export; pass both or neither")
         if self.export is None:
@@ -82,8 +77,7 @@ class View(TextOptions):
         from scoup.view.vocabulary import read_words
 
         page_files()  # before anything that takes long
-        words = None if self.words is None else read_words(self.words)
-        viewed = ViewedField(self.open_field(), self.text, words, self.most)
+        viewed = ViewedField(self.open_field(), self.text, read_words(self.words), self.most)
         if viewed.words_problem is not None:
             console.warn(f"no text can be asked: {viewed.words_problem}")
         else:
@@ -100,10 +94,8 @@ class View(TextOptions):
             f"{what} {_size(count)}"
             for what, count in (("scene", report.scene_bytes), ("words", report.words_bytes))
         )
-        console.say(
-            f"{out}: {_size(report.n_bytes)} ({sizes}, before base64), {counted(report.words, 'word')}"
-        )
-        console.result(report.to_dict())
+        console.say(f"{out}: {_size(report.bytes)} ({sizes}, before base64), {counted(report.words, 'word')}")
+        console.result(asdict(report))
 
     def _serve(self, console: Console) -> int:
         """Serve until the process is interrupted or terminated: both are the usual end."""
@@ -118,13 +110,8 @@ class View(TextOptions):
                         f"{self.host}: other machines can reach this page; whoever has the address can ask the field "
                         "and download its Gaussians; the connection is not encrypted"
                     )
-                record: dict[str, Any] = {"address": viewer.address, "field": self.field}
                 console.say(f"{self.field}: {viewer.address}\npress Ctrl-C to stop")
-                console.result(record)
-                if self.open_browser:
-                    import webbrowser
-
-                    webbrowser.open(viewer.address)
+                console.result({"address": viewer.address, "field": self.field})
                 viewer.wait()
         except KeyboardInterrupt as stop:
             console.say("\nclosed")

@@ -9,6 +9,8 @@ from typing import Annotated, Any, ClassVar
 import tyro
 
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
+from scoup.base.staging import check_outputs
 from scoup.cli.console import Console, kept
 from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, OptionGroups, WritesCommon, arg
 
@@ -57,8 +59,6 @@ class MakeViews(WritesCommon):
 
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
-        from scoup.base.errors import InputError
-        from scoup.base.staging import check_outputs
         from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
         from scoup.io import load_cameras, load_gaussians, splat_source
         from scoup.io.camera_sources import find_cameras, has_cameras
@@ -107,4 +107,4 @@ def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> 
         console.say(f"{folder}: uses the existing views; to replace them: scoup views --overwrite")
     else:
         MakeViews(splat=splat, out=folder, overwrite=overwrite).make(console)
-    console.kept = lambda: kept(0, 0, "", "views")
+    console.kept = lambda: kept("the views")

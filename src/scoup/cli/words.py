@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from scoup.base.atomic import check_output
 from scoup.base.counts import counted
+from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionGroups, WritesCommon
 
@@ -31,8 +33,6 @@ class MakeWords(WritesCommon):
 
     def run(self, console: Console) -> None:
         """Encode and write."""
-        from scoup.base.errors import InputError
-        from scoup.io import check_output
         from scoup.models.text import TextEncoder
         from scoup.models.word_table import check_table_name, is_table, save_table
         from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
@@ -42,8 +42,7 @@ class MakeWords(WritesCommon):
         check_output(self.out, self.overwrite)
         if is_table(self.model):
             raise InputError(f"{self.model}: is a word table, not a model; pass the model that made it")
-        own = () if self.words is None else read_words(self.words)
-        words = list(dict.fromkeys((*CANONICAL_PHRASES, *own, *EVERYDAY_WORDS)))
+        words = list(dict.fromkeys((*CANONICAL_PHRASES, *read_words(self.words), *EVERYDAY_WORDS)))
         with TextEncoder.open(self.model, device=self.device) as encoder:
             save_table(self.out, words, encoder.encode(words), self.overwrite, encoder.name)
         console.say(

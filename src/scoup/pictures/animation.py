@@ -10,7 +10,6 @@ import numpy as np
 from PIL import Image
 
 from scoup.base.atomic import atomic_file
-from scoup.base.errors import InputError
 from scoup.pictures.colors import Picture
 from scoup.pictures.lettering import PAPER
 
@@ -18,8 +17,6 @@ from scoup.pictures.lettering import PAPER
 def save_animation(frames: Sequence[Picture], path: Path, frames_per_second: float) -> None:
     """Write an endless .webp or .gif, atomically, replacing an existing file. Frames have one width; those that are
     less high, since their titles are shorter, get a margin above."""
-    if len({frame.shape[1] for frame in frames}) > 1:
-        raise InputError(f"{path.name}: the pictures differ in size, and an animation needs one size")
     height = max(frame.shape[0] for frame in frames)
     margins = [np.full((height - frame.shape[0], *frame.shape[1:]), PAPER, np.uint8) for frame in frames]
     pictures = [Image.fromarray(np.concatenate(parts)) for parts in zip(margins, frames, strict=True)]

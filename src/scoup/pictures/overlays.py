@@ -24,7 +24,7 @@ from scoup.pictures.colors import (
     label_colors,
 )
 from scoup.pictures.legends import heat_legend
-from scoup.pictures.lettering import LEAST_WIDTH, caption, captioned, stacked
+from scoup.pictures.lettering import captioned, stacked
 
 MASK_COLOR = (255, 92, 40)
 BOX_COLOR = (80, 220, 255)
@@ -34,22 +34,18 @@ POINT_COLOR = (255, 255, 255)
 def heat_map(
     relevancy: ArrayOrTensor,
     rgb: ArrayOrTensor,
-    query: str = "",
-    level: str = "",
-    score: float | None = None,
+    query: str,
+    level: str,
+    score: float,
     view: str = "",
 ) -> Picture:
-    """Draw a relevancy map over the greyed colour render, with a legend and, if there is something to say, a title: the
-    query on the left; view, level and score on the right."""
+    """Draw a relevancy map over the greyed colour render, with a legend and a title: the query on the left; view, level
+    and score on the right."""
     values = as_array(relevancy).astype(np.float64)
     span = heat_span(values)
-    parts = [heat_overlay(values, rgb, span)]
-    scored = "" if score is None else f"score {score:.2f}"
-    remark = ", ".join(part for part in (view, f"level {level}" if level else "", scored) if part)
-    width = max(parts[0].shape[1], LEAST_WIDTH)
-    if query or remark:
-        parts.insert(0, caption(width, query or "relevancy", remark))
-    return stacked([*parts, heat_legend(width, *span)])
+    shown = heat_overlay(values, rgb, span)
+    remark = ", ".join([*([view] if view else []), f"level {level}", f"score {score:.2f}"])
+    return stacked([captioned(shown, query, remark), heat_legend(shown.shape[1], *span)])
 
 
 def heat_span(relevancy: np.ndarray) -> tuple[float, float]:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from scoup.base.errors import InputError
 from scoup.pictures.colors import ArrayOrTensor, Picture, as_picture
 from scoup.pictures.lettering import FAINT, LEAST_WIDTH, PAPER, caption, fits_one_line, lines_of
 
@@ -34,15 +33,8 @@ def contact_sheet(
         footer: a fainter text below all, broken into lines.
         remarks: written on the right of the titles, one a tile, or none at all.
     """
-    if not tiles or columns < 1:
-        raise InputError("a contact sheet needs at least one tile and one column")
-    for what, texts in (("titles", titles), ("remarks", remarks)):
-        if texts and len(texts) != len(tiles):
-            raise InputError(f"{len(texts)} {what} do not fit {len(tiles)} tiles")
     columns = min(columns, len(tiles))
     tile_width = sheet_tile_width(width, columns)
-    if tile_width < 16:
-        raise InputError(f"{columns} columns do not fit a sheet {width} pixels wide")
     shown = [_scaled(as_picture(tile), tile_width) for tile in tiles]
     if titles or remarks:
         shown = _titled(shown, titles or [""] * len(tiles), remarks or [""] * len(tiles), columns)

@@ -145,8 +145,7 @@ class _Cell:
     box: tuple[float, float, float, float] | None
     point: tuple[float, float] | None
     remark: str
-    visible: bool
-    coverage: float
+    coverage: float  # 0 if nothing is visible
     largest: float  # relevancy before resizing
 
 
@@ -154,7 +153,6 @@ class _Cell:
 class _Row:
     """A view with its answers, one per text."""
 
-    number: int
     view: str
     picture: Picture
     cells: tuple[_Cell, ...]
@@ -167,20 +165,17 @@ class AnswerSheets:
     mask is largest among those not yet chosen.
 
     Args:
-        texts: of the query.
-        views: number of views that will be added.
+        texts: of the query, one or more.
+        views: number of views that will be added, one or more.
     """
 
     def __init__(self, texts: Sequence[str], views: int) -> None:
-        if not texts or views < 1:
-            raise InputError("sheets of answers need at least one text and one view")
         self.texts, self.views = tuple(texts), views
         several = len(texts) > 1
         columns = -(-len(texts) // len(self)) if several else min(views, VIEWS_BESIDE)
         rows = min(views, MOST_VIEWS) if several else -(-min(views, MOST_VIEWS) // columns)
         self._cell_width = min(WIDEST, max(NARROWEST, min(WIDTH // columns, HEIGHT // rows)))
         self._rows: list[_Row] = []
-        self._added = 0
 
     def __len__(self) -> int:
         """Number of sheets."""
@@ -192,9 +187,7 @@ class AnswerSheets:
         width = self._cell_width
         size = (width, max(1, round(picture.shape[0] * width / picture.shape[1])))
         small = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
-        cells = tuple(_cell(answer, size) for answer in answers)
-        self._rows.append(_Row(self._added, view, small, cells))
-        self._added += 1
+        self._rows.append(_Row(view, small, tuple(_cell(answer, size) for answer in answers)))
         if len(self._rows) > MOST_VIEWS:
             # A view not chosen among fewer is not chosen among more.
             self._rows = _best_rows(self._rows, MOST_VIEWS)
@@ -212,7 +205,7 @@ class AnswerSheets:
         for row in self._rows:
             for column in columns:
                 cell = row.cells[column]
-                heat = cell.heat if cell.visible else np.zeros_like(cell.heat)
+                heat = cell.heat if cell.coverage else np.zeros_like(cell.heat)
                 tiles.append(answer_overlay(heat, cell.mask, row.picture, span, cell.box, cell.point))
                 titles.append(row.view if alone else self.texts[column])
                 remarks.append(cell.remark if alone else f"{row.view}: {cell.remark}")
@@ -235,13 +228,11 @@ class AnswerSheets:
 
 def _best_rows(rows: Sequence[_Row], count: int) -> list[_Row]:
     """The rows of the best answers, chosen by the texts in turn, in their order."""
-    left, chosen = list(rows), []
+    left, columns = list(range(len(rows))), len(rows[0].cells)
     for turn in range(min(count, len(rows))):
-        column = turn % len(rows[0].cells)
-        best = max(left, key=lambda row: (row.cells[column].visible, row.cells[column].coverage, -row.number))
-        left.remove(best)
-        chosen.append(best)
-    return sorted(chosen, key=lambda row: row.number)
+        # Of equals the first.
+        left.remove(max(left, key=lambda number: rows[number].cells[turn % columns].coverage))
+    return [row for number, row in enumerate(rows) if number not in left]
 
 
 def _cell(answer: ViewAnswer, size: tuple[int, int]) -> _Cell:
@@ -255,7 +246,6 @@ def _cell(answer: ViewAnswer, size: tuple[int, int]) -> _Cell:
         box=answer.box and (answer.box[0] * x, answer.box[1] * y, answer.box[2] * x, answer.box[3] * y),
         point=answer.point and ((answer.point[0] + 0.5) * x, (answer.point[1] + 0.5) * y),
         remark=answer.remark(),
-        visible=answer.visible,
         coverage=answer.coverage,
         largest=float(relevancy.max()),
     )

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer, AskedText, RunnerUp
 from scoup.query.matching import compare_things
-from scoup.query.named import choose, instances_of, named_texts
-from scoup.query.presence import NullScores, is_present, other_words
+from scoup.query.named import Named, choose, instances_of, named_texts
+from scoup.query.presence import TextScore, is_present, other_words
 from scoup.query.question import Question
 from scoup.query.votes import SampledVotes, select_each
 
@@ -28,7 +27,6 @@ def answer_scene(field: LanguageField, question: Question[Any]) -> list[Answer]:
     Raises:
         InputError: the vectors do not fit the field, or the threshold is not 0 to 1.
     """
-    check_arguments("answer_scene", field=(field, LanguageField), question=(question, Question))
     return list(each_answer(field, question))
 
 
@@ -49,28 +47,25 @@ def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer
     if known is None:
         yield from _by_votes(field, question)
         return
-    fits = known.fits(question.queries.float().cpu())
-    scores, names = null_scores(question, known.best_fits), named_texts(field.thing_table, question)
+    fits = known.fits(question.queries)
+    names = named_texts(field.thing_table, question)
+    scores = text_scores(question, known.best_fits, names)
     for number, choice in enumerate(choose(known, fits, names, question.level)):
-        text, score, named = question.texts[number], scores[number], names[number]
+        text, score = question.texts[number], scores[number]
         if choice is None:
             nothing, level = torch.zeros(len(field), dtype=torch.bool), field.levels[question.level or 0]
             yield Answer(text, nothing, level, 0.0 if question.can_judge_presence else None)
             continue
         level = int(known.things.levels[choice.things[0]])
-        rival, sure = choice.runner_up, score(choice.fit)
-        of_rival = None if rival is None else score(float(fits[rival, number]))
-        instances = instances_of(known, fits[:, number], choice, named)
+        rival, instances = choice.runner_up, instances_of(known, fits[:, number], choice, names[number])
         yield Answer(
             text=text,
             mask=known.things.members(choice.things).cpu(),
             level=field.levels[level],
-            score=sure if named is None else named.score(sure),
+            score=score(choice.fit),
             things=tuple(choice.things.tolist()),
             instances=tuple(instances.tolist()),
-            runner_up=None
-            if rival is None
-            else RunnerUp(rival, of_rival if named is None else named.score(of_rival, rival)),
+            runner_up=None if rival is None else RunnerUp(rival, score(float(fits[rival, number]), rival)),
         )
 
 
@@ -78,19 +73,24 @@ def _by_votes(field: LanguageField, question: Question[Any]) -> Iterator[Answer]
     scores: list[float | None] = [None] * len(question.texts)
     if question.can_judge_presence:
         votes = sampled_votes(field, question)
-        null = null_scores(question, votes.best_fits)
-        scores = [score(fit) for score, fit in zip(null, votes.fits(question.queries).tolist(), strict=True)]
+        fits, of_texts = votes.fits(question.queries).tolist(), text_scores(question, votes.best_fits)
+        scores = [score(fit) for score, fit in zip(of_texts, fits, strict=True)]
     for number, (selection, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
         text, level = question.texts[number], field.levels[selection.level]
         yield Answer(text, selection.mask.cpu(), level, score, threshold=selection.threshold)
 
 
-def null_scores(question: Question[Any], best_fits: Tensor) -> list[NullScores]:
-    """Return the scores of each text against the best fits of everyday words [B]; none with too few words."""
+def text_scores(
+    question: Question[Any], best_fits: Tensor, names: Sequence[Named | None] = ()
+) -> list[TextScore]:
+    """Return the score of each text against the best fits of everyday words [B], joined with that of its name; with
+    too few words, none counts."""
     queries, words = question.queries.float().cpu(), question.everyday.float().cpu()
-    if not question.can_judge_presence:
-        return [NullScores(best_fits[:0], torch.zeros(0, dtype=torch.bool))] * len(queries)
-    return [NullScores(best_fits, others) for others in other_words(queries, words)]
+    others = torch.zeros(len(queries), 0, dtype=torch.bool)
+    if question.can_judge_presence:
+        others = other_words(queries, words)
+    every = zip(others, names or [None] * len(queries), strict=True)
+    return [TextScore(best_fits[: len(own)], own, named) for own, named in every]
 
 
 def sampled_votes(field: LanguageField, question: Question[Any]) -> SampledVotes:

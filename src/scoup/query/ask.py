@@ -60,13 +60,9 @@ def one_answer(field: LanguageField, question: Question[Any]) -> Answer:
 def things(field: LanguageField, question: Question[Any] | str | Several | None) -> list[Thing]:
     """Return all things, or those that a question singles out; ``field.things`` documents it."""
     if question is None:
-        return copy.deepcopy(field.kept(Thing, lambda: all_things(field)))
-    asked = as_question(field, question)
-
-    def made() -> list[Thing]:
-        return _once(thing for each in answers_of(field, asked) for thing in things_of_answer(field, each))
-
-    return copy.deepcopy(field.kept((Thing, asked), made))
+        return copy.deepcopy(all_things(field))
+    answers = answers_of(field, as_question(field, question))
+    return _once(thing for each in answers for thing in things_of_answer(field, each))
 
 
 def _joined(
@@ -169,10 +165,9 @@ def _nested(field: LanguageField, one: Thing, other: Thing) -> bool:
 
 def _best_part(field: LanguageField, answer: Answer, thing: Thing) -> Thing:
     """Return the part of a thing that fits the text of an answer best, or the thing itself."""
-    (known, fits), table = text_fits(field, answer), field.thing_table
-    assert table is not None
+    known, fits = text_fits(field, answer)
     assert thing.number is not None
-    inside = table.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
+    inside = known.things.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
     best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
     return thing if best == thing.number else next(iter(scored_things(field, answer, [best])), thing)
 

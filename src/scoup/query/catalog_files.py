@@ -7,7 +7,6 @@ import io
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -94,11 +93,10 @@ def draw_things(
     """Yield each thing that can be seen, with its picture: in the camera that sees it largest, else in a view of its
     own."""
     seen = [(thing, viewing_cameras(thing, cameras)) for thing in things if cameras]
-    ordered = [(thing, next(own, None), own) for thing, own in seen]
-    ordered.sort(key=lambda each: each[1].name if each[1] else "")  # so that each camera is rendered once
+    seen.sort(key=lambda each: each[1][0].name if each[1] else "")  # so that each camera is rendered once
     view, colors = None, np.zeros((0, 0, 3), np.uint8)
-    for thing, first, others in ordered:
-        for camera in chain([first] if first else [], others):
+    for thing, own in seen:
+        for camera in own:
             if view is None or view.camera is not camera:
                 view = field.at(camera)
                 colors = as_picture(view.renders.colors().cpu())
@@ -108,18 +106,17 @@ def draw_things(
                 break
 
 
-def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> Iterator[Camera]:
-    """Yield the camera that sees a thing largest, if any sees it, and one of its own, which looks at it from the side
+def viewing_cameras(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
+    """Return the camera that sees a thing largest, if any sees it, and one of its own, which looks at it from the side
     of the nearest camera, and from so near that it fills half; none of its own for a thing around that camera."""
-    if (best := _best_view(thing, cameras)) is not None:
-        yield cameras[best]
+    found = _best_view(thing, cameras)
     near = min(cameras, key=lambda each: float((each.position - thing.position).norm()))
     ahead = torch.nn.functional.normalize(thing.position - near.position, dim=0)
     eye = thing.position - ahead * max(thing.size, 1e-3) * near.fx / min(near.width, near.height)
     with suppress(InputError):
-        yield Camera.look_at(
-            eye, thing.position, "", near.width, near.height, near.fx, up=-near.viewmat[1, :3]
-        )
+        size = (near.width, near.height)
+        found.append(Camera.look_at(eye, thing.position, "", *size, near.fx, up=-near.viewmat[1, :3]))
+    return found
 
 
 def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
@@ -130,21 +127,20 @@ def thing_mask(view: FieldView, thing: Thing) -> torch.Tensor:
     return (share > COVERED * alpha.clamp(min=0.1)).cpu()
 
 
-def _best_view(thing: Thing, cameras: Sequence[Camera]) -> int | None:
-    """The camera whose image the thing's box fills most; None where none sees its middle."""
+def _best_view(thing: Thing, cameras: Sequence[Camera]) -> list[Camera]:
+    """Return the camera whose image the thing's box fills most, if any sees its middle."""
     corners = torch.cat([thing.position[None], thing.box.corners()])
-    sizes = []
-    for camera in cameras:
-        seen = corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-        if float(seen[:, 2].min()) <= 0:
-            sizes.append(0.0)
-            continue
-        pixels = (seen @ camera.K.T)[:, :2] / seen[:, 2:]
+
+    def share(camera: Camera) -> float:
+        pixels, depths = camera.pixels(corners)
+        if float(depths.min()) <= 0 or not bool(camera.shows(corners[:1])):
+            return 0.0
+        low, high = pixels.aminmax(dim=0)
         size = pixels.new_tensor([camera.width, camera.height])
-        inside = bool(((pixels[0] >= 0) & (pixels[0] < size)).all())
-        low, high = (pixels.amin(0).clamp(min=0) / size, (pixels.amax(0) / size).clamp(max=1))
-        sizes.append(float((high - low).clamp(min=0).prod()) if inside else 0.0)
-    return sizes.index(max(sizes)) if max(sizes, default=0.0) > 0 else None
+        return float(((high / size).clamp(max=1) - low.clamp(min=0) / size).clamp(min=0).prod())
+
+    shares = [share(camera) for camera in cameras]
+    return [cameras[shares.index(max(shares))]] if max(shares) > 0 else []
 
 
 def crop_window(mask: torch.Tensor) -> tuple[slice, slice] | None:

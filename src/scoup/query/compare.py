@@ -17,6 +17,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from scoup.base.errors import InputError, ScoupWarning
@@ -316,17 +317,16 @@ def _seen(one: _Capture, other: _Capture, asked: NDArray[np.bool_]) -> Array:
     Args:
         asked: [M] boolean, the points that count.
     """
-    places, reach, seen = one.places[asked], one.reach[asked], np.zeros(int(asked.sum()), bool)
+    places, reach = torch.from_numpy(one.places[asked]), one.reach[asked]
+    seen = np.zeros(len(places), bool)
     for camera in other.field.cameras or ():
         small = camera.scaled(min(1.0, SIDE / max(camera.width, camera.height)))
-        ahead = moved_points(places, small.viewmat.double().cpu().numpy())
-        with np.errstate(all="ignore"):
-            pixels = np.floor((ahead @ small.K.double().cpu().numpy().T)[:, :2] / ahead[:, 2:])
-        inside = (ahead[:, 2] > 0) & ((pixels >= 0) & (pixels < [small.width, small.height])).all(1) & ~seen
+        pixels, depths = (each.numpy() for each in small.pixels(places))
+        inside = small.shows(places).numpy() & ~seen
         if inside.any():
             depth = render_depth(other.field.project(small), other.field.gaussians, small).numpy()
             columns, rows = pixels[inside].astype(int).T
-            seen[inside] = ~(depth[rows, columns] < ahead[inside, 2] - reach[inside])  # NaN: nothing is there
+            seen[inside] = ~(depth[rows, columns] < depths[inside] - reach[inside])  # NaN: nothing is there
     weights = np.zeros(len(asked))
     weights[asked] = one.points.weights[asked] * seen
     return one.points.sums(weights) / one.points.sums(one.points.weights).clip(1e-12)

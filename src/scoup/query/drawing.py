@@ -84,7 +84,7 @@ class _CodeColors:
 
     placed: Tensor  # [L, axes], places of the atoms
     basis: tuple[NDArray[np.float64], NDArray[np.float64]]
-    legend: Callable[[int], Picture]  # draws the legend at a width
+    leading: dict[str, tuple[int, int, int]]  # atoms that lead the codes of most Gaussians, and their colours
 
 
 def code_drawing(field: LanguageField, level: str | int, plain: bool = False) -> Draw:
@@ -101,7 +101,9 @@ def code_drawing(field: LanguageField, level: str | int, plain: bool = False) ->
         if plain:
             return picture
         titled = captioned(picture, f"codes, level {LEVEL_NAMES.get(name, name)}", view.camera.name)
-        return stacked([titled, colors.legend(titled.shape[1])])
+        swatches, names = [*colors.leading.values()], [*colors.leading]
+        legend = swatch_legend(titled.shape[1], CODE_LEGEND, "most frequent atoms", swatches, names)
+        return stacked([titled, legend])
 
     return draw
 
@@ -111,19 +113,16 @@ def _code_colors(field: LanguageField, row: int) -> _CodeColors:
     indices, weights = field.code_indices[:, row].cpu(), field.code_weights[:, row].float().cpu()
     gaussians = SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed  # [N, axes]
     basis = code_basis(gaussians)
-    return _CodeColors(placed, basis, _code_legend(indices, weights, code_picture(gaussians[None], basis)[0]))
-
-
-def _code_legend(indices: Tensor, weights: Tensor, colors: Picture) -> Callable[[int], Picture]:
-    """Return a function that draws the legend of a code picture of a width, from the codes [N, K] and colours [N, 3] of
-    the Gaussians."""
     coded = weights.sum(1) > 0
-    leading = indices.long().gather(1, weights.argmax(1, keepdim=True))[:, 0][coded].numpy()
-    counts = np.bincount(leading)
-    most = [int(atom) for atom in np.argsort(-counts, kind="stable")[:LEGEND_ATOMS] if counts[atom]]
-    shades = [colors[coded.numpy()][leading == atom].mean(0).round().astype(int).tolist() for atom in most]
-    swatches, names = [tuple(shade) for shade in shades], [str(atom) for atom in most]
-    return lambda width: swatch_legend(width, CODE_LEGEND, "most frequent atoms", swatches, names)
+    colors = code_picture(gaussians[None], basis)[0][coded.numpy()]
+    atoms = indices.long().gather(1, weights.argmax(1, keepdim=True))[:, 0][coded].numpy()
+    counts = np.bincount(atoms)
+    leading = {}
+    for atom in np.argsort(-counts, kind="stable")[:LEGEND_ATOMS].tolist():
+        if counts[atom]:
+            red, green, blue = colors[atoms == atom].mean(0).round().astype(int).tolist()
+            leading[str(atom)] = red, green, blue
+    return _CodeColors(placed, basis, leading)
 
 
 def moving_cameras(
@@ -193,11 +192,8 @@ def _preview(field: LanguageField) -> Picture | None:
     """The codes of the middle level in the first camera; None without a camera or geometry."""
     if field.cameras is None or not len(field.cameras) or not len(field):
         return None
-    camera = field.cameras[0]
-    scale = min(1.0, PREVIEW[0] / camera.width)
-    camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
     try:
-        view = field.at(camera)
+        view = field.at(0, min(1.0, PREVIEW[0] / field.cameras[0].width))
     except InputError:  # the geometry was moved; show the facts alone
         return None
     return code_drawing(field, len(field.levels) // 2, plain=True)(view)

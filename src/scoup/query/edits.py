@@ -90,8 +90,7 @@ def best_camera(field: LanguageField, mask: Tensor, cameras: Sequence[Camera]) -
     shares: list[tuple[float, Camera]] = []
     for camera in spread(cameras, MOST_TRIED):
         scale = min(1.0, TRIED_SIDE / max(camera.width, camera.height))
-        small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        shares.append((float(field.at(small).shares(mask)[0].mean()), camera))
+        shares.append((float(field.at(camera, scale).shares(mask)[0].mean()), camera))
     return max(shares, key=lambda pair: pair[0])[1]
 
 

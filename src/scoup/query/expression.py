@@ -105,9 +105,9 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
     between spaces; brackets group. A text may have several words. Double quotes make one text of operators, as in
     ``'"salt and pepper"'``. Texts without an operator are combined with ``or``. A text with a relation or an order,
     such as "mug left of the laptop" or "largest mug", is a phrase over things (``scoup.query.phrases``), unless it
-    stands in double quotes. One that begins with a relation after "and", as in "mug on the table and near the laptop",
-    is about the text before. "how many mugs" counts; "how many mugs and cups" counts both, and a relation of the last
-    is one of all. A question mark at the end is left out.
+    stands in double quotes. One that begins with a relation after an operator, as in "mug on the table and near the
+    laptop", is about the text before. "how many mugs" counts; "how many mugs and cups" counts both, and a relation of
+    the last is one of all. A question mark at the end is left out.
 
     Args:
         words: texts, operators, or expressions; or one of them.
@@ -205,29 +205,34 @@ class _Reader:
         return InputError(f"{self.source}: {problem}; {_GRAMMAR}")
 
     def union(self) -> Node:
-        left, before = self.intersection(), self.depth
+        last, before = self.intersection(), self.depth
+        left = last
         while self.rest and self.rest[0] in ("or", "+", "-"):
             operator = self.before = self.rest.pop(0)
-            right = self.intersection()
+            last = self.intersection(self.noun_of_next(last))
             if operator == "-":
-                left = self.combine("and", left, Operation("not", (right,)))
+                left = self.combine("and", left, Operation("not", (last,)))
             else:
-                left = self.combine("or", left, right)
+                left = self.combine("or", left, last)
         self.depth = before
         return left
 
-    def intersection(self) -> Node:
-        parts = [self.factor()]
+    def intersection(self, noun: str = "") -> Node:
+        parts = [self.factor(noun)]
         while self.rest and self.rest[0] == "and":
             self.before = self.rest.pop(0)
-            after = next((token for token in self.rest if token != "not"), "")
-            if (noun := _noun_of(parts[-1])) and after[:1] == "=" and begins_with_relation(after[1:]):
-                last = parts[-1]
+            last = parts[-1]
+            if noun := self.noun_of_next(last):
                 before = last.parts if isinstance(last, Operation) and last.of_one else (last,)
                 parts[-1] = Operation("and", (*before, self.factor(noun)), of_one=True)
             else:
                 parts.append(self.factor())
         return reduce(lambda left, right: self.combine("and", left, right), parts)
+
+    def noun_of_next(self, before: Node) -> str:
+        """Return the text that the next part takes over from the one before, if it begins with a relation."""
+        after = next((token for token in self.rest if token != "not"), "")
+        return _noun_of(before) if after[:1] == "=" and begins_with_relation(after[1:]) else ""
 
     def combine(self, operator: str, left: Node, right: Node) -> Node:
         if isinstance(left, Operation) and left.operator == operator and not left.of_one:

@@ -88,14 +88,5 @@ def _widest(field: LanguageField, cameras: Sequence[Camera]) -> Camera | None:
     """The camera with the largest share of the Gaussians in its image; of several the first."""
     if not cameras:
         return None
-    step = max(1, len(field) // 20_000)
-    means = field.gaussians.means[::step].double().cpu()
-    counts = []
-    for camera in cameras:
-        viewmat, K = (torch.as_tensor(each).double().cpu() for each in (camera.viewmat, camera.K))
-        seen = (means @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
-        x, y, depth = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2], seen[:, 2]
-        counts.append(
-            int(((depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)).sum())
-        )
-    return cameras[counts.index(max(counts))]
+    means = field.gaussians.means[:: max(1, len(field) // 20_000)]
+    return max(cameras, key=lambda camera: int(camera.shows(means).sum()))

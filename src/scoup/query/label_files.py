@@ -1,4 +1,4 @@
-"""Labels of Gaussians as files for other programs (docs/formats.md, "Labels")."""
+"""Labels of Gaussians as files for other programs (docs/editing.md)."""
 
 from __future__ import annotations
 

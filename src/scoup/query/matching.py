@@ -102,7 +102,7 @@ class ComparedTable:
 
     def fits(self, queries: Tensor) -> Tensor:
         """Return the fits [T, Q] float32 of all things to unit vectors [Q, D], in units of the scene's spread."""
-        return self._fits(self.embeddings @ queries.T, slice(None))
+        return self._fits(self.embeddings @ queries.float().cpu().T, slice(None))
 
     def _fits(self, cosines: Tensor, rows: slice) -> Tensor:
         lowered = cosines - HUB_SHARE * self.hubs[rows, None]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -47,11 +46,6 @@ class Place:
         return None if self.thing is None else self.thing.box
 
     @property
-    def nbytes(self) -> int:
-        """Bytes of answer and thing."""
-        return self.answer.nbytes + (0 if self.thing is None else self.thing.nbytes)
-
-    @property
     def presence(self) -> bool:
         """Whether the thing is there; true if that was not judged and any Gaussian answers."""
         return self.thing is not None
@@ -90,10 +84,7 @@ def location(field: LanguageField, question: Question[Any] | str | Several | Ans
     if isinstance(question, Answer):
         return place_of(field, question)
     asked = as_question(field, question)
-    places = field.kept(
-        (Place, asked), lambda: [place_of(field, answer) for answer in answers_of(field, asked)]
-    )
-    return asked.shaped(copy.deepcopy(places))
+    return asked.shaped([place_of(field, answer) for answer in answers_of(field, asked)])
 
 
 def place_of(field: LanguageField, answer: Answer) -> Place:

@@ -13,7 +13,7 @@ docs/answers.md.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor
@@ -22,6 +22,9 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.field.content import LEAST_GAUSSIANS
 from scoup.models.words import LEAST_WORDS
+
+if TYPE_CHECKING:
+    from scoup.query.named import Named
 
 Certainty = Literal["sure", "likely", "doubtful", "not here"]
 PRESENT_FROM = 0.37
@@ -79,20 +82,23 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
     return ~alike & (near < SAME)
 
 
-class NullScores:
-    """Scores of one text against the best fits of everyday words.
+class TextScore:
+    """The score of one text for a fit: against the best fits of everyday words, and by its name if it has one.
 
     Args:
         best_fits: [B] of the words in this scene.
         others: [B] boolean, the words that count (``other_words``).
+        named: what a model with words said of the text, if it has a name.
     """
 
-    def __init__(self, best_fits: Tensor, others: Tensor) -> None:
-        self._ordered = best_fits[others].sort().values
+    def __init__(self, best_fits: Tensor, others: Tensor, named: Named | None = None) -> None:
+        self._ordered, self._named = best_fits[others].sort().values, named
 
-    def __call__(self, fit: float) -> float | None:
-        """Return the share of the words whose best fit is lower; None if no word counts."""
-        if not len(self._ordered):
-            return None
-        below = torch.searchsorted(self._ordered, torch.tensor(fit, dtype=self._ordered.dtype))
-        return int(below) / len(self._ordered)
+    def __call__(self, fit: float, thing: int | None = None) -> float | None:
+        """Return the share of the words whose best fit is lower, or None if no word counts, joined with the score of
+        the name (``Named.score``): of the text, or of it in one thing."""
+        score = None
+        if len(self._ordered):
+            below = torch.searchsorted(self._ordered, torch.tensor(fit, dtype=self._ordered.dtype))
+            score = int(below) / len(self._ordered)
+        return score if self._named is None else self._named.score(score, thing)

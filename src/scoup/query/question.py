@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
 from scoup.base.brief import brief
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
@@ -140,10 +139,16 @@ def make_question(
     frame: Frame | None = None,
 ) -> Question[Any]:
     """Make a question; ``field.question`` documents it."""
-    source = field.text_encoder(encoder)
+    source, is_single = field.text_encoder(encoder), isinstance(texts, (str, Expression))
+    given = (texts,) if is_single else tuple(texts) if isinstance(texts, (list, tuple)) else ()
+    if not all(isinstance(each, (str, Expression)) for each in given):
+        given = ()  # vectors, or what cannot be asked
 
     def made() -> Question[Any]:
-        asked = _parsed([texts] if isinstance(texts, (str, Expression)) else texts, source.names)
+        asked = tuple(
+            (str(each), each if isinstance(each, Expression) else parse_expression([each], source.names))
+            for each in given
+        )
         alone = [each.root for _, each in asked if isinstance(each.root, str) and not each.counted]
         every = [*dict.fromkeys(text for _, each in asked for text in each.texts)]
         words = alone if len(alone) == len(asked) else every
@@ -155,7 +160,7 @@ def make_question(
             present_from=(
                 None if always else presence_threshold(len(vectors.everyday), vectors.source, present_from)
             ),
-            is_single=isinstance(texts, (str, Expression)),
+            is_single=is_single,
             asked=() if words is alone else asked,
             everything=naming_question(field) if wants_everything else None,
             frame=frame,
@@ -163,15 +168,11 @@ def make_question(
             near=_near_names(field, vectors),
         )
 
-    words = tuple(texts) if isinstance(texts, (list, tuple)) else texts
-    is_kept = isinstance(words, (str, Expression)) or (
-        isinstance(words, tuple)
-        and len(words) <= MOST_TEXTS
-        and all(isinstance(word, (str, Expression)) for word in words)
-    )
-    if not is_kept:
+    if not 0 < len(given) <= MOST_TEXTS:
         return made()
-    return field.kept((Question, words, source, always, present_from, threshold, level, frame), made)
+    return field.kept(
+        (Question, given, is_single, source, always, present_from, threshold, level, frame), made
+    )
 
 
 def naming_question(field: LanguageField, words: Sequence[str] = ()) -> Question[Any]:
@@ -188,16 +189,6 @@ def naming_question(field: LanguageField, words: Sequence[str] = ()) -> Question
         return make_question(field, literal([*dict.fromkeys(every)]))
 
     return field.kept((naming_question, tuple(words), encoder), made)
-
-
-def _parsed(texts: Any, names: Collection[str] | None) -> tuple[tuple[str, Expression], ...]:
-    """Return texts and what they mean; nothing for what is not texts."""
-    if not isinstance(texts, (list, tuple)) or not all(isinstance(text, (str, Expression)) for text in texts):
-        return ()
-    return tuple(
-        (str(text), text if isinstance(text, Expression) else parse_expression([text], names))
-        for text in texts
-    )
 
 
 def literal(texts: Any) -> Any:
@@ -290,7 +281,6 @@ def encode_texts(
     Warns:
         ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
     """
-    check_arguments("encode_texts", encoder=(encoder, TextEncoder), field=(field, LanguageField))
     source = source or encoder.name or "the word table"
     if encoder.dim != field.dim:
         raise InputError(

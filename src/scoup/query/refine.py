@@ -61,7 +61,6 @@ def refine(
     texts: str | Sequence[str],
     model: ConceptModel | str,
     cameras: Cameras | None = None,
-    most_views: int = MOST_VIEWS,
 ) -> Refined:
     """Look for texts in photographs of a field with a model, and name the things of the field that it finds.
 
@@ -73,7 +72,6 @@ def refine(
         texts: to look for.
         model: or its name (``scoup.models.concepts.CONCEPTS``).
         cameras: with their photographs; by default the field's own. A camera without one is rendered.
-        most_views: to look at.
 
     Raises:
         InputError: the field has no things or no cameras.
@@ -89,7 +87,7 @@ def refine(
     model = open_concepts(model, device=field.codebook.device) if isinstance(model, str) else model
     views: list[tuple[Camera, Detections]] = []
     rendered = 0
-    for camera in choose_views(field, words, cameras, most_views):
+    for camera in choose_views(field, words, cameras):
         image = _photograph(camera)
         rendered += image is None
         views.append((camera, model.detect(_render(field, camera) if image is None else image, words)))
@@ -125,7 +123,7 @@ def choose_views(
     question = make_question(field, literal(list(texts)))
     known = compare_things(field, question)
     assert known is not None
-    fits = known.fits(question.queries.float().cpu())[known.usable]
+    fits = known.fits(question.queries)[known.usable]
     weights = (fits - fits.amax(0)).exp().amax(1) + SOME / max(1, len(fits))
     sizes = field.kept(
         (_apparent_sizes, *(camera.fingerprint() for camera in cameras)),
@@ -147,24 +145,15 @@ def _apparent_sizes(field: LanguageField, cameras: Cameras) -> Tensor:
     assert table is not None
     means = field.gaussians.means.float().cpu()
     means = torch.where(means.isfinite(), means, 0.0)
-    sums, squares, counts = torch.zeros(len(table), 3), torch.zeros(len(table)), torch.zeros(len(table))
-    for owners in table.owners.cpu().T:
-        mine = (owners >= 0).nonzero()[:, 0]
-        of = owners[mine].long()
-        sums.index_add_(0, of, means[mine])
-        squares.index_add_(0, of, means[mine].square().sum(1))
-        counts.index_add_(0, of, torch.ones(len(of)))
-    middles = sums / counts.clamp(min=1)[:, None]
-    radii = (squares / counts.clamp(min=1) - middles.square().sum(1)).clamp(min=0).sqrt()
+    counts = table.sums(torch.ones(len(means)))
+    middles = torch.stack([table.sums(axis) for axis in means.T], 1) / counts.clamp(min=1)[:, None]
+    squares = table.sums(means.square().sum(1)) / counts.clamp(min=1)
+    radii = (squares - middles.square().sum(1)).clamp(min=0).sqrt()
     sizes = []
     for camera in cameras:
-        viewmat, K = camera.viewmat.float(), camera.K.float()
-        x, y, depth = (middles @ viewmat[:3, :3].T + viewmat[:3, 3]).T
-        u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]
-        inside = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        size = K[0, 0] * radii / depth / (LARGE * max(camera.width, camera.height))
-        sizes.append(torch.where(inside & (counts > 0), size.clamp(max=1), 0.0))
-    return torch.stack(sizes)
+        size = camera.fx * radii / camera.pixels(middles)[1] / (LARGE * max(camera.width, camera.height))
+        sizes.append(torch.where(camera.shows(middles) & (counts > 0), size.clamp(max=1), 0.0))
+    return torch.stack(sizes).float()
 
 
 def _photograph(camera: Camera) -> NDArray[np.uint8] | None:

@@ -104,10 +104,7 @@ def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: F
 
 def relations(field: LanguageField, frame: Frame | None = None) -> list[tuple[int, str, int]]:
     """Return how the things of a field stand to each other; ``field.relations`` documents it."""
-    frame, every = (
-        field.frame() if frame is None else frame,
-        field.kept(Thing, lambda: all_things(field)),
-    )
+    frame, every = frame or field.frame(), all_things(field)
     levels = [[thing for thing in every if thing.level == level] for level in field.levels]
     return [pair for of_level in levels for pair in related_pairs(field, of_level, frame)]
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.arguments import check_arguments
@@ -100,11 +99,12 @@ def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Resh
         kept = parts == np.bincount(parts, np.nan_to_num(weights[inside])).argmax()
         inside[inside] = kept
     if (wanted.shrink or wanted.grow) and inside.any() and len(points) > 1:
-        near = _Neighbours(points, inside)
+        nearest, lengths = nearest_points(points, min(NEIGHBOURS, len(points) - 1))
+        linked = lengths <= LONGEST_LINK * np.median(lengths[inside][:, -1])
         for _ in range(wanted.shrink):
-            inside &= ~near.any_of(~inside)
+            inside &= ~((~inside)[nearest] & linked).any(1)
         for _ in range(wanted.grow):
-            inside |= near.any_of(inside)
+            inside |= (inside[nearest] & linked).any(1)
     if wanted.within and inside.any():
         from scipy.spatial import KDTree
 
@@ -113,16 +113,3 @@ def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Resh
     out = torch.zeros(len(mask), dtype=torch.bool)
     out[usable] = torch.from_numpy(inside)
     return out
-
-
-class _Neighbours:
-    """Links from points to their nearest others, as long as usual among those inside."""
-
-    def __init__(self, points: NDArray[np.float64], inside: NDArray[np.bool_]) -> None:
-        nearest, lengths = nearest_points(points, min(NEIGHBOURS, len(points) - 1))
-        self._nearest = nearest
-        self._linked = lengths <= LONGEST_LINK * np.median(lengths[inside][:, -1])
-
-    def any_of(self, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which points are linked to any of these, themselves included, [N] boolean."""
-        return members | (members[self._nearest] & self._linked).any(1)

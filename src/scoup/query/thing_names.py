@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from scoup.field.language_field import LanguageField
-from scoup.query.answer_scene import each_answer, null_scores
+from scoup.query.answer_scene import each_answer, text_scores
 from scoup.query.matching import SAME, ComparedTable, compare_things, compared_words, shared_gaussians
 from scoup.query.named import NAMES, less_common, voted_names
 from scoup.query.question import Question
@@ -64,7 +64,7 @@ def _made_names(field: LanguageField, question: Question[Any]) -> dict[int, Thin
             if int((words[thing] > fit + 1e-6).sum()) <= NEARER_WORDS * len(everyday):
                 found.setdefault(thing, []).append((-float(fit), number))
     best = {thing: [number for _, number in sorted(numbers)[:NAMES]] for thing, numbers in found.items()}
-    fits, scores, names = known.fits(queries), null_scores(question, known.best_fits), {}
+    fits, scores, names = known.fits(queries), text_scores(question, known.best_fits), {}
     for thing, like in _alike(known, best).items():
         texts, first = tuple(question.texts[number] for number in best[like]), best[like][0]
         names[thing] = ThingName(texts, scores[first](float(fits[thing, first])))
@@ -95,7 +95,7 @@ def named_things(field: LanguageField, words: Question[Any] | None) -> list[Thin
         field: with or without things.
         words: that may be names (``naming_question``); None: there is no encoder, and only a model's names are known.
     """
-    things = field.kept(Thing, lambda: all_things(field))
+    things = all_things(field)
     if words is None:
         return list(things)
     names, unnamed = thing_names(field, words), ThingName(("",), None)

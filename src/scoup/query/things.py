@@ -16,7 +16,7 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import null_scores
+from scoup.query.answer_scene import text_scores
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.matching import ComparedTable, compare_things
 from scoup.query.named import named_texts, voted_names
@@ -117,22 +117,23 @@ class Thing:
 
 
 def all_things(field: LanguageField) -> list[Thing]:
-    """Return every instance of a field with at least ``LEAST_GAUSSIANS`` Gaussians, finer levels first.
+    """Return every instance of a field with at least ``LEAST_GAUSSIANS`` Gaussians, finer levels first, from its cache.
 
     Empty for a field without things.
     """
     table = field.thing_table
     if table is None:
         return []
-    counts = table.sums(torch.ones(len(table.owners)))
-    numbers = (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist()
-    voted = voted_names(field)
-    named = {number: (names[0], score) for number, (names, score) in voted.items()}
-    return [
-        replace(thing, text=text, score=score)
-        for thing in things_of_table(field, numbers)
-        for text, score in [named.get(thing.number or 0, ("", None))]
-    ]
+
+    def made() -> list[Thing]:
+        counts, voted = table.sums(torch.ones(len(table.owners))), voted_names(field)
+        return [
+            replace(thing, text=names[0], score=score)
+            for thing in things_of_table(field, (counts >= LEAST_GAUSSIANS).nonzero()[:, 0].tolist())
+            for names, score in [voted.get(thing.number or 0, (("",), None))]
+        ]
+
+    return field.kept(Thing, made)
 
 
 def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False) -> list[Thing]:
@@ -152,22 +153,19 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
 
 def text_fits(field: LanguageField, answer: Answer) -> tuple[ComparedTable, list[float]]:
     """Return the things of a field, and how well each fits the text of an answer."""
-    known = compare_things(field, answer.asked[0].question)
+    question = answer.asked[0].question
+    known = compare_things(field, question)
     assert known is not None
-    return known, known.fits(answer.asked[0].question.queries.float().cpu())[:, 0].tolist()
+    fits = field.kept((text_fits, question), lambda: known.fits(question.queries)[:, 0])
+    return known, fits.tolist()
 
 
 def scored_things(field: LanguageField, answer: Answer, numbers: Sequence[int]) -> list[Thing]:
     """Return things by their numbers, with the text of an answer and their scores for it."""
-    known, fits = text_fits(field, answer)
-    (score,) = null_scores(answer.asked[0].question, known.best_fits)
-    (named,) = named_texts(field.thing_table, answer.asked[0].question)
-    scores = {
-        number: score(fits[number]) if named is None else named.score(score(fits[number]), number)
-        for number in numbers
-    }
+    (known, fits), question = text_fits(field, answer), answer.asked[0].question
+    (score,) = text_scores(question, known.best_fits, named_texts(field.thing_table, question))
     return [
-        replace(thing, text=answer.text, score=scores[thing.number or 0])
+        replace(thing, text=answer.text, score=score(fits[thing.number or 0], thing.number))
         for thing in things_of_table(field, numbers)
     ]
 

@@ -102,14 +102,14 @@ def select_by_relevancy(
 def level_thresholds(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
     """Return the most stable threshold [S] of relevancy [S, N] rescaled over the coded Gaussians [S, N], and the
     relevancies [S, 2] that rescaling takes to 0 and to 1, 0.5 and 0.5 for a level without any; on the CPU."""
-    ends, counts = stretched_counts(values, coded, LOWEST_SHARE)
+    ends, counts = stretched_counts(values, coded)
     spans = torch.stack([ends.mean(1), ends[:, 1]], 1)  # the lower half is cut off
     return thresholds_of_counts(counts), torch.where(coded.any(1)[:, None].cpu(), spans, 0.5)
 
 
 def _most_stable(values: Tensor, coded: Tensor) -> Selection:
     """Select by the most stable threshold of each level."""
-    spans, counts = stretched_counts(values, coded, LOWEST_SHARE)
+    spans, counts = stretched_counts(values, coded)
     thresholds = thresholds_of_counts(counts)
     masks, areas, sums = above_thresholds(values, coded, spans, thresholds)
     peaks = spans[:, 1].tolist()
@@ -170,56 +170,47 @@ def thresholds_of_counts(counts: Tensor) -> Tensor:
     return at[best].float()
 
 
-def stretched_counts(values: Tensor, included: Tensor | None, share: float) -> tuple[Tensor, Tensor]:
+def stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
     """Return the span of each row, and how many of its values are in each hundredth once rescaled over it.
 
     Args:
         values: [S, M] floating point.
-        included: [S, M] boolean, those that count; None: all.
-        share: values below this share of the span need not be counted.
+        coded: [S, M] boolean, those that count.
 
     Returns:
         spans [S, 2], the smallest and the largest value, infinity and minus infinity without any; and counts
-        [S, ``BINS``] int64, zeros for a row that is empty or not finite. Both on the CPU.
+        [S, ``BINS``] int64, of values from ``LOWEST_SHARE`` of the span on, zeros for a row that is empty or not
+        finite. Both on the CPU.
     """
     core = _core_for(values)
     if core is None:
-        return plain_stretched_counts(values, included, share)
-    counted = core.count_stretched(_rows(values), _bytes(included), share, torch.get_num_threads())
+        return plain_stretched_counts(values, coded)
+    counted = core.count_stretched(_rows(values), _bytes(coded), LOWEST_SHARE, torch.get_num_threads())
     return torch.from_numpy(counted[0]), torch.from_numpy(counted[1])
 
 
-def plain_stretched_counts(values: Tensor, included: Tensor | None, share: float) -> tuple[Tensor, Tensor]:
+def plain_stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
     """``stretched_counts`` in torch."""
-    spans, counts = [], []
-    for number, row in enumerate(values):
-        values_of_row = row if included is None else row[included[number]]
-        ends = (
-            torch.stack(values_of_row.aminmax())
-            if values_of_row.numel()
-            else values_of_row.new_tensor([torch.inf, -torch.inf])
-        )
-        low, high = ends
-        bins = torch.zeros(BINS, dtype=torch.float64)
-        if ends.isfinite().all():
+    spans, counts = torch.zeros(len(values), 2, dtype=values.dtype), torch.zeros(len(values), BINS).long()
+    for number, (row, own) in enumerate(zip(values, coded, strict=True)):
+        row = row[own]
+        low, high = row.aminmax() if len(row) else row.new_tensor([torch.inf, -torch.inf])
+        spans[number] = torch.stack([low, high])
+        if spans[number].isfinite().all():
             # A little lower than needed, for rounding.
-            counted = values_of_row[values_of_row >= low + (high - low) * share - 1e-6]
+            counted = row[row >= low + (high - low) * LOWEST_SHARE - 1e-6]
             for part in rescale(counted, low, high).float().split(1 << 24):  # float32 counts no further
-                bins += torch.histc(part, BINS, 0, 1).double().cpu()
-        spans.append(ends.cpu())
-        counts.append(bins.long())
-    if not counts:
-        return values.new_zeros(0, 2).cpu(), torch.zeros(0, BINS, dtype=torch.int64)
-    return torch.stack(spans), torch.stack(counts)
+                counts[number] += torch.histc(part, BINS, 0, 1).cpu().long()
+    return spans, counts
 
 
 def above_thresholds(
-    values: Tensor, included: Tensor | None, spans: Tensor, thresholds: Tensor
+    values: Tensor, coded: Tensor, spans: Tensor, thresholds: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return which values of each row are above its threshold once rescaled, how many, and their sum.
 
     Args:
-        values, included: as for ``stretched_counts``.
+        values, coded: as for ``stretched_counts``.
         spans: [S, 2] from there.
         thresholds: [S] float32 on the CPU.
 
@@ -229,25 +220,22 @@ def above_thresholds(
     """
     core = _core_for(values)
     if core is None:
-        return plain_above_thresholds(values, included, spans, thresholds)
+        return plain_above_thresholds(values, coded, spans, thresholds)
     result = core.above_thresholds(
-        _rows(values), _bytes(included), spans.numpy(), thresholds.numpy(), torch.get_num_threads()
+        _rows(values), _bytes(coded), spans.numpy(), thresholds.numpy(), torch.get_num_threads()
     )
     masks, counts, sums = (torch.from_numpy(each) for each in result)
     return masks.view(torch.bool), counts, sums
 
 
 def plain_above_thresholds(
-    values: Tensor, included: Tensor | None, spans: Tensor, thresholds: Tensor
+    values: Tensor, coded: Tensor, spans: Tensor, thresholds: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """``above_thresholds`` in torch."""
-    masks = torch.zeros(values.shape, dtype=torch.bool, device=values.device)
-    for number, (ends, threshold) in enumerate(
-        zip(spans.to(values.device), thresholds.tolist(), strict=True)
-    ):
-        if ends.isfinite().all():
-            masks[number] = rescale(values[number], ends[0], ends[1]) > threshold
-    masks = masks if included is None else masks & included
+    masks, spans = torch.zeros_like(coded), spans.to(values.device)
+    for number, threshold in enumerate(thresholds.tolist()):
+        if spans[number].isfinite().all():
+            masks[number] = coded[number] & (rescale(values[number], *spans[number]) > threshold)
     sums = torch.stack([row[mask].double().sum() for row, mask in zip(values, masks, strict=True)])
     return masks, masks.sum(1).cpu(), sums.cpu()
 
@@ -260,8 +248,8 @@ def _rows(values: Tensor) -> np.ndarray:
     return values.detach().contiguous().numpy()
 
 
-def _bytes(included: Tensor | None) -> np.ndarray | None:
-    return None if included is None else included.contiguous().view(torch.uint8).numpy()
+def _bytes(coded: Tensor) -> np.ndarray:
+    return coded.contiguous().view(torch.uint8).numpy()
 
 
 def rescale(values: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:

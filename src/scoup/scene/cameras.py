@@ -196,6 +196,18 @@ class Camera:
         """[3] float64 camera centre in world units."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
+    def pixels(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where points [M, 3] of the world are in the image, [M, 2] pixels, and their depths [M], float64 on the
+        CPU; those behind the camera have pixels, too."""
+        seen = points.double().cpu() @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
+        return (seen @ self.K.T)[:, :2] / seen[:, 2:], seen[:, 2]
+
+    def shows(self, points: Tensor) -> Tensor:
+        """Return which points [M, 3] are in front of the camera and in its image, [M] boolean on the CPU."""
+        pixels, depths = self.pixels(points)
+        size = torch.tensor([self.width, self.height])
+        return (depths > 0) & ((pixels >= 0) & (pixels < size)).all(1)
+
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera at another image size. The intrinsics follow the image, each axis by its own factor."""
         scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)

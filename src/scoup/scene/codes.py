@@ -118,17 +118,13 @@ def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Te
     Returns:
         [..., Q]; zero where the coefficients are all zero.
     """
-    return cosines_from_products(weights, codebook @ queries.T, codebook @ codebook.T)
-
-
-def cosines_from_products(weights: Tensor, scores: Tensor, gram: Tensor) -> Tensor:
-    """``cosines_from_codes`` of coefficients [..., P, L] from the two products that it needs of codebook and queries:
-    ``scores`` [..., L, Q], A = C T^T, and ``gram`` [..., L, L], G = C C^T."""
-    return cosines_and_norms(weights, scores, gram)[0]
+    return cosines_and_norms(weights, codebook @ queries.T, codebook @ codebook.T)[0]
 
 
 def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Tensor, Tensor]:
-    """``cosines_from_products``, and the norms of the decoded codes [..., P], sqrt(W G W^T)."""
+    """Return ``cosines_from_codes`` of coefficients [..., P, L], and the norms of the decoded codes [..., P],
+    sqrt(W G W^T), from two products of codebook and queries: ``scores`` [..., L, Q], A = C T^T, and ``gram``
+    [..., L, L], G = C C^T."""
     squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
     norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
     cosines = torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)

@@ -80,23 +80,17 @@ class NameTable:
         found[self.things.long(), self.rows.long()] = self.votes
         return found
 
-    def without(self, texts: Iterable[str]) -> NameTable:
-        """Return the table without some of the texts."""
-        gone = {text.casefold() for text in texts}
-        kept = [number for number, text in enumerate(self.texts) if text.casefold() not in gone]
+    def joined(self, newer: NameTable) -> NameTable:
+        """Return both tables as one; texts of both are those of the newer one."""
+        kept = [number for number, text in enumerate(self.texts) if newer.number(text) is None]
         place = torch.full((len(self),), -1, dtype=torch.int32)
         place[kept] = torch.arange(len(kept), dtype=torch.int32)
         rows = place[self.rows.long()]
         mine = rows >= 0
-        texts = tuple(self.texts[number] for number in kept)
-        return NameTable(texts, self.presence[kept], rows[mine], self.things[mine], self.votes[mine])
-
-    def joined(self, newer: NameTable) -> NameTable:
-        """Return both tables as one; texts of both are those of the newer one."""
-        older = self.without(newer.texts)
-        parts = {
-            name: torch.cat([getattr(older, name), getattr(newer, name)])
-            for name in ("presence", "things", "votes")
-        }
-        rows = torch.cat([older.rows, newer.rows + len(older)])
-        return NameTable((*older.texts, *newer.texts), rows=rows, **parts)
+        return NameTable(
+            (*(self.texts[number] for number in kept), *newer.texts),
+            torch.cat([self.presence[kept], newer.presence]),
+            torch.cat([rows[mine], newer.rows + len(kept)]),
+            torch.cat([self.things[mine], newer.things]),
+            torch.cat([self.votes[mine], newer.votes]),
+        )

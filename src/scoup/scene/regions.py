@@ -183,10 +183,6 @@ class Regions:
 
     def load_view(self, view_name: str, width: int, height: int) -> tuple[Tensor, list[Tensor]]:
         """Return all levels of a view at one image size: labels [S, height, width] int32, embeddings S x [R_s, D]."""
-        if self._load_labels is None:
-            maps = [self.load(view_name, level) for level in self.levels]
-            labels = torch.stack([resize_labels(item.labels, width, height) for item in maps])
-            return labels, [item.embeddings for item in maps]
         labels = self.load_labels(view_name, width, height)
         return labels, [self.load_embeddings(view_name, level) for level in self.levels]
 

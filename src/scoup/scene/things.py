@@ -107,18 +107,13 @@ class ThingTable:
 
     def sums(self, weights: Tensor) -> Tensor:
         """Return [T] float64: the sum of weights [N] over the Gaussians of each thing."""
-        gaussians = torch.from_numpy(np.flatnonzero(weights.cpu().numpy()))  # few, as a rule
-        return self.sums_of(gaussians, weights.cpu()[gaussians])
-
-    def sums_of(self, gaussians: Tensor, weights: Tensor) -> Tensor:
-        """Return [T] float64: the sum of the weights [M] of some Gaussians [M] int64 over each thing."""
-        owners, weights = self.owners[gaussians.to(self.owners.device)].cpu() + 1, weights.cpu().double()
-        found = torch.zeros(len(self), dtype=torch.float64)
-        for of_level in owners.T:
-            found += torch.bincount(of_level, weights, len(self) + 1)[
-                1:
-            ]  # other levels' numbers own nothing here
-        return found
+        weights = weights.cpu()
+        gaussians = torch.from_numpy(np.flatnonzero(weights.numpy()))  # few, as a rule
+        owners = self.owners[gaussians.to(self.owners.device)].cpu() + 1
+        found, weights = torch.zeros(len(self) + 1, dtype=torch.float64), weights[gaussians].double()
+        for of_level in owners.T:  # in which other levels' numbers own nothing
+            found += torch.bincount(of_level, weights, len(self) + 1)
+        return found[1:]
 
     def rows(self, chosen: Tensor) -> ThingTable:
         """Return the things of some of the Gaussians; all things stay, those left without a Gaussian too."""

@@ -7,10 +7,7 @@ nor ends a connection that is slow to send a request or to read an answer.
 from __future__ import annotations
 
 import asyncio
-import errno
-import logging
 from collections import Counter
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import h11
@@ -113,30 +110,3 @@ def idlest(opened: list[BoundedConnection], but: BoundedConnection | None = None
         if each.deadline is not None and each is not but
     ]
     return opened[min(waiting)[-1]] if waiting else None
-
-
-def make_room_when_refused(
-    server: ServerState,
-) -> Callable[[asyncio.AbstractEventLoop, dict[str, Any]], None]:
-    """Return a handler of the loop's errors: where the system has no descriptors left for new connections, end the
-    idlest ones and say so once; asyncio would write a traceback per attempt."""
-    freed: list[float] = []  # when
-
-    def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        error = context.get("exception")
-        if not isinstance(error, OSError) or error.errno not in (errno.EMFILE, errno.ENFILE):
-            loop.default_exception_handler(context)
-            return
-        if freed and loop.time() < freed[-1] + 0.5:  # asyncio tries again at once, hundreds of times
-            return
-        for _ in range(STRANGERS):
-            found = idlest(opened_of(server))
-            if found is not None:
-                found.end()
-        freed.append(loop.time())
-        if len(freed) == 1:
-            logging.getLogger("uvicorn.error").error(
-                "new connections were refused (%s); raise the limit of open files (ulimit -n)", error.strerror
-            )
-
-    return handle

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
@@ -30,48 +29,49 @@ LARGEST_SIDE = 4096
 _WORDS_SHOWN = 5
 
 
-@dataclass(frozen=True, eq=False)
-class PictureRequest:
-    """The camera and the content of a picture; raises InputError for values out of range or a missing text."""
+def draw_picture(
+    view: FieldView,
+    mode: PictureMode = "color",
+    answers: Sequence[Answer] = (),
+    colors: Colors = (),
+    opacity: float = 1.0,
+    level: int | None = None,
+) -> Picture:
+    """Return [H, W, 3] uint8 of the camera's size, without lettering.
 
-    camera: Camera  # sides of at most LARGEST_SIDE pixels
-    mode: PictureMode = "color"
-    """heat: relevancy over the splat, of several texts a colour each; mask: a colour each; codes: like meaning, like
-    colour."""
-    answers: Sequence[Answer] = ()  # for heat and mask
-    colors: Colors = ()  # of the texts, 0..255
-    opacity: float = 1.0  # of heat and masks, 0..1
-    level: int | None = None  # position of the level whose codes are shown; None: the middle one
+    Args:
+        view: sides of at most ``LARGEST_SIDE`` pixels.
+        mode: heat: relevancy over the splat, of several texts a colour each; mask: a colour each; codes: like meaning,
+            like colour.
+        answers: for heat and mask.
+        colors: of the answers, 0..255.
+        opacity: of heat and masks, 0..1.
+        level: position of the level whose codes are shown; None: the middle one.
 
-    def __post_init__(self) -> None:
-        if self.mode not in get_args(PictureMode):
-            raise InputError(
-                f"a picture must show one of {', '.join(get_args(PictureMode))}, got {self.mode!r}"
-            )
-        if max(self.camera.width, self.camera.height) > LARGEST_SIDE:
-            raise InputError(f"a picture has sides of at most {LARGEST_SIDE} pixels")
-        if self.mode in ("heat", "mask") and not self.answers:
-            raise InputError(f"the picture {self.mode!r} needs a text")
-        if self.answers and len(self.colors) != len(self.answers):
-            raise InputError(f"expected {len(self.answers)} colors, got {len(self.colors)}")
-
-
-def draw_picture(view: FieldView, request: PictureRequest) -> Picture:
-    """Return [H, W, 3] uint8 of the camera's size, without lettering."""
-    if request.mode == "codes":
-        level = len(view.field.levels) // 2 if request.level is None else request.level
-        return code_drawing(view.field, level, plain=True)(view)
+    Raises:
+        InputError: a value is out of range, or a text is missing.
+    """
+    if mode not in get_args(PictureMode):
+        raise InputError(f"a picture must show one of {', '.join(get_args(PictureMode))}, got {mode!r}")
+    if max(view.camera.width, view.camera.height) > LARGEST_SIDE:
+        raise InputError(f"a picture has sides of at most {LARGEST_SIDE} pixels")
+    if mode in ("heat", "mask") and not answers:
+        raise InputError(f"the picture {mode!r} needs a text")
+    if answers and len(colors) != len(answers):
+        raise InputError(f"expected {len(answers)} colors, got {len(colors)}")
+    if mode == "codes":
+        return code_drawing(view.field, len(view.field.levels) // 2 if level is None else level, True)(view)
     rgb = view.renders.colors().cpu()
-    if request.mode == "color":
+    if mode == "color":
         return as_picture(rgb)
     # A view that was asked before answers quicker, and rounds otherwise; the picture must not depend on what others
     # have asked.
     view.cache.clear()
-    answers = view.show(request.answers)
-    if request.mode == "heat" and len(answers) == 1:
-        return heat_overlay(answers[0].heat, rgb, opacity=request.opacity)
-    heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
-    return texts_overlay(heats, masks, rgb, request.colors, request.opacity, request.mode == "heat")
+    shown = view.show(answers)
+    if mode == "heat" and len(shown) == 1:
+        return heat_overlay(shown[0].heat, rgb, opacity=opacity)
+    heats, masks = [answer.heat for answer in shown], [answer.mask for answer in shown]
+    return texts_overlay(heats, masks, rgb, colors, opacity, mode == "heat")
 
 
 def what_is_at(

@@ -12,13 +12,14 @@ from typing import Any
 from PIL import Image
 
 from scoup.base.atomic import remove
-from scoup.base.progress import Progress, no_progress
+from scoup.base.progress import Progress, no_progress, reported
 from scoup.base.staging import check_outputs, staged
 from scoup.io import atomic_path, check_output
 from scoup.pictures.colors import Picture
 from scoup.view.page import page_files, script_text
+from scoup.view.scene_answers import scene_answers
 from scoup.view.viewed_field import ViewedField
-from scoup.view.vocabulary import vocabulary_answers, words_data
+from scoup.view.vocabulary import words_data
 
 MOST_THUMBNAILS = 24
 THUMBNAIL_QUALITY = 70
@@ -29,21 +30,11 @@ FOLDER_FILES = ("index.html", "scene.js", "words.js", "thumbnails.js", "things.j
 class ExportReport:
     """Sizes of an exported page."""
 
-    path: Path  # the file or folder
-    n_bytes: int  # of all of it
+    out: Path  # the file or folder
+    bytes: int  # of all of it
     scene_bytes: int  # splat and codes, compressed
     words_bytes: int  # the vocabulary, compressed
     words: int  # how many can be asked
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            "out": str(self.path),
-            "bytes": self.n_bytes,
-            "scene_bytes": self.scene_bytes,
-            "words_bytes": self.words_bytes,
-            "words": self.words,
-        }
 
 
 def export_page(
@@ -123,7 +114,8 @@ def _words(viewed: ViewedField, progress: Progress) -> tuple[bytes, int]:
     vocabulary = viewed.vocabulary()
     if vocabulary is None:
         return b"", 0
-    answers = vocabulary_answers(viewed.field, vocabulary, progress)
+    found = scene_answers(viewed.field, vocabulary)
+    answers = [*reported(found, "words", len(vocabulary.texts), progress)]
     return words_data(viewed.field, answers), len(answers)
 
 
@@ -132,10 +124,8 @@ def _thumbnails(viewed: ViewedField, progress: Progress) -> Sequence[str | None]
     cameras = list(viewed.field.cameras or ())
     step = max(1, -(-len(cameras) // MOST_THUMBNAILS))
     thumbnails: list[str | None] = []
-    for number, camera in enumerate(cameras):
-        progress("pictures", number, len(cameras))
+    for number, camera in enumerate(reported(cameras, "pictures", len(cameras), progress)):
         thumbnails.append(None if number % step else _base64(jpeg(viewed.thumbnail(camera))))
-    progress("pictures", len(cameras), len(cameras))
     return thumbnails
 
 

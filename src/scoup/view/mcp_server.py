@@ -8,12 +8,11 @@ import inspect
 import io
 import itertools
 import json
-import os
 import re
 import signal
 import sys
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,6 @@ from PIL import Image as Pictures
 from scoup.base.errors import ScoupError
 from scoup.base.version import VERSION
 from scoup.pictures.colors import Picture
-from scoup.view.guard import MOST_BYTES
 from scoup.view.scene_tools import SceneTools
 
 INSTRUCTIONS = (
@@ -135,8 +133,9 @@ class _Lines:
                 yield line.decode()
 
     def _read(self, loop: asyncio.AbstractEventLoop, lines: asyncio.Queue[bytes | None]) -> None:
+        stream = open(sys.stdin.fileno(), "rb", closefd=False)  # noqa: SIM115  # the process waits for sys.stdin
         with suppress(RuntimeError):  # the loop has ended
-            for line in itertools.chain(_split(sys.stdin.fileno()), [None]):
+            for line in itertools.chain(stream, [None]):
                 asyncio.run_coroutine_threadsafe(lines.put(line), loop).result()
 
     async def _refuse(self, line: bytes) -> None:
@@ -144,29 +143,14 @@ class _Lines:
         from mcp_types import INVALID_REQUEST, PARSE_ERROR, ErrorData, JSONRPCError
 
         code, number, reason = PARSE_ERROR, None, "the line is not JSON"
-        if len(line) > MOST_BYTES:
-            code, reason = INVALID_REQUEST, f"a message has at most {MOST_BYTES:,} bytes"
-        else:
-            with suppress(ValueError, RecursionError):
-                message = json.loads(line)
-                code, reason = INVALID_REQUEST, "the line is not a message of JSON-RPC 2.0 in UTF-8"
-                number = message.get("id") if isinstance(message, dict) else None
-            if type(number) not in (int, str) or not str(number).isprintable():  # lone surrogates are not
-                number = None
+        with suppress(ValueError, RecursionError):
+            message = json.loads(line)
+            code, reason = INVALID_REQUEST, "the line is not a message of JSON-RPC 2.0 in UTF-8"
+            number = message.get("id") if isinstance(message, dict) else None
+        if type(number) not in (int, str) or not str(number).isprintable():  # lone surrogates are not
+            number = None
         error = JSONRPCError(jsonrpc="2.0", id=number, error=ErrorData(code=code, message=reason))
         await self.replies.send(SessionMessage(error))
-
-
-def _split(file: int) -> Iterator[bytes]:
-    """Lines of a file descriptor; of one that is too long, the beginning, which is too long, too."""
-    kept = b""
-    while data := os.read(file, MOST_BYTES):
-        *ends, last = data.split(b"\n")
-        for end in ends:
-            yield (kept + end)[: MOST_BYTES + 1]
-            kept = b""
-        kept = (kept + last)[: MOST_BYTES + 1]
-    yield kept
 
 
 def _strict(kind: Any, refusal: Any, parameters: Mapping[str, Mapping[str, inspect.Parameter]]) -> Any:

@@ -16,7 +16,7 @@ from scoup.query.question import Question
 from scoup.query.votes import level_thresholds
 from scoup.view.unit_codes import atom_scores
 
-AT_A_TIME = 16  # texts whose Gaussians are in memory together
+_AT_A_TIME = 16  # texts whose Gaussians are in memory together
 VERDICT = ("score", "certainty", "present", "gaussians", "runner_up")
 """What the page shows of ``Answer.to_dict``."""
 
@@ -60,8 +60,8 @@ def scene_answers(field: LanguageField, question: Question) -> Iterator[PageAnsw
         field: to be queried.
         question: from ``field.question``.
     """
-    starts = range(0, len(question.texts), AT_A_TIME)
-    batches = (question.some(slice(start, start + AT_A_TIME)) for start in starts)
+    starts = range(0, len(question.texts), _AT_A_TIME)
+    batches = (question.some(slice(start, start + _AT_A_TIME)) for start in starts)
     for some in [question] if question.asked else batches:
         yield from _some_answers(field, some)
 

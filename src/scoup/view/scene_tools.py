@@ -48,8 +48,8 @@ class SceneTools:
     """Where selections are written; None: nowhere."""
     metres_per_unit: float | None = None
     """Length of the scenes' unit; positions and distances are given in metres, too."""
-    words: tuple[str, ...] | None = None
-    """That may be names of things; None: those that a page has."""
+    words: tuple[str, ...] = ()
+    """That may be names of things; none: those that a page has."""
 
     def list_scenes(self) -> list[dict[str, Any]]:
         """List the scenes with their size, number of things, levels and cameras."""
@@ -218,7 +218,7 @@ class SceneTools:
         """Return all things by number, the largest first, with their names and the scores of these."""
         field = self._field(scene)
         try:
-            words = naming_question(field, self.words or ())
+            words = naming_question(field, self.words)
         except ScoupError:  # there is no encoder
             words = None
         things = sorted(named_things(field, words), key=lambda thing: -thing.n_gaussians)

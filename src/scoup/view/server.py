@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import tempfile
-from collections.abc import Awaitable, Callable
-from functools import cached_property, partial
+from collections.abc import Awaitable, Callable, Hashable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from scoup.view.viewed_field import ViewedField
 from scoup.view.work import BusyError, SupersededError, Work
 
 Answer = Callable[[Message, str], Awaitable[Response]]
-_MOST_PACKED = 64 << 20  # bytes of parts and thumbnails: those of a million Gaussians are packed once
+_MOST_PACKED = 64 << 20  # bytes that are kept: parts of a million Gaussians are packed once
 
 
 def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool = False) -> ASGIApp:
@@ -57,8 +57,8 @@ def application(viewed: ViewedField, page: PageFiles, guard: Guard, remote: bool
         Route("/api/thumbnail/{number}", desk.thumbnail),
         Route("/api/alive", desk.alive),
         *(
-            Route(f"/api/{name}", partial(_answered, answer), methods=["POST"])
-            for name, answer in desk.by_name().items()
+            Route(f"/api/{answer.__name__}", partial(_answered, answer), methods=["POST"])
+            for answer in (desk.query, desk.render, desk.point, desk.select)
         ),
     ]
     inner = Starlette(routes=[Mount(guard.prefix, routes=routes)], exception_handlers=_HANDLERS)
@@ -73,13 +73,14 @@ class _Answers:
         self.page = page
         self.mode = mode
         self.work = Work()
-        self._first: bytes | None = None  # file of the scene
-        self._cache = Cache(_MOST_PACKED)  # parts and thumbnails
+        self._cache = Cache(_MOST_PACKED)
         if mode != "remote":  # packed while a browser is opened
-            self.work.begin(self._pack_first)
+            self.work.begin(lambda: self._cache.value("scene", viewed.scene))
 
-    def by_name(self) -> dict[str, Answer]:
-        return {"query": self.query, "render": self.render, "point": self.point, "select": self.select}
+    async def _kept(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """What is made once for all visitors, as long as there is room for it."""
+        found = self._cache.get(key)
+        return await self.work.run(lambda: self._cache.value(key, make)) if found is None else found
 
     async def index(self, request: Request) -> Response:
         html = self.page.with_settings(self.viewed.settings(self.mode))
@@ -95,12 +96,8 @@ class _Answers:
         return Response(status_code=204, headers={"x-scoup-field": self.viewed.identity})
 
     async def scene(self, request: Request) -> Response:
-        data = self._first or await self.work.run(self._pack_first)
+        data = await self._kept("scene", self.viewed.scene)
         return Response(data, media_type="application/octet-stream")
-
-    def _pack_first(self) -> bytes:
-        self._first = self._first or self.viewed.scene()
-        return self._first
 
     async def part(self, request: Request) -> Response:
         parts = self.viewed.n_parts
@@ -108,39 +105,25 @@ class _Answers:
         if request.path_params["count"] != str(parts):
             raise HTTPException(404)
         whole = "whole" in request.query_params
-        data = await self.work.run(lambda: self._part(number, whole))
+        data = await self._kept(("part", number, whole), lambda: self.viewed.part(number, whole=whole))
         headers = {"x-scoup-field": self.viewed.identity}
         return Response(data, media_type="application/octet-stream", headers=headers)
-
-    def _part(self, number: int, whole: bool) -> bytes:
-        return self._cache.value(("part", number, whole), lambda: self.viewed.part(number, whole=whole))
 
     async def metadata(self, request: Request) -> Response:
         return JSONResponse(await self.work.run(self.viewed.metadata))
 
-    @cached_property
-    def _words(self) -> dict[str, Any]:
-        vocabulary = self.viewed.vocabulary()
-        names = [] if vocabulary is None else list(vocabulary.texts)
-        return {"names": names, "closed": self.viewed.is_closed()}
-
     async def vocabulary(self, request: Request) -> Response:
-        return JSONResponse(await self.work.run(lambda: self._words))
-
-    @cached_property
-    def _things(self) -> dict[str, Any]:
-        return {"things": self.viewed.things()}
+        vocabulary = await self.work.run(self.viewed.vocabulary)
+        names = [] if vocabulary is None else list(vocabulary.texts)
+        return JSONResponse({"names": names, "closed": self.viewed.is_closed()})
 
     async def things(self, request: Request) -> Response:
-        return JSONResponse(await self.work.run(lambda: self._things))
+        return JSONResponse({"things": await self._kept("things", self.viewed.things)})
 
     async def thumbnail(self, request: Request) -> Response:
         cameras = self.viewed.field.cameras or ()
         number = _number(request, len(cameras))
-        picture = self._cache.get(number)
-        if picture is None:
-            picture = await self.work.run(lambda: jpeg(self.viewed.thumbnail(cameras[number])))
-            self._cache.keep(number, picture)
+        picture = await self._kept(number, lambda: jpeg(self.viewed.thumbnail(cameras[number])))
         return Response(picture, media_type="image/jpeg")
 
     async def query(self, message: Message, visitor: str) -> Response:
@@ -151,9 +134,10 @@ class _Answers:
     async def render(self, message: Message, visitor: str) -> Response:
         mode: Any = message.fields.get("mode", "color")
         shown = message.texts(least=0), message.colors(), message.opacity()
-        level, threshold, always = message.level(self._n_levels), message.threshold(), message.flag("always")
-        what, quality = (message.camera(), mode, *shown, level, threshold, always), message.quality()
-        picture = await self.work.run_newest(visitor, lambda: jpeg(self.viewed.picture(*what), quality))
+        camera, rules, quality = message.camera(), self._rules(message), message.quality()
+        picture = await self.work.run_newest(
+            visitor, lambda: jpeg(self.viewed.picture(camera, mode, *shown, **rules), quality)
+        )
         return Response(picture, media_type="image/jpeg")
 
     async def point(self, message: Message, visitor: str) -> Response:
@@ -163,7 +147,7 @@ class _Answers:
     async def select(self, message: Message, visitor: str) -> Response:
         things, rest = message.things(), message.flag("rest")
         texts = [] if things else message.texts()
-        level, threshold, always = message.level(self._n_levels), message.threshold(), message.flag("always")
+        rules = self._rules(message)
         folder = tempfile.TemporaryDirectory(prefix="scoup-view-")
         path = Path(folder.name) / "selection.ply"
 
@@ -171,7 +155,7 @@ class _Answers:
             if things:
                 write_ply_table(self.viewed.things_selection(things, rest), path)
             else:
-                write_ply_table(self.viewed.selection(texts, level, threshold, rest, always), path)
+                write_ply_table(self.viewed.selection(texts, rest=rest, **rules), path)
 
         try:
             await self.work.run(write)
@@ -182,9 +166,10 @@ class _Answers:
         name = f"without_{name}.ply" if rest else f"{name}.ply"
         return FileResponse(path, filename=name, background=BackgroundTask(folder.cleanup))
 
-    @property
-    def _n_levels(self) -> int:
-        return len(self.viewed.field.levels)
+    def _rules(self, message: Message) -> dict[str, Any]:
+        """By which texts are answered."""
+        level = message.level(len(self.viewed.field.levels))
+        return {"level": level, "threshold": message.threshold(), "always": message.flag("always")}
 
 
 async def _text(content: Any, media_type: str, request: Request) -> Response:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup.field.language_field import LanguageField
-from scoup.scene.code_sums import code_scores, inverse_code_norms
+from scoup.scene.code_sums import inverse_code_norms
 from scoup.scene.codes import rows_of
 
 
@@ -41,18 +41,6 @@ class UnitCodes:
 
     def __len__(self) -> int:
         return len(self.indices)
-
-    def coded(self) -> Tensor:
-        """Return [S, N] boolean: Gaussians with a code at each level."""
-        return (self.weights > 0).any(-1).T
-
-    def cosines(self, scores: Tensor) -> Tensor:
-        """Return [S, Q, N] float32 cosines of all Gaussians; 0 without a code.
-
-        Args:
-            scores: [S, L, Q] float32, A: inner products of atoms and unit text vectors (``atom_scores``).
-        """
-        return code_scores(self.indices, self.weights, scores).permute(1, 2, 0)
 
 
 def atom_scores(field: LanguageField, vectors: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ from scoup.query.thing_names import named_things
 from scoup.scene.cameras import Camera
 from scoup.view import parts
 from scoup.view.decimation import MOST_GAUSSIANS, decimate
-from scoup.view.exact import Colors, PictureMode, PictureRequest, draw_picture, what_is_at
+from scoup.view.exact import Colors, PictureMode, draw_picture, what_is_at
 from scoup.view.parts import Parts
 from scoup.view.scene_answers import PageAnswer, scene_answers
 from scoup.view.scene_data import part_data, scene_data, scene_metadata
@@ -200,10 +200,9 @@ class ViewedField:
         threshold: float | None = None,
         always: bool = False,
     ) -> Picture:
-        """Return the method's own picture of a view; see ``scoup.view.exact.PictureRequest``."""
+        """Return the method's own picture of a view; see ``scoup.view.exact.draw_picture``."""
         answers = self._chosen_answers(texts, level, threshold, always) if texts else []
-        request = PictureRequest(camera, mode, answers, colors, opacity, level)
-        return draw_picture(self.view_of(camera), request)
+        return draw_picture(self.view_of(camera), mode, answers, colors, opacity, level)
 
     def what_is_at(self, camera: Camera, pixel: tuple[int, int]) -> dict[str, Any]:
         """Return what is at a pixel; see ``scoup.view.exact.what_is_at``."""

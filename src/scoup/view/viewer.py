@@ -90,15 +90,9 @@ class Viewer:
 
     def _serve(self) -> None:
         try:
-            asyncio.run(self._answer())
+            asyncio.run(self._server.serve(sockets=[self._socket]))
         finally:
             self._ended.set()
-
-    async def _answer(self) -> None:
-        from scoup.view.connections import make_room_when_refused
-
-        asyncio.get_running_loop().set_exception_handler(make_room_when_refused(self._server.server_state))
-        await self._server.serve(sockets=[self._socket])
 
     def _wait_for_start(self) -> None:
         end = time.monotonic() + _START_SECONDS

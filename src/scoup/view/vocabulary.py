@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 from scoup.base.existing import existing_file
-from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io.reading import read_text
 from scoup.query.presence import Certainty
-from scoup.query.question import Question
 from scoup.view.packing import packed
-from scoup.view.scene_answers import AT_A_TIME, PageAnswer, scene_answers
+from scoup.view.scene_answers import PageAnswer
 from scoup.view.scene_data import NO_OWNER
 
 _NONE = 255  # of a certainty
 
 
-def read_words(path: Path) -> tuple[str, ...]:
-    """Read a list of words, one per line; empty lines and repetitions are left out."""
+def read_words(path: Path | None) -> tuple[str, ...]:
+    """Read a list of words, one per line, without empty lines and repetitions; None contains no words."""
+    if path is None:
+        return ()
     text = read_text(existing_file(path, "a list of words"))
     words = tuple(dict.fromkeys(" ".join(line.split()) for line in text.splitlines() if line.strip()))
     if not words:
@@ -78,16 +78,3 @@ def _things(answers: Sequence[PageAnswer]) -> dict[str, NDArray[np.uint16]]:
     counts = [[0 if each is None else len(each) for each in row] for row in choices]
     numbers = [number for row in choices for each in row for number in each or ()]
     return {"thing_counts": np.array(counts, np.uint16), "things": np.array(numbers, np.uint16)}
-
-
-def vocabulary_answers(
-    field: LanguageField, question: Question, progress: Progress = no_progress
-) -> list[PageAnswer]:
-    """Return the answers to all words; arguments as for ``scene_answers``."""
-    answers = []
-    progress("words", 0, len(question.texts))
-    for answer in scene_answers(field, question):
-        answers.append(answer)
-        if len(answers) % AT_A_TIME == 0 or len(answers) == len(question.texts):
-            progress("words", len(answers), len(question.texts))
-    return answers

@@ -25,7 +25,7 @@ from scoup.raster.triton.kernels.products import products_kernel
 from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection, product_precision
 from scoup.raster.triton.projection import project as project
 from scoup.raster.triton.region_sums import region_sums as sum_regions
-from scoup.scene.codes import cosines_from_products, float32_products
+from scoup.scene.codes import cosines_and_norms, float32_products
 
 PREPARES = False  # rows in another order have not been seen to pay here
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.
@@ -230,7 +230,7 @@ def _products_by_level(
         chosen = slice(level, level + 1)
         codes = render_codes(projection, indices[:, chosen], weights[:, chosen], table.shape[1])[0]
         for row, line in enumerate(codes):  # [W, L]
-            found = cosines_from_products(line, table[level], grams[level])
+            found = cosines_and_norms(line, table[level], grams[level])[0]
             if pixels_last:
                 out[level, :, row] = found.T
             else:

@@ -1,0 +1,46 @@
+"""Three rooms, and an archive of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import scoup
+from query.planted_room import ROOM, Box, planted_room
+from scoup.field.language_field import LanguageField
+from scoup.models.word_table import save_table
+
+
+@pytest.fixture(scope="session")
+def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]:
+    """Saved fields of three rooms, of other things each: one has three mugs, one no mug and no laptop."""
+    folder = tmp_path_factory.mktemp("fields")
+    rooms = {
+        "office": ROOM,
+        "kitchen": (*ROOM, Box("mug", (-1, 0.7, 1.1), (0.2, 0.2, 0.2))),
+        "hall": tuple(box for box in ROOM if box.name not in ("mug", "laptop")),
+    }
+    # Words of one table, as embeddings of one model have.
+    encoder = planted_room().text_encoder()
+    assert encoder.names is not None
+    save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
+    made = {}
+    for name, room in rooms.items():
+        made[name] = field = planted_room(room)
+        assert field.thing_table is not None
+        names = [box.name for box in room] + [f"clutter {number}" for number in range(6)]
+        field.thing_table = replace(field.thing_table, embeddings=encoder.encode(names).half())
+        field.info = replace(field.info, embedding_model="some/model", words=folder / "words.npz")
+        field.text_encoder(encoder)
+        field.save(folder / f"{name}.scoup")
+    return made
+
+
+@pytest.fixture
+def archive(fields: dict[str, LanguageField], tmp_path: Path) -> scoup.Archive:
+    made = scoup.Archive(tmp_path / "sc[an]*s")
+    for floor, field in enumerate(fields.values()):
+        made.add(field, floor=floor, city="Graz")
+    return made
