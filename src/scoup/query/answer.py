@@ -136,7 +136,7 @@ class Answer:
         where = str(self.certainty) if self.presence else "not in this scene"
         least = self.asked[0].question.present_from if self.asked else None
         if not self.presence and least is not None and self.score >= least:
-            where = f"too small, fewer than {LEAST_GAUSSIANS} Gaussians"
+            where += f": what fits has fewer than {LEAST_GAUSSIANS} Gaussians"
         return f"{start}{where} (score {self.score:.2f}){seen}"
 
     def relevancy(self) -> Tensor:
