@@ -99,7 +99,7 @@ def test_parts_in_processes_of_their_own():
     ended = together(*parts)
     assert [done.returncode for done in ended] == [0, 0, 0], ended
     assert "part 1 of 3, 2 views of 4" in ended[0].stdout
-    assert "with all parts there: scoup build --sums parts" in ended[0].stdout
+    assert "with all parts there: scoup build scene --sums parts" in ended[0].stdout
     assert run_json(*parts[1]) | {"seconds": 0} == {"sums": "parts", "views": 1, "of_views": 4, "seconds": 0}
     assert snapshot(Path("parts")) == snapshot(Path("whole.sums"))
     run_json(*BUILD, "--sums", "parts")
