@@ -394,7 +394,9 @@ def test_no_option_is_said_to_take_none():
 @pytest.mark.usefixtures("here")
 def test_a_field_that_names_nothing_to_encode_texts_is_warned_of():
     assert "a.scoup: names nothing that can encode texts; build with --model" in run(*BUILD)[2]
-    assert "encode texts" not in run(*BUILD, "--model", TABLE, "--overwrite")[2]
+    _, out, warned = run(*BUILD, "--model", TABLE, "--overwrite")
+    assert "encode texts" not in warned
+    assert "ask it: scoup query a.scoup WORD" in out
 
 
 @pytest.mark.usefixtures("here")

@@ -110,7 +110,7 @@ class Build(BuildOptions, ViewOptions):
         seconds = time.perf_counter() - started
         report_field(console, field, out, kept_sums, self.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
-        console.say(f"{whole}ask it: {command('query', out, 'WORD')}, or {command('view', out)}")
+        console.say(whole + _suggestion(field, out))
         return None
 
     def _extract(self, console: Console) -> dict[str, Any]:
@@ -260,6 +260,15 @@ class Build(BuildOptions, ViewOptions):
         console.kept = lambda: kept(f"{len(sums)} of {views} views") if len(sums) else before
         if len(sums):
             console.say(f"{sums.path}: contains {counted(len(sums), 'view')} already")
+
+
+def _suggestion(field: LanguageField, out: Path) -> str:
+    """What to do with a field: texts are asked only where it names what encodes them."""
+    from scoup.models.text import COLORS
+
+    if field.info.words is None and field.embedding_model in ("", COLORS):
+        return f"look at it: {command('view', out)}, or {command('render', out, '--what', 'codes')}"
+    return f"ask it: {command('query', out, 'WORD')}, or {command('view', out)}"
 
 
 def _usual_model(regions: Regions) -> str:
