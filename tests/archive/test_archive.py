@@ -62,7 +62,7 @@ def test_answers_are_those_of_the_fields(
     encoder = archive.text_encoder()
     search = Search.of(question, encoder, encoder.encode, False, None)
     ranks = {}
-    for bound, asked in archive._ranked(search, None):
+    for bound, asked in archive._ranked(search, archive._chosen(None)):
         mine = {(asked.scan.record.name, thing): asked.rank(thing, text)[1] for thing, text in asked.things()}
         assert all(rank < bound for rank in mine.values())
         ranks |= mine
