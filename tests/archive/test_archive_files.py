@@ -222,9 +222,13 @@ def test_what_does_not_fit_is_refused(
                 archive.add(field)
         else:
             archive.add(field)
-    for columns in ({"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}):
+    new = scoup.Archive(tmp_path / "new")
+    for columns in (
+        {"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}, {"floor": 2**63}, {"city": "\ud800"},
+    ):  # fmt: skip
         with pytest.raises(InputError, match="column"):
-            archive.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
+            new.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
+    assert not new.folder.exists()
     bare = planted_room(has_things=False)
     bare.save(tmp_path / "bare.scoup")
     with pytest.raises(InputError, match="has no things"):
