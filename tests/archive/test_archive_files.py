@@ -31,7 +31,7 @@ def test_a_scan_is_replaced_and_removed(
 ) -> None:
     before = archive.find("mug")
     archive.add(fields["office"], floor=7)
-    assert archive.scans()["office"].columns == {"floor": 7}
+    assert archive.scans()["office"].columns == {"floor": 7, "city": "Graz"}
     assert [each.thing for each in archive.find("mug")] == [each.thing for each in before]
     archive.remove("office")
     assert {each.scan for each in archive.find("mug")} == {each.scan for each in before} - {"office"}

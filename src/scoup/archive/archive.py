@@ -175,13 +175,14 @@ class Archive:
 
         Args:
             field: a saved field with things, or its file.
-            columns: of the scan, for conditions, such as ``floor=2``.
+            columns: of the scan, for conditions, such as ``floor=2``. A replaced scan keeps those not given.
 
         Raises:
             InputError: the field has no things or is not saved, its embedding model is not that of the archive, or
                 a scan of this name is of another field.
             MissingFileError, FileFormatError, WriteError: the field cannot be read, or the scan not be written.
         """
+        check_columns(columns)
         field = field if isinstance(field, LanguageField) else LanguageField.load(field)
         if field.path is None or field.thing_table is None:
             lack = "has no things; build it again" if field.path else "is not saved; save it first"
@@ -195,11 +196,13 @@ class Archive:
         about = self._check_model(field)
         if file.exists():
             with suppress(FileFormatError):  # a damaged scan is replaced
-                if (old := self._kept.records([name])[0].field_path) != path and old.exists():
-                    problem = f"the scan {name} of this archive is of {old}"
+                (old,) = self._kept.records([name])
+                if old.field_path != path and old.field_path.exists():
+                    problem = f"the scan {name} of this archive is of {old.field_path}"
                     raise InputError(f"{path}: {problem}; rename one of the fields")
+                columns = {**old.columns, **columns}
         place = relative_place(file.resolve(), path) or ""
-        sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
+        sizes = field.dim, field.levels, columns, len(field.thing_table)
         record = ScanRecord(name, file, place, field.embedding_model, *sizes, "", torch.zeros(0))
         scan = self._scan_of(field, record)
         if not self._about():
