@@ -5,11 +5,13 @@ from __future__ import annotations
 import heapq
 import json
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -29,7 +31,7 @@ from scoup.archive.scan_files import (
     connect,
     write_scan,
 )
-from scoup.archive.search import Asked, Encode, ImageSearch, Search, words_digest
+from scoup.archive.search import Asked, Encode, ImageSearch, Search, UnaskedScanError, words_digest
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.atomic import write_text
 from scoup.base.errors import (
@@ -38,6 +40,7 @@ from scoup.base.errors import (
     MissingFileError,
     OutputExistsError,
     ScoupError,
+    ScoupWarning,
     check_format_version,
     looked_up,
 )
@@ -242,7 +245,7 @@ class Archive:
             present_from: as of ``LanguageField.question``.
 
         Raises:
-            InputError: the question or condition cannot be used.
+            InputError: the question or condition cannot be used, or nothing is found and a field cannot be asked.
             FileFormatError: a file is damaged; the error names it.
         """
         for name, number in (("top", top), ("at_least", at_least)):
@@ -253,7 +256,7 @@ class Archive:
         chosen = self._chosen(where)
         if at_least is None:
             return self._best(search, chosen, top)
-        counted = [[*_found(asked, chosen)] for _, asked in self._ranked(search, chosen)]
+        counted = self._answers(search, chosen)
         enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
         return [found for each in enough[:top] for _, found in each]
 
@@ -390,12 +393,34 @@ class Archive:
         return embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
 
     def _best(self, search: Search | ImageSearch, chosen: Chosen, top: int) -> list[FoundThing]:
-        best: list[tuple[float, FoundThing]] = []
+        answers = chain.from_iterable(self._answers(search, chosen, top))
+        return [found for _, found in heapq.nlargest(top, answers, key=lambda each: each[0])]
+
+    def _answers(
+        self, search: Search | ImageSearch, chosen: Chosen, top: int | None = None
+    ) -> list[list[tuple[float, FoundThing]]]:
+        """Return the ranks and things that answer in each scan, those that are the ``top`` best at least.
+
+        Scans whose fields cannot be asked are left out with a warning; an error if nothing is found in the others.
+        """
+        answers: list[list[tuple[float, FoundThing]]] = []
+        ranks: list[float] = []  # the best
+        unasked: list[UnaskedScanError] = []
         for bound, asked in self._ranked(search, chosen):
-            if len(best) >= top and best[-1][0] >= bound:
+            if len(ranks) == top and ranks[-1] >= bound:
                 break  # all that follow are lower
-            best = heapq.nlargest(top, [*best, *_found(asked, chosen)], key=lambda each: each[0])
-        return [found for _, found in best]
+            try:
+                answers.append([*_found(asked, chosen)])
+            except UnaskedScanError as error:
+                unasked.append(error)
+            else:
+                ranks = heapq.nlargest(top or 0, [*ranks, *(rank for rank, _ in answers[-1])])
+        fatal = unasked.pop() if unasked and not any(answers) else None
+        for error in unasked:
+            warnings.warn(str(error), ScoupWarning, stacklevel=4)
+        if fatal is not None:
+            raise fatal
+        return answers
 
     def _ranked(self, search: Search | ImageSearch, chosen: Chosen) -> Iterator[tuple[float, Asked]]:
         """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
