@@ -181,8 +181,8 @@ class Archive:
             columns: of the scan, for conditions, such as ``floor=2``. A replaced scan keeps those not given.
 
         Raises:
-            InputError: the field has no things or is not saved, its embedding model is not that of the archive, or
-                a scan of this name is of another field.
+            InputError: the field has no things or is not saved, its embedding model is not that of the archive, a
+                scan of this name is of another field, or a column cannot be kept.
             MissingFileError, FileFormatError, WriteError: the field cannot be read, or the scan not be written.
         """
         check_columns(columns)
@@ -432,7 +432,7 @@ class Archive:
             yield bound, search.ask(self._kept.scan(*place))
 
     def _chosen(self, where: str | None) -> Chosen:
-        """Return the scans, and the things of each for which a condition holds; None without a condition."""
+        """Return the scans with things for which a condition holds, and these things; without one, all scans."""
         if where is None:
             return {name: (place, None) for name, place in self._kept.places().items()}
         return self._kept.places_where(partial(self._matching, where))

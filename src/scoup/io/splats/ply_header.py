@@ -124,6 +124,7 @@ def _parse(path: Path, lines: list[bytes]) -> tuple[str, list[_Element], tuple[s
     elements: list[_Element] = []
     comments: list[str] = []
     for line in lines[1:]:
+        # As bytes: text in UTF-8 contains bytes that are line ends and spaces in Latin-1.
         words = [_text(word) for word in line.split()]
         match words:
             case [] | ["obj_info", *_]:
