@@ -11,9 +11,8 @@ from typing import Any
 
 import torch
 
-import scoup
 from benchmarks.data import data_folder
-from benchmarks.real_scenes import FOLDERS, RealScene
+from benchmarks.real_scenes import RealScene
 from benchmarks.study import Record, Study
 from scoup.view.mcp_server import make_server
 from scoup.view.scene_tools import SceneTools
@@ -113,10 +112,7 @@ async def _asked(name: str, data: Path) -> Record:
     from mcp import Client
 
     scene = RealScene.open(name, data)
-    gaussians = scoup.load_gaussians(data / FOLDERS[name] / "point_cloud.splat")
-    built = scoup.build(gaussians, scene.cameras, scene.regions)
-    built.text_encoder(data / "desk" / "desk_words.npz")
-    tools = SceneTools({"scene": built}, words=(*sorted(_labels(scene)), *scene.absent))
+    tools = SceneTools({"scene": scene.field()}, words=(*sorted(_labels(scene)), *scene.absent))
     rows = []
     async with Client(make_server(tools)) as client:
 

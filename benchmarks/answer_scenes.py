@@ -129,9 +129,8 @@ def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
 
 def with_splat(scene: RealScene, name: str = "") -> AnswerScene:
     """Return a scene of real models with its Gaussians."""
-    gaussians = scoup.load_gaussians(scene.folder / "point_cloud.splat")
     texts = Texts(scene.canonical, scene.words, scene.everyday, scene.absent)
-    found = prepared(name, gaussians, scene.cameras, scene.regions, scene.frames, texts)
+    found = prepared(name, scene.gaussians(), scene.cameras, scene.regions, scene.frames, texts)
     return replace(found, counts=scene.counts)
 
 

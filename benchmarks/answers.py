@@ -15,7 +15,7 @@ import torch
 from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence_table
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
-from benchmarks.drawn import answers_of, drawn_masks
+from benchmarks.drawn import answers_of, mask_ious
 from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Record, Study
 from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
@@ -157,19 +157,18 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
     everyday, fixed = with_everyday(scene.canonical, scene.everyday), MASK_RULES["scoup"]
     labels, absent = tuple(scene.queries), scene.absent[:MOST_ABSENT]
     answers = answers_of(scene, fitted, labels, everyday)
+    scores["always"] = mask_ious(scene, answers)
+    for found, (_, label) in zip(scores["always"], scene.pairs, strict=True):
+        score = answers[label].score
+        if score is not None:
+            scores["asked"].append(found * float(score >= PRESENT_FROM))
     for frame, view in scene.frames:
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]
-        masks = drawn_masks([answers[label] for label in frame.labels], view)
-        for position, (label, mask) in enumerate(zip(frame.labels, masks, strict=True)):
-            truth, score = frame.masks[label], answers[label].score
-            found = iou(mask, truth)
-            scores["always"].append(found)
-            if score is not None:
-                scores["asked"].append(found * float(score >= PRESENT_FROM))
+        for position, label in enumerate(frame.labels):
             hit = any_inside(localize(plain[:, position], fixed).pixels, frame.boxes[label])
             scores["localisation"].append(float(hit))
-            scores["peak"].append(iou(segment(plain[:, position], fixed).mask, truth))
+            scores["peak"].append(iou(segment(plain[:, position], fixed).mask, frame.masks[label]))
     of_absent = answers_of(scene, fitted, absent, everyday) if absent else {}
     presence = {
         "present": [answers[label].score for label in labels],

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import scoup
 from benchmarks.embedding_kinds import EmbeddingKind, draw_prototypes
-from benchmarks.real_scenes import ABSENT, FOLDERS
+from benchmarks.real_scenes import ABSENT, FOLDERS, RealScene
 from benchmarks.scenes import LAYOUTS
 from scoup.archive.archive import Archive
 from scoup.archive.read_scans import read_block, read_records
@@ -114,14 +114,11 @@ class World:
 
     def real(self, data: Path, folder: Path) -> list[TrueScan]:
         """Build the fields of the scenes with real models in a folder, and return them as scans."""
-        encoder = scoup.TextEncoder.open(data / "desk" / "desk_words.npz")
-        archive = Archive(folder / "archive", encoder)
-        for layout in LAYOUTS:
-            place, path = data / FOLDERS[f"{layout}-real"], folder / f"{layout}.scoup"
-            splat, cameras = scoup.load_gaussians(place / "point_cloud.splat"), scoup.load_cameras(place)
-            regions = scoup.load_regions(place / "language_features", cameras)
-            scoup.build(splat, cameras, regions, embedding_model=encoder.name).save(path)
-            archive.add(path)
+        scenes = {layout: RealScene.open(f"{layout}-real", data) for layout in LAYOUTS}
+        archive = Archive(folder / "archive", scenes["table"].encoder)
+        for layout, scene in scenes.items():
+            scene.field().save(folder / f"{layout}.scoup")
+            archive.add(folder / f"{layout}.scoup")
         connection = connect()
         files = [archive.folder / f"{layout}.parquet" for layout in LAYOUTS]
         block = read_block(read_records(files, connection), connection)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -19,6 +17,7 @@ import numpy as np
 from benchmarks.archive_scans import World
 from benchmarks.data import data_folder
 from benchmarks.embedding_kinds import KINDS
+from benchmarks.processes import SCOUP, run_python
 from benchmarks.study import Record, Study
 from scoup.archive.archive import ABOUT, FORMAT, VERSION, Archive
 from scoup.archive.scan_files import write_scan
@@ -29,10 +28,6 @@ from scoup.models.words import CANONICAL_PHRASES
 from scoup_lab.bench import markdown
 
 TEXT, SCANS = "teapot", 48
-# The system's own figure for children begins with the memory of their parent.
-MEMORY = """import atexit
-atexit.register(lambda: print(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]))
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,14 +95,15 @@ def _times(world: World, count: int, folder: Path) -> Record:
         shutil.copy(files[number % len(some)], folder / f"copy-{number:05}.parquet")
         total += len(some[number % len(some)].counts)
         number += 1
-    verb = "from scoup.cli.app import entry; entry()"
     for name, command in {
         "import of torch alone": ["import torch"],
-        "shell, help": [verb, "archive", "--help"],
-        "shell, first search": [verb, "archive", str(folder), TEXT],
-        "shell": [verb, "archive", str(folder), TEXT],
+        "shell, help": [SCOUP, "archive", "--help"],
+        "shell, first search": [SCOUP, "archive", str(folder), TEXT],
+        "shell": [SCOUP, "archive", str(folder), TEXT],
     }.items():
-        clock[name], memory[name] = _shell(command)
+        done = run_python(*command)
+        clock[name] = [round(done.wall_s, 3), round(done.cpu_s, 3)]
+        memory[name] = round(done.peak_bytes / 1024e3)
     archive = Archive(folder, encoder)
     clock["first text"] = _seconds(archive.find, TEXT)
     for name in ("further texts", "same texts again"):
@@ -123,17 +119,6 @@ def _times(world: World, count: int, folder: Path) -> Record:
         "memory in MB": memory,
         "seconds": clock,
     }
-
-
-def _shell(command: list[str]) -> tuple[list[float], float]:
-    """Run Python; return wall and processor seconds, and the most memory in MB."""
-    start, before = time.perf_counter(), os.times()
-    said = subprocess.run(
-        [sys.executable, "-c", MEMORY + command[0], *command[1:]], check=True, capture_output=True
-    ).stdout
-    wall, after = time.perf_counter() - start, os.times()
-    used = after.children_user + after.children_system - before.children_user - before.children_system
-    return [round(wall, 3), round(used, 3)], round(int(said.split()[-1]) / 1e3)
 
 
 def _seconds(work: Callable[..., Any], *arguments: Any) -> list[float]:

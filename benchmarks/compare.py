@@ -11,12 +11,11 @@ import numpy as np
 
 import scoup
 from benchmarks.data import data_folder
-from benchmarks.real_scenes import FOLDERS
-from benchmarks.scenes import LAYOUTS, find_layout
+from benchmarks.real_scenes import RealScene
+from benchmarks.scenes import LAYOUTS, field_of, find_layout
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import Instances
 from scoup.query.compare import Change, Comparison, Kind, compare
-from scoup.scene.cameras import Cameras
 from scoup_lab.bench import markdown
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.meshes import Floats
@@ -60,9 +59,6 @@ class Compare(Study):
         for name in self.real:
             if name not in known:
                 yield name, of_real(name, self.data)
-
-    def record(self, rows: dict[str, Any]) -> Record:
-        return {"rows": rows}
 
     @staticmethod
     def table(record: Record) -> str:
@@ -130,10 +126,7 @@ def of_layout(name: str, n_gaussians: int) -> Record:
         parts = {each.name: getattr(layout, each.name) for each in fields(layout)}
         changed = ChangedLayout(**parts, shifts=shifts).seen(part, between=bool(more))
         scene = make_demo_scene(int(seed), n_gaussians + more, *SIZES_OF_VIEWS, layout=changed)
-        built = scoup.build(scene.gaussians, scene.building, scene.regions)
-        texts = scene.words.texts
-        built.text_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))
-        return scene, built
+        return scene, field_of(scene)
 
     before = dict.fromkeys(added, AWAY)
     after = dict.fromkeys(removed, AWAY) | moves
@@ -222,20 +215,12 @@ def _is_visible(scene: DemoScene, number: int) -> bool:
 
 def of_real(name: str, data: Path) -> Record:
     """Return the changes, all false, between fields of parts of the views of a scene with real models."""
-    place = data / FOLDERS[name]
-    splat, cameras = scoup.load_gaussians(place / "point_cloud.splat"), scoup.load_cameras(place)
-    regions = scoup.load_regions(place / "language_features", cameras)
-    encoder = scoup.TextEncoder.open(data / "desk" / "desk_words.npz")
-
-    def built(some: Cameras) -> scoup.LanguageField:
-        made = scoup.build(splat, some, regions, embedding_model=encoder.name)
-        made.text_encoder(encoder)
-        return made
-
+    scene = RealScene.open(name, data)
+    cameras = scene.cameras
     half = len(cameras) // 2
     halves = {PAIRS[3]: (cameras[::2], cameras[1::2]), PAIRS[4]: (cameras[:half], cameras[half:])}
     figures: Record = {}
     for pair, (some, others) in halves.items():
-        found = compare(built(some), built(others), list(encoder.names or ()))
+        found = compare(scene.field(some), scene.field(others), list(scene.encoder.names or ()))
         figures[pair] = {kind: [0, len(found.of_kind(kind)), 0] for kind in KINDS}
     return figures

@@ -15,7 +15,7 @@ from torch import Tensor
 from benchmarks.answer_presence import auc
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
-from benchmarks.drawn import DrawnAnswer, drawn_masks, question_of
+from benchmarks.drawn import DrawnAnswer, mask_ious, question_of
 from benchmarks.real_scenes import FOLDERS, REAL_SCENES, RealScene, place_of
 from benchmarks.study import Record, Study
 from benchmarks.ways import WAYS
@@ -32,7 +32,6 @@ from scoup.uplift.naming import ViewVotes, count_votes, things_in_view, votes_in
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.bench import markdown
-from scoup_lab.evaluate.metrics import iou
 
 ANSWERS = ("field", "detector alone", "on demand", "at extraction")
 RIGHT_FROM = 0.5
@@ -107,15 +106,9 @@ class Concepts(Study):
             if way == "detector alone" and given is not None:
                 drawn = {text: voted(asked, table, given, text) for text in labels}
                 sure = dict(zip(given.texts, given.presence.tolist(), strict=True))
-            scores = []
-            for frame, view in scene.frames:
-                masks = drawn_masks([drawn[label] for label in frame.labels], view)
-                scores += [
-                    iou(mask, frame.masks[label]) for label, mask in zip(frame.labels, masks, strict=True)
-                ]
             found = {each.text: each for each in answers}
             figures[way] = {
-                "mIoU": round(mean(scores), 4),
+                "mIoU": round(mean(mask_ious(scene, drawn)), 4),
                 "presence": round(
                     auc(*(np.array([sure[text] for text in some]) for some in (labels, absent))), 4
                 ),

@@ -160,7 +160,6 @@ HIDDEN = {
     "real": "from 0.[235]",
     "archive times": "150,062 .*|shell, help|write one scan|same texts again|"
     "memory: (import of torch alone|shell, help)",
-    "lerf sized": "GB moved|by copying|GFLOP|by multiplying",
     "ablations": "paper's mIoU|no top-K|L=(32|128)|K=[28]|without the 50 % of .* entropy|level by peak|"
     "two rounds, no top-K|every .*|Adam, .*|none without a code in blending|only level .|"
     "1/. of the views",

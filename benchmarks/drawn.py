@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,6 +15,7 @@ from scoup.query.field_view import INSIDE, counting_gaussians
 from scoup.query.question import Question
 from scoup.query.votes import select_by_relevancy
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
+from scoup_lab.evaluate.metrics import iou
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,15 @@ def answers_of(
     for text, query in zip(texts, question.queries, strict=True):
         selected = select_by_relevancy(fitted.gaussian_relevancy(query[None], everyday)[:, 0], coded)
         found[text] = DrawnAnswer(selected.mask, coded[selected.level])
+    return found
+
+
+def mask_ious(scene: AnswerScene, answers: Mapping[str, DrawnAnswer]) -> list[float]:
+    """Return the IoU of the mask of each (frame, label) pair, in the order of ``AnswerScene.pairs``."""
+    found = []
+    for frame, view in scene.frames:
+        masks = drawn_masks([answers[label] for label in frame.labels], view)
+        found += [iou(mask, frame.masks[label]) for label, mask in zip(frame.labels, masks, strict=True)]
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,15 +71,15 @@ class Extraction(Study):
                 continue
             image, like = read_pixels(path), None
             for name, (model, settings) in ways.items():
-                timed = Timed(model)
+                counted = Counted(model)
                 start = time.process_time()
-                found = automatic_masks(image, timed, settings)
+                found = automatic_masks(image, counted, settings)
                 seconds = time.process_time() - start
                 if path in unlabelled and like is None:
                     like = found
                 figures = {
-                    **timed.figures(),
-                    "rules": seconds - sum(timed.seconds.values()),
+                    "points": counted.points,
+                    "seconds": seconds,
                     "regions": {level: len(found[level]) for level in LEVELS},
                     "things": _best(found, frames[path.stem]) if like is None else None,
                     "kept": None if like is None else _kept(found, like),
@@ -112,37 +112,27 @@ class Extraction(Study):
 
 
 @dataclass
-class Timed:
-    """A model that counts points, and the seconds in encoder and decoder."""
+class Counted:
+    """A model that counts the points it is asked for."""
 
     model: PointModel
     points: int = 0
-    seconds: dict[str, float] = field(default_factory=lambda: {"encoder": 0.0, "decoder": 0.0})
 
     def to_dict(self) -> dict[str, Any]:
         return self.model.to_dict()
 
     def encode(self, image: NDArray[np.uint8]) -> EncodedImage:
-        start = time.process_time()
-        encoded = self.model.encode(image)
-        self.seconds["encoder"] += time.process_time() - start
-        return _TimedImage(encoded, self)
-
-    def figures(self) -> Record:
-        return {"points": self.points, **self.seconds}
+        return _CountedImage(self.model.encode(image), self)
 
 
 @dataclass(frozen=True)
-class _TimedImage:
+class _CountedImage:
     encoded: EncodedImage
-    timed: Timed
+    counted: Counted
 
     def predict(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        start = time.process_time()
-        answer = self.encoded.predict(points)
-        self.timed.seconds["decoder"] += time.process_time() - start
-        self.timed.points += len(points)
-        return answer
+        self.counted.points += len(points)
+        return self.encoded.predict(points)
 
     def without_padding(self, logits: Tensor) -> Tensor:
         return self.encoded.without_padding(logits)
@@ -184,9 +174,6 @@ def _summary(name: str, rows: list[Record]) -> Record:
         for level in LEVELS
     }
     best = np.max(list(things.values()), axis=0)
-    stages = {
-        stage: float(np.mean([row[stage] for row in rows])) for stage in ("encoder", "decoder", "rules")
-    }
     return {
         "way": name,
         "photographs": len(rows),
@@ -196,6 +183,5 @@ def _summary(name: str, rows: list[Record]) -> Record:
         "iou": float(best.mean()),
         **{level: float((things[level] >= FOUND).mean()) for level in LEVELS},
         "kept": float(np.mean([row["kept"] for row in rows if row["kept"] is not None])),
-        **stages,
-        "seconds": sum(stages.values()),
+        "seconds": float(np.mean([row["seconds"] for row in rows])),
     }

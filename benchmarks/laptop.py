@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +12,7 @@ from typing import Any
 
 import torch
 
+from benchmarks.processes import SCOUP, run_python
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study, report
 from scoup.base.errors import InputError
@@ -103,18 +100,13 @@ class Laptop(Study):
 
 def _timed(verb: str, *arguments: str) -> Record:
     """Return what a verb said, its wall time, the time of its processor and its peak memory."""
-    started = time.perf_counter()
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen([sys.executable, "-m", "scoup", verb, *arguments, "--json"], stdout=said)
-        _, status, usage = os.wait4(process.pid, 0)
-        wall = time.perf_counter() - started
-        said.seek(0)
-        record = json.loads(said.read())
-    if status:
-        raise InputError(f"scoup {verb} failed: {record.get('error')}")
-    record = {key: value for key, value in record.items() if key in ("extraction", "seconds", "views")}
-    cpu = usage.ru_utime + usage.ru_stime
-    return {"said": record, "wall_s": wall, "cpu_s": cpu, "peak_gb": usage.ru_maxrss * 1024 / 1e9}
+    done = run_python(SCOUP, verb, *arguments, "--json")
+    said = {
+        key: value
+        for key, value in json.loads(done.said).items()
+        if key in ("extraction", "seconds", "views")
+    }
+    return {"said": said, "wall_s": done.wall_s, "cpu_s": done.cpu_s, "peak_gb": done.peak_bytes / 1e9}
 
 
 def _save_clip(folder: Path) -> None:

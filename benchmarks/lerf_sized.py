@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import scoup
-from benchmarks.bounds import least_work, machine_rates
-from benchmarks.memory import memory_of
+from benchmarks.processes import memory_of
 from benchmarks.study import Record, Study, report
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.bench import (
@@ -92,8 +91,6 @@ class LerfSized(Study):
                 "coding": field.info.provenance["coding"],
                 "scene_memory_bytes": own[0],
                 "own_memory_bytes": max(own),
-                "machine_rates": machine_rates(self.threads),
-                "least": least_work(gaussians, cameras, regions, settings),
             },
         )
 
@@ -102,33 +99,16 @@ class LerfSized(Study):
 
     @staticmethod
     def table(record: Record) -> str:
-        """Return the stages as shares of the whole build, beside what they must at least do."""
+        """Return the stages as shares of the whole build."""
         stages: dict[str, float] = dict.fromkeys((*STAGES, "all else"), 0.0)
         for name, seconds in record["seconds"].items():
             stages[next((stage for stage in STAGES if stage in name), "all else")] += seconds
         total, threads = record["total_s"], record["settings"]["threads"]
-        rows = [
-            [name, f"{100 * seconds / total:.0f} %", *_bounds(record, name, seconds)]
-            for name, seconds in stages.items()
-        ]
-        rows.append([f"all, {threads} threads, of a minute", f"{total / 60:.2f}", "", "", "", ""])
+        rows = [[name, f"{100 * seconds / total:.0f} %"] for name, seconds in stages.items()]
+        rows.append([f"all, {threads} threads, of a minute", f"{total / 60:.2f}"])
         for said, key in (("the scene", "scene_memory_bytes"), ("at the most", "own_memory_bytes")):
-            rows.append([f"own memory, {said}, GB", f"{record[key] / 1e9:.2f}", "", "", "", ""])
-        head = ["stage", "share of the time", "GB moved", "by copying", "GFLOP", "by multiplying"]
-        return markdown(head, rows)
-
-
-def _bounds(record: Record, stage: str, seconds: float) -> list[str]:
-    """The least work of a stage, and its time in times of what this machine takes for as much."""
-    least, rates = record["least"].get(stage), record["machine_rates"]
-    if least is None:
-        return [""] * 4
-    return [
-        f"{least['bytes'] / 1e9:.1f}",
-        f"{seconds * rates['bytes_per_s'] / least['bytes']:.1f} x",
-        f"{least['flops'] / 1e9:.0f}",
-        f"{seconds * rates['flops_per_s'] / least['flops']:.1f} x",
-    ]
+            rows.append([f"own memory, {said}, GB", f"{record[key] / 1e9:.2f}"])
+        return markdown(["stage", "share of the time"], rows)
 
 
 def _own_memory() -> int:

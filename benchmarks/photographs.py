@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import scoup
 from benchmarks.answer_scenes import with_splat
 from benchmarks.data import data_folder
-from benchmarks.drawn import answers_of, drawn_masks
+from benchmarks.drawn import answers_of, mask_ious
 from benchmarks.real_scenes import RealScene
 from benchmarks.study import Record, Study
 from scoup.base.counts import spread
@@ -22,7 +22,6 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.bench import markdown
-from scoup_lab.evaluate.metrics import iou
 
 POOLINGS = ("", "_all")  # of the embeddings: suffixes of the folders of regions
 ALL_POINTS = "all_points"  # folders of regions by all points begin with it, the others with language_features
@@ -116,10 +115,5 @@ class Photographs(Study):
             embeddings = [pooled.embeddings(level)[0] for level in pooled.levels]
             inputs = replace(scene, embeddings=embeddings).inputs()
             fitted = METHODS["sparse"].uplift(inputs, MethodSettings(SEED))
-            answers = answers_of(scene, fitted, tuple(scene.queries), asked)
-            for frame, view in scene.frames:
-                masks = drawn_masks([answers[label] for label in frame.labels], view)
-                found += [
-                    iou(mask, frame.masks[label]) for label, mask in zip(frame.labels, masks, strict=True)
-                ]
+            found += mask_ious(scene, answers_of(scene, fitted, tuple(scene.queries), asked))
         return round(mean(found), 3)

@@ -14,6 +14,7 @@ import scoup
 from benchmarks.true_counts import true_counts
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
+from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup_lab.data.labels import LabelledFrame, match_frames, read_labels
 
@@ -47,6 +48,7 @@ class RealScene:
     canonical: Tensor  # [P, D]
     absent: tuple[str, ...]  # those words that nothing in the scene is called
     counts: dict[str, int]  # label -> how many instances are visible; empty for desk, where it is not known
+    encoder: scoup.TextEncoder  # desk's table
 
     @classmethod
     def open(cls, name: str, data: Path) -> RealScene:
@@ -84,7 +86,20 @@ class RealScene:
             encoder.canonical(),
             tuple(word for word in ABSENT.split(",") if word in words) if held_out.exists() else tuple(desk),
             {},
+            encoder,
         )
+
+    def gaussians(self) -> Gaussians:
+        """Load the splat."""
+        return scoup.load_gaussians(self.folder / "point_cloud.splat")
+
+    def field(self, views: Cameras | None = None) -> scoup.LanguageField:
+        """Return the field of all or of some views, which desk's table encodes the texts for."""
+        built = scoup.build(
+            self.gaussians(), views or self.cameras, self.regions, embedding_model=self.encoder.name
+        )
+        built.text_encoder(self.encoder)
+        return built
 
 
 def renamed(frame: LabelledFrame, meanings: dict[str, list[str]]) -> LabelledFrame:

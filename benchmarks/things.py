@@ -17,7 +17,7 @@ import scoup
 from benchmarks.data import data_folder
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.real_scenes import RealScene
-from benchmarks.scenes import scene_of
+from benchmarks.scenes import field_of, scene_of
 from benchmarks.study import Record, Study
 from benchmarks.things_truth import LEAST, Instances, is_between, is_true, true_axes
 from scoup.field.part_sizes import part_sizes
@@ -123,9 +123,7 @@ class Things(Study):
 def of_layout(name: str, n_gaussians: int, most: int) -> Record:
     """Return all figures of a procedural scene."""
     scene = scene_of(name, n_gaussians)
-    built = scoup.build(scene.gaussians, scene.building, scene.regions)
-    texts = scene.words.texts
-    built.text_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))
+    built = field_of(scene)
     frame = built.frame()
     axes = true_axes(built.camera(frame.seen_from))
     return of_scene(
@@ -240,9 +238,7 @@ def relations(built: scoup.LanguageField, frame: Frame, cases: Cases, most: int)
 def of_desk(data: Path) -> Record:
     """Return how many facts of the real scene are found."""
     desk = RealScene.open("desk", data)
-    gaussians = scoup.load_gaussians(data / "desk" / "point_cloud.splat")
-    built = scoup.build(gaussians, desk.cameras, desk.regions)
-    built.text_encoder(data / "desk" / "desk_words.npz")
+    built = desk.field()
     frame = built.frame(VIEWER)
     texts = sorted({label for labelled, _ in desk.frames for label in labelled.labels})
     _, times = _asked(built, texts)

@@ -19,22 +19,17 @@ from typing import Any
 
 import scoup
 from benchmarks.chromium import chromium, program
-from benchmarks.memory import memory_of
+from benchmarks.processes import SCOUP, memory_of, run_python
+from benchmarks.random_field import random_field, write_words
 from benchmarks.study import Record, Study
-from scoup.field.language_field import LanguageField
-from scoup.models.word_table import save_table
-from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.scene.cameras import Cameras
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
 from scoup.view.viewer import Viewer
 from scoup_lab.bench import markdown, random_scene_cameras, random_scene_gaussians
-from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
 
-ATOMS, KEEP, VIEWS = 128, 4, 24
-PROGRAM = (sys.executable, "-c", "from scoup.cli.app import entry; entry()")
+VIEWS = 24
 START_REPEATS = 3
 
 
@@ -128,13 +123,7 @@ def page_seconds(path: Path) -> dict[str, float]:
 def write_field(folder: Path, gaussians: Gaussians, cameras: Cameras) -> Path:
     """Write a field with made-up codes, its Gaussians embedded, and its word table beside it."""
     path = folder / "scene.scoup"
-    indices, weights = random_scene_codes(gaussians.means, 3, ATOMS, KEEP)
-    codebook = clip_like(3 * ATOMS).view(3, ATOMS, -1)
-    table = folder / "words.npz"
-    info = FieldInfo(("s", "m", "l"), "simulated", gaussians.fingerprint(), len(gaussians), words=table)
-    words = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
-    save_table(table, words, clip_like(len(words), seed=3), model="simulated", overwrite=True)
-    LanguageField(indices, weights, codebook, info, gaussians, cameras=cameras).save(path)
+    random_field(gaussians, cameras=cameras, words=write_words(folder / "words.npz")).save(path)
     return path
 
 
@@ -172,9 +161,7 @@ def start_seconds(path: Path) -> dict[str, float]:
     """Return seconds from the command to the first answer of its server, beside `scoup info` on the same field."""
     seconds: dict[str, list[float]] = {"info": [], "view": []}
     for _ in range(START_REPEATS):
-        started = time.perf_counter()
-        subprocess.run([*PROGRAM, "info", str(path)], check=True, stdout=subprocess.DEVNULL)
-        seconds["info"].append(time.perf_counter() - started)
+        seconds["info"].append(run_python(SCOUP, "info", str(path)).wall_s)
         started = time.perf_counter()
         with served(path) as (address, _), urllib.request.urlopen(address) as answer:
             answer.read()
@@ -188,7 +175,7 @@ def start_seconds(path: Path) -> dict[str, float]:
 @contextmanager
 def served(path: Path, options: Sequence[str] = ()) -> Iterator[tuple[str, int]]:
     """Run `scoup view` on a field in a process of its own; yields its address and its number once it answers."""
-    command = [*PROGRAM, "view", str(path), "--port", "0", "--json", *options]
+    command = [sys.executable, "-c", SCOUP, "view", str(path), "--port", "0", "--json", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
         printed = ""

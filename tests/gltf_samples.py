@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.io_samples import spz_of_version
+from tests.io_samples import save_spz
 
-from scoup.io import load_gaussians, save_gaussians
+from scoup.io import load_gaussians
 from scoup.scene.gaussians import Gaussians
 
 SPLATS = "KHR_gaussian_splatting"
@@ -203,13 +203,10 @@ def features_of(path: Path) -> tuple[list[int], tuple[str, ...]] | None:
     return ids, tuple(text[start:end].decode() for start, end in pairwise(offsets))
 
 
-def spz_in_gltf(
-    folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3, fourth: np.ndarray | None = None
-) -> Path:
+def spz_in_gltf(folder: Path, gaussians: Gaussians, name: str = "_2", version: int = 3) -> Path:
     """A .glb file whose attributes are a .spz file, by the draft of the extension."""
-    save_gaussians(gaussians, folder / "inner.spz", overwrite=True)
-    data = spz_of_version((folder / "inner.spz").read_bytes(), version, fourth)
-    (folder / "inner.spz").write_bytes(data)
+    save_spz(gaussians, folder / "inner.spz", version)
+    data = (folder / "inner.spz").read_bytes()
     root, _ = foreign(columns_of(gaussians))
     compression = f"{SPLATS}_compression_spz{name}"
     primitive = root["meshes"][0]["primitives"][0]

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from scoup.io.regions.views import ViewRegions
+from scoup.io.splats.spz import write_spz
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions
@@ -122,35 +123,26 @@ def save_compressed_ply(path: Path, count: int = 300, rest: int = 9, seed: int =
     path.write_bytes("\n".join(header).encode() + body)
 
 
-def spz_of_version(content: bytes, version: int, fourth: np.ndarray | None = None) -> bytes:
-    """A .spz file of version 3 as one of another, by means of the layout alone; ``fourth`` [N, 27] are the bytes of SH
-    degree 4, which version 4 has a place for."""
-    import zstandard
-
-    body = gzip.decompress(content)
+def save_spz(gaussians: Gaussians, path: Path, version: int) -> None:
+    """A .spz file of any version; 1 and 2, which are not written, are made of 3 by means of the layout alone."""
+    write_spz(gaussians, path, overwrite=True, version=max(version, 3))
+    if version > 2:
+        return
+    body = gzip.decompress(path.read_bytes())
     count, degree, bits, flags = struct.unpack_from("<8xIBBB", body)
     ends = np.cumsum([16, *(count * size for size in (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1)))])
     rows = [np.frombuffer(body[a:b], np.uint8).reshape(count, -1) for a, b in pairwise(ends)]
     if version == 1:
         fixed = np.pad(rows[0].reshape(-1, 3), ((0, 0), (1, 0))).view("<i4") >> 8
         rows[0] = (fixed / 2**bits).astype("<f2").reshape(count, 3)
-    if version < 3:
-        word = np.ascontiguousarray(rows[4]).view("<u4")[:, 0].astype(int)
-        fields = np.stack([word >> shift & 1023 for shift in (20, 10, 0)], axis=1)
-        others = (fields & 511) / 511 * 0.5**0.5 * np.where(fields > 511, -1, 1)
-        largest = np.sqrt((1 - (others**2).sum(1)).clip(0))
-        quats = np.stack([np.insert(*row) for row in zip(others, word >> 30, largest, strict=True)])
-        rows[4] = np.rint(quats[:, :3] * np.where(quats[:, 3:] < 0, -1, 1) * 127.5 + 127.5).astype(np.uint8)
-    if fourth is not None:
-        degree, rows[5] = 4, np.concatenate([rows[5], fourth], axis=1)
-    parts = [row.tobytes() for row in rows]
-    start = struct.pack("<IIIBBB", 0x5053474E, version, count, degree, bits, flags)
-    if version < 4:
-        return gzip.compress(start + b"\0" + b"".join(parts), mtime=0)
-    streams = [(zstandard.ZstdCompressor().compress(part), len(part)) for part in parts if part]
-    table = b"".join(struct.pack("<QQ", len(stream), size) for stream, size in streams)
-    head = start + struct.pack("<BI12x", len(streams), 32)
-    return head + table + b"".join(stream for stream, _ in streams)
+    word = np.ascontiguousarray(rows[4]).view("<u4")[:, 0].astype(int)
+    fields = np.stack([word >> shift & 1023 for shift in (20, 10, 0)], axis=1)
+    others = (fields & 511) / 511 * 0.5**0.5 * np.where(fields > 511, -1, 1)
+    largest = np.sqrt((1 - (others**2).sum(1)).clip(0))
+    quats = np.stack([np.insert(*row) for row in zip(others, word >> 30, largest, strict=True)])
+    rows[4] = np.rint(quats[:, :3] * np.where(quats[:, 3:] < 0, -1, 1) * 127.5 + 127.5).astype(np.uint8)
+    start = struct.pack("<IIIBBBB", 0x5053474E, version, count, degree, bits, flags, 0)
+    path.write_bytes(gzip.compress(start + b"".join(row.tobytes() for row in rows), mtime=0))
 
 
 def save_checkpoint(gaussians: Gaussians, path: Path) -> None:

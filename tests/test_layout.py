@@ -19,7 +19,7 @@ DOCUMENTS = (ROOT / "docs" / "layout.md").read_text()
 EXPORTING = {"scoup", "scoup.base.errors", "scoup.coding", "scoup.io", "scoup.pictures", "scoup.raster"}
 """Modules that hand on what their rooms, or all of them, export."""
 INNER = {
-    "base": "atomic backends counts digests existing json_node native progress records registry staging version",
+    "base": "atomic backends counts existing json_node native progress records registry staging version",
     "cli": "console options family",
     "coding": "backends kmeans",
     "field": "part_sizes relevancy",

@@ -50,24 +50,15 @@ class PageError(Exception):
 
 @dataclass(frozen=True)
 class Npm:
-    """A way to run npm.
-
-    Attributes:
-        command: what to run.
-        folder: of node itself, which the scripts of a package call by its name.
-    """
+    """A way to run npm."""
 
     command: tuple[str, ...]
-    folder: Path
+    folder: Path  # of node itself, which the scripts of a package call by its name
 
     def run(
         self, arguments: tuple[str, ...], viewer: Path, variables: Mapping[str, str] | None = None
     ) -> None:
-        """Runs npm in the folder of a package.
-
-        Raises:
-            PageError: with the end of what npm said.
-        """
+        """Run npm in the folder of a package; a PageError has the end of what npm said."""
         path = os.pathsep.join([str(self.folder), os.environ.get("PATH", os.defpath)])
         # With NODE_ENV=production npm would leave out what bundles.
         environment = {**os.environ, "PATH": path, "NODE_ENV": "", **(variables or {})}
@@ -139,11 +130,7 @@ def is_current(viewer: Path = VIEWER, page: Path = PAGE) -> bool:
 
 
 def build(npm: Npm, viewer: Path = VIEWER, page: Path = PAGE) -> None:
-    """Fetches the packages and makes the page; an earlier page is replaced only by a whole one.
-
-    Raises:
-        PageError: it could not be made; what was there before is as it was.
-    """
+    """Fetch the packages and make the page; an earlier page is replaced only by a whole one."""
     page.parent.mkdir(parents=True, exist_ok=True)
     made_from = fingerprint(viewer)
     npm.run(("ci", *_FETCH_OPTIONS), viewer)
@@ -164,11 +151,7 @@ def build(npm: Npm, viewer: Path = VIEWER, page: Path = PAGE) -> None:
 
 
 def ensure_page(viewer: Path = VIEWER, page: Path = PAGE, force: bool = False) -> bool:
-    """Builds the page if it is not there or was made from other sources; whether it had to.
-
-    Raises:
-        PageError: it could not be built.
-    """
+    """Build the page if it is not there or was made from other sources; return whether it had to."""
     if not (viewer / "package-lock.json").is_file():
         raise PageError(f"the sources of the page are not at {viewer}")
     if not force and is_current(viewer, page):
@@ -181,11 +164,7 @@ def ensure_page(viewer: Path = VIEWER, page: Path = PAGE, force: bool = False) -
 
 
 def check_types(viewer: Path = VIEWER) -> bool:
-    """Looks at the types of the sources; whether there is an npm to do so.
-
-    Raises:
-        PageError: with what is wrong.
-    """
+    """Look at the types of the sources; return whether there is an npm to do so. A PageError says what is wrong."""
     npm = find_npm()
     if npm is None:
         return False
@@ -202,34 +181,22 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--optional", action="store_true", help="without npm or a network, say so and go on")
     parser.add_argument("--check", action="store_true", help="look at the types of the sources instead")
     options = parser.parse_args(arguments)
-    return _checked() if options.check else _built(options.force, options.optional)
-
-
-def _checked() -> int:
     try:
-        if not check_types():
-            print("the types of the page were not looked at: there is no npm")
-    except PageError as error:
-        print(f"the types of the page are not right, or could not be looked at: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-def _built(force: bool, optional: bool) -> int:
-    try:
-        if ensure_page(force=force):
+        if options.check:
+            if not check_types():
+                print("the types of the page were not looked at: there is no npm")
+        elif ensure_page(force=options.force):
             print("built the page of scoup view")
     except PageError as error:
+        if options.check:
+            print(f"the types of the page are not right, or could not be looked at: {error}", file=sys.stderr)
+            return 1
+        state = "scoup view does not work without it, everything else does"
+        state = state if _missing(PAGE) else "an older page stays in its place"
         print(f"the page of scoup view could not be built: {error}", file=sys.stderr)
-        print(_state(PAGE), file=sys.stderr)
-        return 0 if optional else 1
+        print(f"{state}; python tools/build_viewer.py tries again", file=sys.stderr)
+        return 0 if options.optional else 1
     return 0
-
-
-def _state(page: Path) -> str:
-    if _missing(page):
-        return "scoup view does not work without it, everything else does; python tools/build_viewer.py tries again"
-    return "an older page stays in its place; python tools/build_viewer.py tries again"
 
 
 def _sources(viewer: Path) -> Iterator[Path]:

@@ -38,11 +38,7 @@ class Wrong(Exception):
 
 
 def run(folder: Path, *arguments: str) -> str:
-    """Runs the interpreter in a folder; returns what it printed.
-
-    Raises:
-        Wrong: it failed.
-    """
+    """Run the interpreter in a folder; return what it printed."""
     environment = {name: value for name, value in os.environ.items() if name != "SCOUP_NATIVE"}
     done = subprocess.run(
         [*PYTHON, *arguments], cwd=folder, env=environment, capture_output=True, text=True, timeout=900
@@ -53,11 +49,7 @@ def run(folder: Path, *arguments: str) -> str:
 
 
 def check(folder: Path, without_core: bool) -> str:
-    """Checks the installation from an empty folder; returns one line that says what it is.
-
-    Raises:
-        Wrong: something is missing or does not work.
-    """
+    """Check the installation from an empty folder; return one line that says what it is."""
     package, core, _ = run(folder, "-c", FACTS).splitlines()  # without the page it fails, and says so
     if Path(package).is_relative_to(CHECKOUT):
         raise Wrong(

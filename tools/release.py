@@ -19,11 +19,7 @@ class NotReady(Exception):
 
 
 def version(pyproject: str) -> str:
-    """The version that pyproject.toml states.
-
-    Raises:
-        NotReady: it states none.
-    """
+    """Return the version that pyproject.toml states."""
     found = re.search(r'^version = "([^"]+)"$', pyproject, re.MULTILINE)
     if found is None:
         raise NotReady("pyproject.toml states no version")
@@ -31,11 +27,7 @@ def version(pyproject: str) -> str:
 
 
 def section(changelog: str, wanted: str) -> tuple[str, str]:
-    """What stands behind a version in its heading, and the text below.
-
-    Raises:
-        NotReady: there is no such heading, or nothing below it.
-    """
+    """Return what stands behind a version in its heading, and the text below."""
     found = re.search(
         rf"^## {re.escape(wanted)}(?P<rest>[^\w.\n][^\n]*)?\n(?P<text>.*?)(?=^## |\Z)",
         changelog,
@@ -47,11 +39,7 @@ def section(changelog: str, wanted: str) -> tuple[str, str]:
 
 
 def check(tag: str, pyproject: str, changelog: str) -> None:
-    """Whether a tag may be released from these sources.
-
-    Raises:
-        NotReady: it may not.
-    """
+    """Refuse, by a NotReady, a tag that may not be released from these sources."""
     stated = version(pyproject)
     if tag != f"v{stated}":
         raise NotReady(

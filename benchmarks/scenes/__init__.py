@@ -5,7 +5,8 @@ from __future__ import annotations
 from benchmarks.scenes.hall import HALL
 from benchmarks.scenes.shelves import SHELVES
 from benchmarks.scenes.yard import YARD
-from scoup.base.errors import UnknownNameError
+from scoup import LanguageField, build
+from scoup.base.errors import looked_up
 from scoup_lab.synthetic import TABLE, Layout
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 
@@ -14,9 +15,15 @@ LAYOUTS: dict[str, Layout] = {layout.name: layout for layout in (TABLE, SHELVES,
 
 def find_layout(name: str) -> Layout:
     """Return the layout of that name."""
-    if name not in LAYOUTS:
-        raise UnknownNameError("layout", name, list(LAYOUTS), "benchmarks.scenes")
-    return LAYOUTS[name]
+    return looked_up("layout", name, LAYOUTS)
+
+
+def field_of(scene: DemoScene) -> LanguageField:
+    """Return the field of a scene, which its own words encode the texts for."""
+    built = build(scene.gaussians, scene.building, scene.regions)
+    texts = scene.words.texts
+    built.text_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))
+    return built
 
 
 def scene_of(name: str, *size: int) -> DemoScene:

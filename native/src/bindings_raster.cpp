@@ -119,16 +119,6 @@ nb::tuple py_render_cosines(const Projection& projection, const Array& indices, 
                           to_numpy(std::move(norms), {levels, height, width}));
 }
 
-nb::dict py_count_work(const Projection& projection, int threads) {
-    const ViewCounts counts = without_lock([&] { return count_work(projection, sane(threads), python_signals()); });
-    nb::dict found;
-    found["pairs"] = counts.all.pairs;
-    found["blocks"] = counts.all.blocks;
-    found["evaluations"] = counts.all.evaluations;
-    found["lanes"] = counts.lanes;
-    return found;
-}
-
 }  // namespace
 
 void bind_raster(nb::module_& m) {
@@ -157,7 +147,6 @@ void bind_raster(nb::module_& m) {
           nb::arg("threads"));
     m.def("render_cosines", &py_render_cosines, nb::arg("projection"), nb::arg("indices"), nb::arg("weights"), nb::arg("grams"),
           nb::arg("scores"), nb::arg("threads"));
-    m.def("count_work", &py_count_work, nb::arg("projection"), nb::arg("threads"));
 }
 
 }  // namespace scoup

@@ -115,18 +115,4 @@ void render_cosines(const Projection& projection, const GaussianCodes& codes, co
     check_atoms(memory, codes);
 }
 
-ViewCounts count_work(const Projection& projection, int n_threads, const Interrupted& interrupted) {
-    const auto& kernels = pick(baseline::count_kernels, v3::count_kernels, v4::count_kernels);
-    std::vector<TileCounts> counts(static_cast<size_t>(projection.n_tiles()));
-    for_tiles(projection, 1, n_threads, interrupted,
-              [&](const Tile& tile, int64_t t, int) { counts[size_t(t)] = kernels.count(tile); });
-    ViewCounts total{{}, kernels.lanes};
-    for (const TileCounts& c : counts) {
-        total.all.pairs += c.pairs;
-        total.all.blocks += c.blocks;
-        total.all.evaluations += c.evaluations;
-    }
-    return total;
-}
-
 }  // namespace scoup

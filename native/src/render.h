@@ -3,7 +3,6 @@
 
 #include "channel_kernels.h"
 #include "code_kernels.h"
-#include "count_kernels.h"
 #include "threads.h"
 #include "projection.h"
 
@@ -19,11 +18,5 @@ void render_codes(const Projection& projection, const GaussianCodes& codes, floa
 
 void render_cosines(const Projection& projection, const GaussianCodes& codes, const Cosines& cosines, int n_threads,
                     const Interrupted& interrupted);
-
-struct ViewCounts {
-    TileCounts all;
-    int lanes;
-};
-ViewCounts count_work(const Projection& projection, int n_threads, const Interrupted& interrupted);
 
 }  // namespace scoup

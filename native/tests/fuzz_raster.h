@@ -335,8 +335,6 @@ inline void fuzz_raster(Random& random) {
     const Channels alpha = channels_of(random, projection, Exact<float>(), 0, threads);
     for (int64_t i = 0; i < alpha.alpha.size(); ++i)
         check(alpha.alpha[i] >= 0 && alpha.alpha[i] <= 1, "alpha: not within 0 .. 1");
-    const ViewCounts work = count_work(projection, threads, never);
-    check(work.all.pairs <= projection.lists.size() && work.all.evaluations <= work.all.blocks * work.lanes, "count_work");
 
     const Seen seen{projection, alpha.alpha, threads};
     fuzz_channels(random, seen);

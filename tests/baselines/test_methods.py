@@ -148,7 +148,7 @@ def test_a_trained_autoencoder_gives_back_what_a_gaussian_shows(scene: Rasterise
         labels = plain.load(view, level).labels
         return RegionMap(torch.where(labels >= 0, labels % 4, -1).int(), things)
 
-    four = scene.with_regions(Regions(plain.levels, plain.view_names, load))
+    four = RasterisedScene(scene.gaussians, scene.cameras, Regions(plain.levels, plain.view_names, load))
     schedule = AutoencoderSettings(epochs=300, batch=16, learning_rate=1e-2, encoder=(16, 3), decoder=(16,))
     fitted = METHODS["autoencoder"].fit(four, replace(SETTINGS, autoencoder=schedule))
     mostly = torch.from_numpy(four.region_sums().matrix(1).toarray()).view(60, -1, 4).sum(1)

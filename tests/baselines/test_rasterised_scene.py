@@ -8,7 +8,6 @@ from unittest.mock import Mock
 import pytest
 
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.rasterise import region_sums
 from scoup_lab.baselines import rasterised_scene
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.pixel_rules import CentrePixel
@@ -25,15 +24,6 @@ def test_sums_are_made_once_for_equal_rules() -> None:
     assert scene.region_sums(CentrePixel()) is scene.region_sums(CentrePixel())
     assert scene.region_sums(CentrePixel()) is not scene.region_sums()
     assert scene.seconds(CentrePixel()) > 0
-    assert scene.with_regions(scene.regions).region_sums() is not scene.region_sums()
-
-
-def test_sums_that_are_given_are_taken() -> None:
-    gaussians, cameras, regions = small_scene(views=2)
-    sums = region_sums(gaussians, cameras, regions)
-    scene = RasterisedScene(gaussians, cameras, regions, sums=sums)
-    assert scene.region_sums() is sums
-    assert scene.seconds() == 0
 
 
 def test_codes_are_learned_once_for_settings_that_differ_in_the_vote(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 import torch
-from benchmarks import bounds
 from benchmarks.answer_presence import auc, presence_of_group
 from benchmarks.compare import Compare
 from benchmarks.lerf_sized import LerfSized
@@ -30,9 +29,7 @@ def ran(study: Study) -> Record:
 
 
 @pytest.mark.parametrize("backend", usable_backends()[0])
-def test_a_whole_build(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounds, "COPIED", 1 << 16)
-    monkeypatch.setattr(bounds, "SIDE", 64)
+def test_a_whole_build(backend: str) -> None:
     found = ran(LerfSized(n_gaussians=80, views=3, regions=(6, 4, 2), preset="paper", epochs=3, n_atoms=8,
                           backend=backend, threads=1, **SMALL))  # fmt: skip
     assert {"coding s", "coding m", "coding l", "region sums", "after vote"} <= set(found["seconds"])

@@ -15,37 +15,22 @@ from scoup_lab.bench.report import Row, comparison, markdown, milliseconds, rati
 
 
 def row(stage: str, backend: str, threads: int, *milliseconds: float, count: int = 1000) -> Row:
-    return Row("room", count, stage, backend, threads, Timing(tuple(1e-3 * value for value in milliseconds)))
+    return Row(count, stage, backend, threads, Timing(tuple(1e-3 * value for value in milliseconds)))
 
 
 def test_a_table_of_stages():
     rows = [
         row("project", "native", 1, 2, 2, 3),
         row("project", "reference", 1, 500, 400, 300),
-        row("project", "native", 2, 1, 1, 1),
         row("vote", "native", 1, 0.5, 0.5, 0.5, count=2000),
     ]
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in stage_table(rows).splitlines()]
-    assert lines[0] == [
-        "scene", "Gaussians", "stage", "native, 1 thread, ms", "reference, 1 thread, ms", "native, 2 threads, ms",
-        "native/reference, 1 thread",
-    ]  # fmt: skip
-    assert lines[2] == ["room", "1,000", "project", "2", "400", "1", "0.005"]
-    assert lines[3] == ["room", "2,000", "vote", "0.5", "-", "-", "-"]
-    assert len(lines) == 4
-
-
-def test_a_table_of_the_reference_alone_has_no_ratios():
-    rows = [row("project", "reference", 1, 5)]
-    assert ratios(rows) == {}
-    assert "/reference" not in stage_table(rows)
-
-
-def test_a_table_says_how_often_each_column_ran():
-    rows = [row("project", "native", 1, 1, 1, 1), row("project", "reference", 1, 9)]
-    head = stage_table(rows).splitlines()[0]
-    assert "native, 1 thread, ms (3 runs)" in head
-    assert "reference, 1 thread, ms (1 runs)" in head
+    assert lines[0] == ["Gaussians", "stage", "backend", "threads", "ms", "time over reference"]
+    assert lines[2:] == [
+        ["1,000", "project", "native", "1", "2", "0.005"],
+        ["1,000", "project", "reference", "1", "400", "-"],
+        ["2,000", "vote", "native", "1", "0.5", "-"],
+    ]
 
 
 def test_ratios_are_of_the_same_scene_stage_and_threads():
@@ -54,7 +39,7 @@ def test_ratios_are_of_the_same_scene_stage_and_threads():
     assert ratios(rows) == {rows[0]: 0.25}
     found = comparison(rows)
     assert found["rows"] == [item.to_dict() for item in rows]
-    at = {"scene": "room", "gaussians": 1000, "stage": "project", "backend": "native", "threads": 1}
+    at = {"gaussians": 1000, "stage": "project", "backend": "native", "threads": 1}
     assert found["ratios"] == [{**at, "time_over_reference": 0.25}]
 
 
@@ -75,7 +60,7 @@ def test_json_is_written_once(tmp_path: Path):
     path = tmp_path / "new" / "a.json"
     write_json(path, {"rows": [row("project", "native", 1, 2).to_dict()]})
     assert set(json.loads(path.read_text())["rows"][0]) == {
-        "scene", "gaussians", "stage", "backend", "threads", "median_s", "min_s", "max_s", "repeats",
+        "gaussians", "stage", "backend", "threads", "median_s", "min_s", "max_s", "repeats",
     }  # fmt: skip
     with pytest.raises(OutputExistsError):
         write_json(path, {})

@@ -23,7 +23,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_table():
     out = printed(*TINY, "--backends", "reference")
     table = [line for line in out.splitlines() if line.startswith("|")]
-    assert [line.split("|")[3].strip() for line in table[2:]] == list(STAGES)
+    assert [line.split("|")[2].strip() for line in table[2:]] == list(STAGES)
     assert "24 x 16" in out
     assert "only reference was measured" in out
 
@@ -65,9 +65,4 @@ def test_a_backend_is_compared_with_the_reference(monkeypatch: pytest.MonkeyPatc
     assert [row["backend"] for row in record["rows"]] == ["other", "reference"]
     other, reference = (row["median_s"] for row in record["rows"])
     assert record["ratios"][0]["time_over_reference"] == pytest.approx(other / reference)
-    assert "other/reference, 1 thread" in run(*TINY, "--stages", "project", "--threads", "1")[1]
-
-
-def test_quick_is_smaller():
-    record = run_json(*TINY, "--stages", "project", "--quick")
-    assert (record["rows"][0]["gaussians"], record["width"], record["height"]) == (12, 8, 5)
+    assert "time over reference" in run(*TINY, "--stages", "project", "--threads", "1")[1]

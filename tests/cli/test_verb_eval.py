@@ -70,17 +70,16 @@ def test_tables_and_sheets(here: Path, name: str) -> None:
         assert record["overall"]["pairs"] == sum(len(frame.labels) for frame in frames)
 
 
-def test_predicted_once_scored_by_other_rules(here: Path) -> None:
+def test_built_once_scored_by_other_rules(here: Path) -> None:
     def miou(rules: str) -> float:
         record = json.loads((here / "eval_lerf-ovs" / f"lerf-ovs_{rules}.json").read_text())
         return record["overall"]["miou"]
 
     run_json(*LERF, *QUICK)
-    cache, field = here / "eval_lerf-ovs" / "cache", here / "eval_lerf-ovs" / "fields" / "table.scoup"
-    made = {path: path.stat().st_mtime_ns for path in (*cache.rglob("*.safetensors"), field)}
-    assert len(made) == 2 + 1
+    field = here / "eval_lerf-ovs" / "fields" / "table.scoup"
+    made = field.stat().st_mtime_ns
     run_json(*LERF, *QUICK, "--rules", "langsplat")
-    assert {path: path.stat().st_mtime_ns for path in made} == made
+    assert field.stat().st_mtime_ns == made
     first = miou("scoup")
     assert first != miou("langsplat")
     # The same again gives the same, and is refused without --overwrite.
@@ -89,7 +88,7 @@ def test_predicted_once_scored_by_other_rules(here: Path) -> None:
     assert miou("scoup") == first
     assert "rebuild the fields" in refused(*LERF, "--n-atoms", 8, "--overwrite")
     run_json(*LERF, "--n-atoms", 8, "--overwrite", "--rebuild")
-    assert len(list(cache.rglob("*.safetensors"))) == 4
+    assert field.stat().st_mtime_ns != made
 
 
 def test_published_rows_stand_beside_scenes_of_the_published_names(here: Path) -> None:
@@ -140,7 +139,6 @@ def test_ablations(here: Path) -> None:
     assert "L=32" not in rows
     assert rows["no top-K"]["seeds"] == [0, 1]
     assert rows["1/8 of the views"]["miou"] < rows["base: L=64, K=4, top-K"]["miou"]
-    assert (here / "eval_lerf-ovs" / "ablations.png").is_file()
 
 
 def test_consistency(here: Path) -> None:

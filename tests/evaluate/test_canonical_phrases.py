@@ -80,15 +80,13 @@ def test_labels_are_read_with_four_phrases(scene: StudyScene, table: tuple[Path,
     assert len(scene.vectors.with_everyday().canonical) == 5  # there are enough words for a fifth
 
 
-def test_evaluation(
-    scene: StudyScene, table: tuple[Path, Tensor], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_evaluation(scene: StudyScene, table: tuple[Path, Tensor], monkeypatch: pytest.MonkeyPatch) -> None:
     """Of fields, in 2D and by selection."""
     rasterised = scene.rasterised
     built = build(rasterised.gaussians, rasterised.cameras, rasterised.regions, settings=BUILD)
     recorder: Any = Recorder(FittedField(built))
     monkeypatch.setattr(pixel_evaluation, "FittedField", lambda _: recorder)
-    maps = list(predict(scene.labelled, scene.vectors, built, "digest", tmp_path))
+    maps = list(predict(scene.labelled, scene.vectors, built))
     assert len(maps) == len(recorder.given) == 2
     selection.score_method(scene.labelled, scene.vectors, recorder, rasterised.gaussians, "inria")
     assert len(recorder.given) == 4
@@ -100,7 +98,9 @@ def test_evaluation(
 
 
 @pytest.mark.parametrize("name", ["sparse", "dense", "centre-pixel", "top-45-contributors", "autoencoder"])
-def test_comparison_of_methods(scene: StudyScene, table: tuple[Path, Tensor], name: str) -> None:
+def test_comparison_of_methods(
+    scene: StudyScene, table: tuple[Path, Tensor], name: str, tmp_path: Path
+) -> None:
     method, recorders = METHODS[name], []
 
     def uplift(inputs, settings):
@@ -108,7 +108,7 @@ def test_comparison_of_methods(scene: StudyScene, table: tuple[Path, Tensor], na
         return recorders[-1]
 
     settings = MethodSettings(build=BUILD, autoencoder=AutoencoderSettings(epochs=1))
-    Comparison([replace(method, uplift=uplift)], RULE, settings, selection=True).results([scene])
+    Comparison([replace(method, uplift=uplift)], RULE, tmp_path, settings, selection=True).results([scene])
     check(recorders[0].given, table[1])
 
 

@@ -19,7 +19,6 @@ from scoup_lab.baselines.autoencoder import AutoencoderSettings, fit_autoencoder
 from scoup_lab.evaluate.studies.consistency import (
     ConsistencyResult,
     consistency,
-    consistency_plot,
     consistency_table,
     gap_differences,
 )
@@ -138,7 +137,7 @@ def test_points_of_a_model_are_observed_where_they_project_to(tmp_path: Path) ->
     assert matches.points == expected
 
 
-def test_the_plot_shows_the_difference_that_counts() -> None:
+def test_the_table_shows_the_difference_that_counts() -> None:
     """Features that are all alike have the highest cosine of all, and the smallest gap."""
     cosines = {"raw": (0.8, 0.6), "autoencoder": (0.99, 0.99), "sparse codes": (0.9, 0.8)}
     unmatched = {"raw": (0.5, 0.5), "autoencoder": (0.97, 0.97), "sparse codes": (0.5, 0.6)}
@@ -150,12 +149,10 @@ def test_the_plot_shows_the_difference_that_counts() -> None:
     means = [row[3].mean for row in rows]
     assert means == pytest.approx([0.02 - 0.2, 0.3 - 0.2])
     assert rows[1][3].low == pytest.approx(0.1)  # of both points alike, so the interval has no extent
-    plot = consistency_plot(results)
-    assert plot.reference == 0
-    assert [row[:2] for row in plot.rows] == [
-        ("hall, level m", "autoencoder"),
-        ("hall, level m", "sparse codes"),
-    ]
+    shown = {row[0]: row[-1] for row in consistency_table(results).rows if row[1] == "hall"}
+    assert shown["raw"] == "-"
+    assert shown["autoencoder"].startswith("-0.180 [")
+    assert shown["sparse codes"] == "+0.100 [+0.100, +0.100]"
 
 
 def test_unmatched_observations_are_of_the_same_points() -> None:

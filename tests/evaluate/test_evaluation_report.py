@@ -94,7 +94,8 @@ def test_queries_worst_first() -> None:
 
 def test_markdown_and_latex() -> None:
     table = Table("A & B", ("name", "50 %"), (("a|b", "x_y"),), ("note",))
-    assert table.markdown() == "## A & B\n\n| name | 50 % |\n|---|---:|\n| a\\|b | x_y |\n\n* note\n"
+    rows = "| name | 50 % |\n| ---- | ---: |\n| a\\|b |  x_y |\n"
+    assert table.markdown() == f"## A & B\n\n{rows}\n* note\n"
     latex = table.latex()
     assert r"\caption{A \& B}" in latex
     assert r"name & 50 \% \\" in latex

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
+from scoup_lab.evaluate.metrics import Interval, any_inside, bootstrap_interval, iou
 
 
 def test_iou() -> None:
@@ -38,7 +38,7 @@ def test_bootstrap() -> None:
     few = bootstrap_interval([0.0] * 50 + [1.0] * 50, [str(index // 10) for index in range(100)])
     assert few.high - few.low > many.high - many.low
     assert bootstrap_interval([0.3, 0.3], ["a", "b"]).low == pytest.approx(0.3)
-    assert str(bootstrap_interval([0.5], ["a"])) == "0.500 [0.500, 0.500]"
+    assert bootstrap_interval([0.5], ["a"]) == Interval(0.5, 0.5, 0.5)
     for wrong in (([], []), ([1.0], []), ([float("nan")], ["a"])):
         with pytest.raises(InputError):
             bootstrap_interval(*wrong)

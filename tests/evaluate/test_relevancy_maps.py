@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from evaluate import literal
 from scoup.base.errors import InputError
-from scoup_lab.evaluate.relevancy_maps import box_mean, choose_level, localize, localize_and_segment, segment
+from scoup_lab.evaluate.relevancy_maps import box_mean, choose_level, localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES, Border, LevelChoice, MaskRule
 from support import examples
 
@@ -104,17 +104,6 @@ def test_shapes_refused(shape: tuple[int, ...]) -> None:
     for work in (localize, segment):
         with pytest.raises(InputError):
             work(torch.zeros(shape), SCOUP)
-
-
-@RULES
-def test_both_at_once_is_one_after_the_other(rule: MaskRule) -> None:
-    maps = torch.rand(3, 40, 60, generator=torch.Generator().manual_seed(0))
-    place, shape = localize_and_segment(maps, rule)
-    alone, other = localize(maps, rule), segment(maps, rule)
-    assert (place.pixel, place.level, place.score) == (alone.pixel, alone.level, alone.score)
-    assert place.pixels.equal(alone.pixels)
-    assert (shape.level, shape.score) == (other.level, other.score)
-    assert shape.mask.equal(other.mask)
 
 
 @settings(max_examples=examples(60))

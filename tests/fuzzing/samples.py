@@ -24,10 +24,10 @@ from tests.io_samples import (
     save_checkpoint,
     save_compressed_ply,
     save_images,
+    save_spz,
     some_cameras,
     some_gaussians,
     some_regions,
-    spz_of_version,
     stored_view,
     write_colmap_text,
     write_inria_cameras,
@@ -94,11 +94,9 @@ def _write_splats(folder: Path) -> None:
         save_gaussians(some_gaussians(MANY, degree=0), folder / f"many{Path(name).suffix}")
     _write_alike(folder)
     for version in (1, 2, 4):
-        content = spz_of_version((folder / "a.spz").read_bytes(), version)
-        (folder / f"version{version}.spz").write_bytes(content)
+        save_spz(few, folder / f"version{version}.spz", version)
     save_gaussians(some_gaussians(MANY, degree=3), folder / "many3.spz")
-    fourth = np.random.default_rng(0).integers(0, 256, (MANY, 27), dtype=np.uint8)
-    (folder / "many4.spz").write_bytes(spz_of_version((folder / "many3.spz").read_bytes(), 4, fourth))
+    save_spz(some_gaussians(MANY, degree=4), folder / "many4.spz", 4)
     (folder / "a.unpacked").write_bytes(gzip.decompress((folder / "a.spz").read_bytes()))
     features = GaussianFeatures(torch.tensor([0, 1, -1, 1]), ("chair", "table"))
     for ending in ("glb", "gltf"):
@@ -120,7 +118,7 @@ def _write_alike(folder: Path) -> None:
     one = some_gaussians(1, degree=0)
     alike = Gaussians(*(part.expand(200_000, *part.shape[1:]) for part in one.tensors().values()))
     save_gaussians(alike, folder / "alike.spz")
-    (folder / "alike4.spz").write_bytes(spz_of_version((folder / "alike.spz").read_bytes(), 4))
+    save_spz(alike, folder / "alike4.spz", 4)
 
 
 def _write_ascii_ply(path: Path, gaussians: Gaussians) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from io_samples import same_gaussians, some_gaussians, spz_of_version
+from io_samples import same_gaussians, save_spz, some_gaussians
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats.activation import (
@@ -149,7 +149,7 @@ def test_antialiasing_is_kept_by_ply_and_spz(tmp_path, comment, antialiased):
     for name in ("b.ply", "b.compressed.ply", "b.spz"):
         save_gaussians(gaussians.select([0, 1]), tmp_path / name)
         assert load_gaussians(tmp_path / name).antialiased == antialiased, name
-    (tmp_path / "c.spz").write_bytes(spz_of_version((tmp_path / "b.spz").read_bytes(), 4))
+    save_spz(gaussians, tmp_path / "c.spz", 4)
     assert load_gaussians(tmp_path / "c.spz", keep_axes=True).antialiased == antialiased
     with pytest.warns(ScoupWarning) if antialiased else contextlib.nullcontext():
         save_gaussians(gaussians, tmp_path / "b.splat")

@@ -14,7 +14,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from io_samples import angles, same_gaussians, some_gaussians, spz_of_version
+from io_samples import angles, same_gaussians, save_spz, some_gaussians
 from scoup.base.errors import FileFormatError, InputError, ScoupWarning
 from scoup.io import load_gaussians, write_ply
 from scoup.io.splats.spz import MOST_BITS, read_spz, write_spz
@@ -70,8 +70,7 @@ def check_rounding(given: Gaussians, found: Gaussians, version: int) -> None:
 def test_round_trips_round_as_stated(tmp_path_factory, count, degree, version, largest, seed) -> None:
     path = tmp_path_factory.mktemp("spz") / "a.spz"
     given = tame(count, degree, seed, largest)
-    write_spz(given, path)
-    path.write_bytes(spz_of_version(path.read_bytes(), version))
+    save_spz(given, path, version)
     found = read_spz(path)
     check_rounding(given, found, version)
     write_spz(found, path, overwrite=True)
@@ -119,8 +118,7 @@ def test_an_independent_library_reads_the_same(tmp_path: Path, version: int) -> 
     """gaussforge leaves the axes of the file as they are; the values are the same."""
     gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed")
     given = tame(50, 3, 7)
-    write_spz(given, tmp_path / "a.spz")
-    (tmp_path / "a.spz").write_bytes(spz_of_version((tmp_path / "a.spz").read_bytes(), version))
+    save_spz(given, tmp_path / "a.spz", version)
     ours = read_spz(tmp_path / "a.spz")
     library = gaussforge.GaussForge()
     (tmp_path / "a.ply").write_bytes(library.convert((tmp_path / "a.spz").read_bytes(), "spz", "ply")["data"])
@@ -175,17 +173,24 @@ def test_ugly_values_are_mended(tmp_path: Path) -> None:
 
 
 def test_degree_4_is_for_version_4(tmp_path: Path) -> None:
+    import zstandard
+
     given = tame(5, 4, 3)
     with pytest.warns(ScoupWarning, match="cut to 3"):
         write_spz(given, tmp_path / "a.spz")
     assert read_spz(tmp_path / "a.spz").sh_degree == 3
-    fourth = np.random.default_rng(0).integers(0, 256, (5, 27), dtype=np.uint8)
-    (tmp_path / "a.spz").write_bytes(spz_of_version((tmp_path / "a.spz").read_bytes(), 4, fourth))
+    write_spz(given, tmp_path / "a.spz", True, 4)
     found = read_spz(tmp_path / "a.spz")
-    check_rounding(replace(given, sh=given.sh[:, :16]), replace(found, sh=found.sh[:, :16]), 4)
-    signs = [1 if sign == "+" else -1 for sign in "-+-++-+--"]
-    expected = (fourth.reshape(5, 9, 3) / 128.0 - 1) * np.array(signs)[:, None]
-    np.testing.assert_array_equal(found.sh[:, 16:], expected.astype(np.float32))
+    check_rounding(given, found, 4)
+    content = (
+        tmp_path / "a.spz"
+    ).read_bytes()  # the last of six streams, which are as long as their table says
+    (size,) = struct.unpack_from("<Q", content, 32 + 5 * 16)
+    stored = np.frombuffer(zstandard.decompress(content[-size:]), np.uint8).reshape(5, 24, 3)[:, 15:]
+    signs = np.array([1 if sign == "+" else -1 for sign in "-+-++-+--"])[:, None]
+    np.testing.assert_array_equal(found.sh[:, 16:], ((stored / 128.0 - 1) * signs).astype(np.float32))
+    with pytest.raises(InputError, match="version 2 is not written; versions: 3, 4"):
+        write_spz(given, tmp_path / "a.spz", True, 2)
 
 
 AXES = struct.pack("<II", 0xADBE0003, 4)
@@ -207,14 +212,12 @@ def extended(path: Path, record: bytes) -> Path:
 
 @pytest.mark.parametrize("version", [3, 4])
 def test_declared_axes_are_obeyed(tmp_path: Path, version: int) -> None:
-    given = tame(5, 3, 3)
-    fourth = np.random.default_rng(0).integers(0, 256, (5, 27), dtype=np.uint8) if version == 4 else None
+    given = tame(5, version, 3)
     directions = unit(torch.randn(9, 3))
     ways = {"R": (0, 1), "L": (0, -1), "D": (1, 1), "U": (1, -1), "F": (2, 1), "B": (2, -1)}
 
     def read(number: int) -> Gaussians:
-        write_spz(given, tmp_path / "a.spz", True)
-        (tmp_path / "a.spz").write_bytes(spz_of_version((tmp_path / "a.spz").read_bytes(), version, fourth))
+        write_spz(given, tmp_path / "a.spz", True, version)
         return read_spz(extended(tmp_path / "a.spz", AXES + struct.pack("<I", number)))
 
     stored = read(6)  # RDF: as they are in the file
@@ -296,8 +299,7 @@ def test_what_unpacks_to_no_end_is_refused(tmp_path: Path, version: int) -> None
     one = some_gaussians(1, degree=0)
     for count in (50_000, 300_000):
         many = Gaussians(*(part.expand(count, *part.shape[1:]) for part in one.tensors().values()))
-        write_spz(many, tmp_path / "a.spz", overwrite=True)
-        (tmp_path / f"{count}.spz").write_bytes(spz_of_version((tmp_path / "a.spz").read_bytes(), version))
+        write_spz(many, tmp_path / f"{count}.spz", version=version)
     assert len(load_gaussians(tmp_path / "50000.spz")) == 50_000
     with pytest.raises(FileFormatError, match="says 300,000 Gaussians, more than"):
         load_gaussians(tmp_path / "300000.spz")

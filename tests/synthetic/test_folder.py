@@ -21,8 +21,7 @@ from scoup_lab.synthetic.masks import mask_polygons
 @pytest.fixture(scope="module")
 def folder(scene: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("demo") / "scene"
-    # Pictures of one colour: rendering is tested elsewhere.
-    return write_demo_scene(scene, path, render=lambda view: np.full((view.height, view.width, 3), 0.5))
+    return write_demo_scene(scene, path)
 
 
 def test_gaussians_cameras_regions_and_words_come_back(scene: DemoScene, folder: Path):

@@ -234,6 +234,23 @@ def test_clicks_select_things_their_groups_and_parts(visit: Visit) -> None:
     assert visit.state()["things"]["selected"] == []
 
 
+@pytest.mark.parametrize("visit", ["live"], indirect=True)
+def test_what_is_hidden_is_not_said_to_be_here(visit: Visit) -> None:
+    """The Gaussians of the book have its code; every second one is of the kettle, which is what remains."""
+    said = visit.page.locator("#place dd[data-level='m']")
+    here = visit.page.get_by_role("button", name="What is here?")
+    pick(visit, "book")
+    here.click()
+    said.filter(has_text="book").wait_for()
+    visit.tab("Things")
+    visit.page.locator("#thing-list button[data-thing='5']").click()
+    visit.page.get_by_role("button", name="Hide", exact=True).click()
+    assert pick(visit, "book") == [3]
+    here.click()
+    said.wait_for()
+    assert said.inner_text() == "kettle"
+
+
 @both_pages
 def test_a_known_length_says_how_many_metres_a_unit_has(visit: Visit) -> None:
     said, away = visit.page.locator("#measured"), visit.page.locator("#place dd").last

@@ -162,7 +162,7 @@ def test_by_keyboard_alone(browser: Browser, live: str):
         for found in reached.values():
             assert found["name"], found
             assert found["outlined"], found
-        wanted = "text threshold opacity save-selection copy-command theme canvas measure exact-show"
+        wanted = "text threshold opacity save-selection copy-command canvas measure exact-show"
         assert set(wanted.split()) <= set(reached)
 
 

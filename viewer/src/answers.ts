@@ -47,7 +47,8 @@ export interface Answer {
 export interface Place {
   position: number[] | null;
   distance: number | null;
-  levels: { level: string; confidence: number; words: { text: string; relevancy: number }[] }[];
+  /** Relevancy is null of the names of things. */
+  levels: { level: string; confidence: number; words: { text: string; relevancy: number | null }[] }[];
 }
 
 /** Which Gaussians are meant: those of things, or of texts, at a level and threshold of one's own or each text's. */

@@ -1,7 +1,6 @@
 // The method's own picture of the current camera, rendered by the server, over the page's.
 import type { Eye } from "./camera";
-import { pause } from "./pause";
-import { NotNow, type LiveServer } from "./server";
+import { patiently, type LiveServer } from "./server";
 import type { State } from "./state";
 
 const REST_SECONDS = 0.4;
@@ -70,11 +69,6 @@ export class ExactPicture {
           await this.receive(number);
         } catch (error) {
           if (number !== this.number) continue;
-          if (error instanceof NotNow) {
-            await pause(BUSY_SECONDS);
-            number = -1;
-            continue;
-          }
           this.hide();
           this.onError((error as Error).message);
         }
@@ -91,7 +85,7 @@ export class ExactPicture {
     if (what !== this.received) {
       this.badge.textContent = "rendering the exact picture …";
       this.badge.hidden = false;
-      const blob = await this.server.picture(request);
+      const blob = await patiently(() => this.server.picture(request), BUSY_SECONDS);
       if (number !== this.number) return;
       URL.revokeObjectURL(this.image.src);
       this.received = "";

@@ -1,9 +1,7 @@
 // The parts of a large scene: which is loaded next, and which is shown whole.
 import type { Source } from "./answers";
-import { pause } from "./pause";
-import type { Packed } from "./safetensors";
 import { Scene, type CameraRecord } from "./scene_data";
-import { NotNow } from "./server";
+import { patiently } from "./server";
 
 /** Until a part is asked for again. */
 const AGAIN_SECONDS = 1;
@@ -94,7 +92,7 @@ export class Parts {
   }
 
   private async part(number: number, whole = false): Promise<Scene> {
-    return this.first.part(await patiently(() => this.source.part(number, this.shown.length, whole)));
+    return this.first.part(await patiently(() => this.source.part(number, this.shown.length, whole), AGAIN_SECONDS));
   }
 
   /** What parts cover of the picture, most first. */
@@ -129,16 +127,4 @@ function sightOf(number: number, scene: Scene, { viewmat: V, K, width, height }:
     pixels += Math.min(width * height, scene.opacity(i) * twoLargest * (K[0] / z) ** 2);
   }
   return { number, seen, pixels };
-}
-
-/** What is asked for, once the server has time for it or answers again. */
-async function patiently(ask: () => Promise<Packed>): Promise<Packed> {
-  for (;;) {
-    try {
-      return await ask();
-    } catch (error) {
-      if (!(error instanceof NotNow)) throw error;
-      await pause(AGAIN_SECONDS);
-    }
-  }
 }

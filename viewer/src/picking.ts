@@ -24,7 +24,7 @@ export interface Painted {
  * @param pixel angle of a pixel, by which small Gaussians are made wider as the rasteriser does
  * @param skips whether a Gaussian is not drawn
  */
-export function hits(scene: Scene, { origin, direction }: THREE.Ray, pixel: number, skips = (_: number) => false): Painted[] {
+export function hits(scene: Scene, { origin, direction }: THREE.Ray, pixel: number, skips: (gaussian: number) => boolean): Painted[] {
   const { balls } = scene;
   const found: (Omit<Painted, "weight"> & { alpha: number })[] = [];
   const mean = new THREE.Vector3();

@@ -22,7 +22,7 @@ export function showPlace(place: Place, state: State): () => void {
     const facts: [string, string][] = [levelFact(level), [agreement, `Confidence ${confidence.toFixed(2)}`]];
     showFacts(title, words.length ? facts : facts.slice(0, 1));
     const said = element("dd", { "data-level": level }, words.length ? "" : "no code here");
-    showFacts(said, words.map(({ text, relevancy }) => [text, `Relevancy ${relevancy.toFixed(2)}`]));
+    showFacts(said, words.map(({ text, relevancy }) => [text, relevancy === null ? "" : `Relevancy ${relevancy.toFixed(2)}`]));
     list.append(title, said);
   }
   const position = place.position.map((part) => part.toPrecision(5)).join(", ");

@@ -1,4 +1,5 @@
 // Gzipped safetensors files: tensors by name, and JSON under the key "scoup".
+import { DataUtils } from "three";
 
 export type TensorData = Uint8Array | Int8Array | Uint16Array | Float32Array | Int32Array;
 
@@ -39,23 +40,9 @@ export async function unpack(bytes: Uint8Array<ArrayBuffer>): Promise<Packed> {
 const KINDS = { U8: Uint8Array, I8: Int8Array, U16: Uint16Array, F32: Float32Array, I32: Int32Array };
 
 function numbers(dtype: string, buffer: ArrayBuffer): TensorData {
-  if (dtype === "F16") return halves(new Uint16Array(buffer));
+  if (dtype === "F16") return Float32Array.from(new Uint16Array(buffer), (bits) => DataUtils.fromHalfFloat(bits));
   if (dtype in KINDS) return new KINDS[dtype as keyof typeof KINDS](buffer);
   throw new Error(`numbers of type ${dtype} are not known`);
-}
-
-/** float16 bit patterns as float32. */
-function halves(bits: Uint16Array): Float32Array {
-  const out = new Float32Array(bits.length);
-  for (let i = 0; i < bits.length; i++) {
-    const sign = bits[i] & 0x8000 ? -1 : 1;
-    const exponent = (bits[i] >> 10) & 31;
-    const fraction = bits[i] & 1023;
-    if (exponent === 0) out[i] = sign * fraction * 2 ** -24;
-    else if (exponent === 31) out[i] = fraction ? NaN : sign * Infinity;
-    else out[i] = sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
-  }
-  return out;
 }
 
 /** Bytes of base64 text. */

@@ -1,5 +1,6 @@
 // The server of a live page.
 import type { Answer, PictureRequest, Place, Selection, Source } from "./answers";
+import { pause } from "./pause";
 import { download, fromBase64, unpack, type Packed, type Progress } from "./safetensors";
 import type { CameraRecord, Metadata, Thing } from "./scene_data";
 
@@ -8,7 +9,19 @@ const UNREACHABLE = "The server does not answer.";
 const ANOTHER = "Another field is served here now; reload the page.";
 
 /** A picture that is no longer wanted, or a server that is busy: ask again. */
-export class NotNow extends Error {}
+class NotNow extends Error {}
+
+/** What is asked for, once the server has time for it or answers again. */
+export async function patiently<Answered>(ask: () => Promise<Answered>, seconds: number): Promise<Answered> {
+  for (;;) {
+    try {
+      return await ask();
+    } catch (error) {
+      if (!(error instanceof NotNow)) throw error;
+      await pause(seconds);
+    }
+  }
+}
 
 export class LiveServer implements Source {
   private readonly visitor = crypto.getRandomValues(new Uint32Array(2)).join("-");

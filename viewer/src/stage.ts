@@ -5,7 +5,7 @@ import type { Eye } from "./camera";
 import { pause } from "./pause";
 import type { Progress } from "./safetensors";
 import type { Scene } from "./scene_data";
-import { NotNow, type LiveServer } from "./server";
+import { patiently, type LiveServer } from "./server";
 import { Splat } from "./splat";
 import type { State } from "./state";
 
@@ -255,31 +255,25 @@ export class RemoteStage implements Stage {
       if (this.moved !== before) continue; // still moving: the next picture at once
       await pause(REST_SECONDS);
       if (this.moved !== before) continue;
-      const isDrawn = await this.show(1, 90);
-      if (isDrawn && this.moved === before) this.shown = before;
+      await this.show(1, 90);
+      if (this.moved === before) this.shown = before;
     }
   }
 
-  /** Whether the server was not too busy. */
-  private async show(scale: number, quality: number): Promise<boolean> {
+  private async show(scale: number, quality: number): Promise<void> {
     const width = Math.max(1, Math.round(this.canvas.clientWidth * scale));
     const height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
     this.eye.resize(width, height);
     try {
-      const blob = await this.server.picture(this.state.picture(this.eye.record(width, height), quality));
+      const picture = () => this.server.picture(this.state.picture(this.eye.record(width, height), quality));
+      const blob = await patiently(picture, REST_SECONDS);
       const bitmap = await createImageBitmap(blob);
       [this.canvas.width, this.canvas.height] = [width, height];
       this.context.drawImage(bitmap, 0, 0);
       bitmap.close();
-      return true;
     } catch (error) {
-      if (error instanceof NotNow) {
-        await pause(REST_SECONDS);
-        return false;
-      }
       this.onError((error as Error).message);
       this.shown = this.moved; // until something changes
-      return false;
     }
   }
 }

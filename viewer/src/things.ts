@@ -1,4 +1,5 @@
 // The things of a scene: which are selected, hidden and named, and what a click selects.
+import type { Place } from "./answers";
 import { announce } from "./dom";
 import type { Painted } from "./picking";
 import { NO_OWNER, type Scene, type Thing } from "./scene_data";
@@ -111,6 +112,16 @@ export class Things {
     return null;
   }
 
+  /** Names of the things along a ray, level by level, what contributes most first. */
+  along(scene: Scene, painted: Painted[]): Place["levels"] {
+    return scene.metadata.levels.map((level, s) => {
+      const sure = painted.reduce((sum, { gaussian, weight }) => sum + weight * scene.confidence(gaussian, s), 0);
+      const coded = painted.reduce((sum, { gaussian, weight }) => sum + (scene.confidence(gaussian, s) ? weight : 0), 0);
+      const things = shares(scene, painted, s, (number) => this.byNumber.has(number));
+      return { level, confidence: coded && sure / coded, words: things.map(([number]) => ({ text: this.nameOf(number), relevancy: null })) };
+    });
+  }
+
   /** Whether a Gaussian is of a hidden thing. */
   hides(scene: Scene, gaussian: number): boolean {
     if (!this.hidden.size) return false;
@@ -144,6 +155,11 @@ export class Things {
 
 /** The thing of a level that contributes most along a ray, among those that may. */
 function strongest(scene: Scene, painted: Painted[], level: number, may: (number: number) => boolean): number | null {
+  return shares(scene, painted, level, may)[0]?.[0] ?? null;
+}
+
+/** Things of a level with what they contribute along a ray, most first: those that may, and contribute enough. */
+function shares(scene: Scene, painted: Painted[], level: number, may: (number: number) => boolean): [number, number][] {
   const weights = new Map<number, number>();
   let total = 0;
   for (const { gaussian, weight } of painted) {
@@ -151,8 +167,7 @@ function strongest(scene: Scene, painted: Painted[], level: number, may: (number
     const owner = level < 0 ? NO_OWNER : scene.owner(gaussian, level);
     if (owner !== NO_OWNER && may(owner)) weights.set(owner, (weights.get(owner) ?? 0) + weight);
   }
-  const [best] = [...weights].sort((a, b) => b[1] - a[1]);
-  return best && best[1] >= LEAST_SHARE * total ? best[0] : null;
+  return [...weights].filter(([, weight]) => weight >= LEAST_SHARE * total).sort((a, b) => b[1] - a[1]);
 }
 
 function storedNames(session: string): [number, string][] {

@@ -210,10 +210,10 @@ export class Viewer {
     if (last !== undefined) this.eye.lookAround(things.of(last).position);
   }
 
-  /** The Gaussians that are seen at a point, without those that are hidden. */
-  private along(x: number, y: number): Painted[] {
-    const pixel = 1 / this.camera().K[4];
-    return hits(this.scene!, this.ray(x, y), pixel, (gaussian) => this.state.things?.hides(this.scene!, gaussian) ?? false);
+  /** The Gaussians that are seen at a point; without those that are hidden, unless `whole`. */
+  private along(x: number, y: number, whole = false): Painted[] {
+    const isHidden = (gaussian: number) => !whole && (this.state.things?.hides(this.scene!, gaussian) ?? false);
+    return hits(this.scene!, this.ray(x, y), 1 / this.camera().K[4], isHidden);
   }
 
   private readonly ray = (x: number, y: number) => this.eye.ray(x, y, this.canvas.clientWidth, this.canvas.clientHeight);
@@ -253,8 +253,13 @@ export class Viewer {
   }
 
   private async placeAt(x: number, y: number): Promise<Place> {
-    if (this.server) return this.server.point(this.camera(), [x, y]);
-    return placeAlong(this.scene!, this.ray(x, y), this.along(x, y), await (this.source as ExportedPage).clickWords());
+    const [server, scene, { things }] = [this.server, this.scene!, this.state];
+    const isHidden = things?.hidden.size && this.along(x, y, true).some(({ gaussian }) => things.hides(scene, gaussian));
+    if (server && !isHidden) return server.point(this.camera(), [x, y]);
+    const [ray, painted] = [this.ray(x, y), this.along(x, y)];
+    // The server knows the words, but not what is hidden here: names of things take their place.
+    if (server) return { ...middle(ray, painted), levels: things!.along(scene, painted) };
+    return placeAlong(scene, ray, painted, await (this.source as ExportedPage).clickWords());
   }
 
   say(sentence: string): void {

@@ -36,15 +36,16 @@ def heat_map(
     rgb: ArrayOrTensor,
     query: str,
     level: str,
-    score: float,
+    score: float | None,
     view: str = "",
 ) -> Picture:
     """Draw a relevancy map over the greyed colour render, with a legend and a title: the query on the left; view, level
-    and score on the right."""
+    and score, if there is one, on the right."""
     values = as_array(relevancy).astype(np.float64)
     span = heat_span(values)
     shown = heat_overlay(values, rgb, span)
-    remark = ", ".join([*([view] if view else []), f"level {level}", f"score {score:.2f}"])
+    said = "" if score is None else f"score {score:.2f}"
+    remark = ", ".join(filter(None, [view, f"level {level}", said]))
     return stacked([captioned(shown, query, remark), heat_legend(shown.shape[1], *span)])
 
 

@@ -150,15 +150,6 @@ def render_features(
     return torch.stack([decoded(of_level, atoms) for of_level, atoms in zip(codes, codebook, strict=True)])
 
 
-def count_work(projection: NativeProjection) -> dict[str, int]:
-    """Count the work of the projection.
-
-    "pairs" of a Gaussian and a tile that are visited before the tile's pixels are finished; "blocks", vectors of
-    "lanes" pixels evaluated; "evaluations", pixels contributed to, alpha >= 1/255 and before the stop.
-    """
-    return dict(require_core().count_work(projection.handle, torch.get_num_threads()))
-
-
 def _array(tensor: Tensor, dtype: torch.dtype = torch.float32) -> np.ndarray:
     """Return a contiguous CPU array; no copy where the tensor is one already."""
     return tensor.detach().to("cpu", dtype).contiguous().numpy()

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -135,7 +134,7 @@ def _trained(
 ) -> nn.Sequential:
     """Return the network as it was after the best of the last epochs."""
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    total = settings.epochs * _n_batches(len(rows), settings.batch)
+    total = settings.epochs * len(_batches(torch.arange(len(rows)), settings.batch))
     best, kept, done = -2.0, network, 0
     progress("autoencoder", 0, total)
     for epoch in range(settings.epochs):
@@ -156,22 +155,14 @@ def _trained(
     return kept
 
 
-def _n_batches(rows: int, size: int) -> int:
-    return sum(1 for _ in _batches(torch.arange(max(1, rows)), size))
-
-
-def _batches(order: Tensor, size: int) -> Iterator[Tensor]:
-    """Yield parts of ``order`` [R], none of one row only."""
+def _batches(order: Tensor, size: int) -> list[Tensor]:
+    """Return parts of ``order`` [R], none of one row only."""
     if len(order) == 1:
-        yield order.repeat(2)
-        return
-    start = 0
-    while start < len(order):
-        end = start + size
-        if end >= len(order) - 1:
-            end = len(order)
-        yield order[start:end]
-        start = end
+        return [order.repeat(2)]
+    batches = list(order.split(size))
+    if len(batches[-1]) == 1:
+        batches[-2:] = [torch.cat(batches[-2:])]
+    return batches
 
 
 def _parts(network: nn.Sequential) -> tuple[nn.Sequential, nn.Sequential]:

@@ -1,14 +1,16 @@
 """Product quantisation of embeddings: the vector cut into parts, each the number of the nearest of 256 centroids.
 
-Dr. Splat keeps its features so. Plain k-means in numpy; nothing depends on faiss, whose ``IndexPQ`` does the same.
+Dr. Splat keeps its features so. K-means is scipy's; nothing depends on faiss, whose ``IndexPQ`` does the same.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.cluster.vq import kmeans2, vq
 from torch import Tensor
 
 from scoup.base.errors import InputError
@@ -16,7 +18,6 @@ from scoup.base.errors import InputError
 CENTROIDS = 256  # a byte a part
 ITERATIONS = 12  # of k-means
 SAMPLED = 16384  # rows that k-means learns from, at most
-_ROWS = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +34,8 @@ class ProductQuantiser:
     def encode(self, rows: Tensor) -> Tensor:
         """Return [R, M] uint8 codes of rows [R, D]."""
         parts = _cut(rows.detach().cpu().float().numpy(), self.n_parts)
-        codes = np.empty((len(rows), self.n_parts), np.uint8)
-        for number in range(self.n_parts):
-            for start in range(0, len(rows), _ROWS):
-                block = parts[number, start : start + _ROWS]
-                codes[start : start + _ROWS, number] = _nearest(block, self.centroids[number])[0]
-        return torch.from_numpy(codes)
+        codes = [vq(part, of_part)[0] for part, of_part in zip(parts, self.centroids, strict=True)]
+        return torch.from_numpy(np.stack(codes, 1).astype(np.uint8))
 
     def decode(self, codes: Tensor) -> Tensor:
         """Return [R, D] float32 rows of codes [R, M]."""
@@ -60,34 +57,15 @@ def fit_product_quantiser(
     rng = np.random.default_rng(seed)
     if len(array) > SAMPLED:
         array = array[np.sort(rng.choice(len(array), SAMPLED, replace=False))]
-    centroids = [_k_means(part, rng, iterations) for part in _cut(array, n_parts)]
+    centroids = []
+    for part in _cut(array, n_parts):
+        start = part[rng.choice(len(part), min(CENTROIDS, len(part)), replace=False)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a centroid that no row is nearest to stays where it is
+            centroids.append(kmeans2(part, start, iterations, minit="matrix")[0])
     return ProductQuantiser(np.stack(centroids))
 
 
 def _cut(rows: np.ndarray, n_parts: int) -> np.ndarray:
     """Return [M, R, D / M]."""
     return rows.reshape(len(rows), n_parts, -1).transpose(1, 0, 2)
-
-
-def _k_means(rows: np.ndarray, rng: np.random.Generator, iterations: int) -> np.ndarray:
-    """Return [C, d] centroids, C = 256 or fewer where there are fewer rows."""
-    count = min(CENTROIDS, len(rows))
-    centroids = rows[rng.choice(len(rows), count, replace=False)].copy()
-    for _ in range(iterations):
-        nearest, distance = _nearest(rows, centroids)
-        sizes = np.bincount(nearest, minlength=count)
-        sums = np.zeros((count, rows.shape[1]))
-        np.add.at(sums, nearest, rows)
-        filled = sizes > 0
-        centroids[filled] = (sums[filled] / sizes[filled, None]).astype(np.float32)
-        # A centroid that nobody chose takes the place of a row that is badly served.
-        empty = np.flatnonzero(~filled)
-        centroids[empty] = rows[np.argsort(-distance, kind="stable")[: len(empty)]]
-    return centroids
-
-
-def _nearest(rows: np.ndarray, centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of the nearest centroid of each row, the first of equals, and the squared distance to it."""
-    squared = (centroids**2).sum(1)[None] - 2 * rows @ centroids.T
-    nearest = squared.argmin(1)
-    return nearest, squared[np.arange(len(rows)), nearest] + (rows**2).sum(1)

@@ -63,31 +63,19 @@ def _of_codes(settings: BuildSettings) -> BuildSettings:
 
 
 class RasterisedScene:
-    """The region sums of a scene, made when they are first needed and kept.
-
-    ``sums``: region sums of all pixels, if they were made before.
-    """
+    """The region sums of a scene, made when they are first needed and kept."""
 
     def __init__(
-        self,
-        gaussians: Gaussians,
-        cameras: Cameras,
-        regions: Regions,
-        raster_preset: str = "inria",
-        sums: RegionSums | None = None,
+        self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> None:
         self.gaussians = gaussians
         self.cameras = cameras
         self.regions = regions
         self.raster_preset = raster_preset
-        self._sums: dict[PixelRule, RegionSums] = {} if sums is None else {ALL_PIXELS: sums}
-        self._seconds: dict[PixelRule, float] = {} if sums is None else {ALL_PIXELS: 0.0}
+        self._sums: dict[PixelRule, RegionSums] = {}
+        self._seconds: dict[PixelRule, float] = {}
         self._embeddings: dict[float, list[Tensor]] = {}  # by the share of the views, as the codes
         self._codes: dict[float, dict[BuildSettings, Codes]] = {}
-
-    def with_regions(self, regions: Regions) -> RasterisedScene:
-        """Return the scene with other regions, not rasterised yet."""
-        return RasterisedScene(self.gaussians, self.cameras, regions, self.raster_preset)
 
     def region_sums(self, pixels: PixelRule = ALL_PIXELS) -> RegionSums:
         """Return region sums of the pixels that count by a rule."""
@@ -99,7 +87,7 @@ class RasterisedScene:
         return self._sums[pixels]
 
     def seconds(self, pixels: PixelRule = ALL_PIXELS) -> float:
-        """Return how long it took to make the region sums by a rule; 0 for those given."""
+        """Return how long it took to make the region sums by a rule."""
         self.region_sums(pixels)
         return self._seconds[pixels]
 
@@ -112,7 +100,7 @@ class RasterisedScene:
         if views != 1:
             rows = [regions.embeddings(level)[1] for level in regions.levels]
             sums = sums.select([name for name in sums.views if name in regions], rows)
-        scene = self if views == 1 else self.with_regions(regions)
+        scene = RasterisedScene(self.gaussians, self.cameras, regions, self.raster_preset)
         return UpliftInputs(sums, self._embeddings[views], self._codes.setdefault(views, {}), scene=scene)
 
     def forget_codes(self) -> None:

@@ -42,7 +42,7 @@ def vote_codes(
     settings say."""
     codes, codebook = inputs.codes(build)
     keep = None if all_kept else build.keep or None
-    return vote(inputs.sums, codes, codebook, build.rounds, keep, build.keep or build.k), codebook
+    return vote(inputs.sums, codes, codebook, build.rounds, keep), codebook
 
 
 def without_half(found: GaussianCodes, whole: GaussianCodes, half: Half) -> GaussianCodes:

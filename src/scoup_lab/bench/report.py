@@ -12,14 +12,12 @@ from scoup.io import write_text
 from scoup_lab.bench.measure import Timing
 
 SPECIFICATION = "reference"  # the backend others are compared with
-_NONE = "-"
 
 
 @dataclass(frozen=True)
 class Row:
     """One measured thing."""
 
-    scene: str  # name of the scene
     n_gaussians: int  # N
     stage: str  # see ``stages.STAGES``
     backend: str  # of the rasteriser
@@ -29,7 +27,6 @@ class Row:
     def setting(self) -> dict[str, Any]:
         """Return what was measured, for JSON."""
         return {
-            "scene": self.scene,
             "gaussians": self.n_gaussians,
             "stage": self.stage,
             "backend": self.backend,
@@ -45,13 +42,13 @@ def ratios(rows: Iterable[Row]) -> dict[Row, float]:
     """Time of a row over that of the reference, same scene, stage and threads, wherever both were measured."""
     rows = list(rows)
     base = {
-        (row.scene, row.n_gaussians, row.stage, row.threads): row.timing.median
+        (row.n_gaussians, row.stage, row.threads): row.timing.median
         for row in rows
         if row.backend == SPECIFICATION
     }
     found = {}
     for row in rows:
-        against = base.get((row.scene, row.n_gaussians, row.stage, row.threads))
+        against = base.get((row.n_gaussians, row.stage, row.threads))
         if row.backend != SPECIFICATION and against is not None:
             found[row] = row.timing.median / against
     return found
@@ -65,38 +62,18 @@ def comparison(rows: Iterable[Row]) -> dict[str, list[dict[str, Any]]]:
 
 
 def stage_table(rows: Sequence[Row]) -> str:
-    """Return Markdown: a line for each scene and stage; milliseconds of each backend and number of threads; ratios.
-
-    Where medians come from different numbers of repetitions, the heading of each column says how many.
-    """
-    columns = list(dict.fromkeys((row.backend, row.threads) for row in rows))
-    lines = list(dict.fromkeys((row.scene, row.n_gaussians, row.stage) for row in rows))
-    cells = {(row.scene, row.n_gaussians, row.stage, row.backend, row.threads): row for row in rows}
-    against = ratios(rows)
-    compared = list(dict.fromkeys((row.backend, row.threads) for row in against))
-    counts = {len(row.timing.seconds) for row in rows}
-
-    def heading(column: tuple[str, int]) -> str:
-        name = f"{column[0]}, {_threads(column[1])}, ms"
-        if len(counts) < 2:
-            return name
-        own = {len(row.timing.seconds) for row in rows if (row.backend, row.threads) == column}
-        return f"{name} ({'/'.join(map(str, sorted(own)))} runs)"
-
-    headers = ["scene", "Gaussians", "stage", *map(heading, columns)]
-    headers += [f"{backend}/{SPECIFICATION}, {_threads(threads)}" for backend, threads in compared]
-    body = []
-    for line in lines:
-        scene, count, stage = line
-        cell = [scene, f"{count:,}", stage]
-        for column in columns:
-            row = cells.get((*line, *column))
-            cell.append(_NONE if row is None else milliseconds(row.timing.median))
-        for column in compared:
-            row = cells.get((*line, *column))
-            cell.append(_NONE if row not in against else f"{against[row]:.3g}")
-        body.append(cell)
-    return markdown(headers, body, left=3)
+    """Return Markdown: a line per row, with its median and that over the reference's."""
+    over = ratios(rows)
+    body = [
+        [
+            *(f"{row.n_gaussians:,}", row.stage, row.backend, str(row.threads)),
+            milliseconds(row.timing.median),
+            f"{over[row]:.3g}" if row in over else "-",
+        ]
+        for row in rows
+    ]
+    heads = ["Gaussians", "stage", "backend", "threads", "ms", f"time over {SPECIFICATION}"]
+    return markdown(heads, body, left=3)
 
 
 def milliseconds(seconds: float) -> str:
@@ -125,7 +102,3 @@ def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], left: int = 
 def write_json(path: str | Path, record: dict[str, Any], overwrite: bool = False) -> None:
     """Write a record, all or nothing."""
     write_text(path, record_text(record) + "\n", overwrite)
-
-
-def _threads(count: int) -> str:
-    return f"{count} thread" + ("" if count == 1 else "s")

@@ -51,7 +51,6 @@ Run: TypeAlias = Callable[[], Any]
 class Workload:
     """One view of one scene and everything the stages take."""
 
-    name: str  # of the scene, for tables
     gaussians: Gaussians  # N Gaussians
     camera: Camera  # the view
     labels: Tensor  # [S, H, W] int32 regions
@@ -91,7 +90,6 @@ def random_workload(
         for level in labels
     ]
     return Workload(
-        "room",
         gaussians,
         camera,
         labels,
@@ -148,21 +146,20 @@ def time_stages(
     work: Workload,
     runs: Mapping[str, Mapping[str, Run]],
     threads: Iterable[int],
-    repeats: Callable[[str], int],
+    repeats: int,
     device: str = "cpu",
     progress: Progress = no_progress,
 ) -> list[Row]:
-    """Time the ``stage_runs`` of backends, all of the same stages, interleaved, with each number of torch threads;
-    ``repeats`` says how often a backend runs."""
+    """Time the ``stage_runs`` of backends, all of the same stages, interleaved, with each number of torch threads."""
     stages = dict.fromkeys(stage for own in runs.values() for stage in own)
     tasks = {
-        (stage, backend, used): Task(own[stage], used, repeats(backend))
+        (stage, backend, used): Task(own[stage], used, repeats)
         for stage in stages
         for backend, own in runs.items()
         for used in dict.fromkeys(threads)
     }
     timings = time_tasks(tasks, device, progress)
-    return [Row(work.name, len(work.gaussians), *key, timing) for key, timing in timings.items()]
+    return [Row(len(work.gaussians), *key, timing) for key, timing in timings.items()]
 
 
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:
@@ -179,12 +176,10 @@ def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[li
                 random_scene_gaussians(8).to(device), random_scene_cameras(1, 16, 16)[0], backend=name
             )
         except (ScoupError, ImportError) as error:
+            if isinstance(error, ScoupError) and wanted:
+                raise
             if wanted:
-                raise (
-                    error
-                    if isinstance(error, ScoupError)
-                    else InputError(f"backend {name!r} does not work here: {error}")
-                ) from error
+                raise InputError(f"backend {name!r} does not work here: {error}") from error
             reasons[name] = " ".join(str(error).split())
         else:
             found.append(name)

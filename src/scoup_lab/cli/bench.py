@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionGroups, WritesCommon, arg
+from scoup.cli.options import OptionalPath, OptionGroups, WritesCommon, arg
 
 if TYPE_CHECKING:
     from scoup_lab.bench import Row
@@ -25,7 +25,7 @@ class Bench(WritesCommon):
 
     option_groups: ClassVar[OptionGroups] = {
         "view": "n_gaussians width height",
-        "measuring": "stages backends threads repeats quick",
+        "measuring": "stages backends threads repeats",
     }
 
     n_gaussians: tuple[int, ...] = (100_000,)
@@ -42,8 +42,6 @@ class Bench(WritesCommon):
     """Backends of the rasteriser. Default: all that work here."""
     stages: Names = ()
     """Stages to time, among project, alpha, sums, colors, codes, cosines, vote. Default: all."""
-    quick: Flag = False
-    """A tenth of the Gaussians and a third of the width and height: to see that everything runs."""
     out: OptionalPath = None
     """JSON file for the figures, the machine and the commit."""
 
@@ -58,19 +56,17 @@ class Bench(WritesCommon):
             check_output(self.out, self.overwrite)
         backends, reasons = usable_backends(self.backends, self.device)
         environment = describe_environment()
-        width, height = self._size()
         console.say(in_one_line(environment))
-        console.say(
-            f"one view of {width} x {height}, three levels, L = 64, K = 4, one query; medians of {self.repeats}"
-        )
+        size = f"{self.width} x {self.height}"
+        console.say(f"one view of {size}, three levels, L = 64, K = 4, one query; medians of {self.repeats}")
         rows = self._measure(console, backends)
         _say_table(console, rows, backends, reasons)
         record = {
             "what": "scoup bench: stages on one view of the random scene",
             "machine": environment,
             "device": self.device,
-            "width": width,
-            "height": height,
+            "width": self.width,
+            "height": self.height,
             "backends": backends,
             "backends_not_working": reasons,
             **comparison(rows),
@@ -100,11 +96,6 @@ class Bench(WritesCommon):
             if stage not in STAGES:
                 raise UnknownNameError("stage", stage, STAGES)
 
-    def _size(self) -> tuple[int, int]:
-        """Return pixels across and down."""
-        by = 3 if self.quick else 1
-        return max(1, self.width // by), max(1, self.height // by)
-
     def _measure(self, console: Console, backends: list[str]) -> list[Row]:
         import torch
 
@@ -114,11 +105,10 @@ class Bench(WritesCommon):
         stages = dict.fromkeys(self.stages or STAGES)
         rows: list[Row] = []
         for count in dict.fromkeys(self.n_gaussians):
-            size = max(1, count // 10) if self.quick else count
-            work = random_workload(size, *self._size()).to(self.device)
+            work = random_workload(count, self.width, self.height).to(self.device)
             runs = {backend: stage_runs(work, backend, stages) for backend in backends}
             with console.progress() as progress:
-                rows += time_stages(work, runs, threads, lambda _: self.repeats, self.device, progress)
+                rows += time_stages(work, runs, threads, self.repeats, self.device, progress)
         return rows
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -47,7 +47,9 @@ class Demo(WritesCommon):
         import json
 
         from scoup.io import save_png, write_text
-        from scoup_lab.evaluate.demonstration import DemoSettings, run_demo
+        from scoup.view.export import export_page
+        from scoup.view.viewed_field import ViewedField
+        from scoup_lab.evaluate.demonstration import run_demo
         from scoup_lab.evaluate.demonstration_sheet import query_sheet
         from scoup_lab.synthetic.folder import FILES
 
@@ -57,23 +59,21 @@ class Demo(WritesCommon):
             f"a scene of {counted(self.n_gaussians, 'Gaussian')}, {counted(self.views, 'view')} of "
             f"{self.width} x {self.height}"
         )
-        settings = DemoSettings(self.seed, self.n_gaussians, self.width, self.height, self.views)
+        size = self.n_gaussians, self.width, self.height, self.views
         with staged(self.out, files, self.overwrite) as hidden, console.progress() as progress:
-            result = run_demo(hidden, settings, progress=progress)
+            result = run_demo(hidden, self.seed, *size, progress=progress)
             save_png(query_sheet(result), hidden / SHEET)
-            record = _record(result, self.out)
+            record = _record(result, hidden / FIELD, self.out)
             write_text(hidden / SCORES, json.dumps(record, indent=2))
             if not no_page:
-                _write_page(result, hidden)
-        result = replace(result, field_path=self.out / FIELD)
-        _say_names(console, result)
-        _say_totals(console, result)
+                export_page(ViewedField(result.field), hidden / PAGE)  # with the words of its table
+        _say_scores(console, result, record)
         page = no_page or f"{self.out / PAGE} (open it in a browser; it needs no server)"
         console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
         console.say(f"field:    {self.out / FIELD}\npage:     {page}")
         thing = result.scene.layout.favourites[0]
-        console.say(f'query it: scoup query {result.field_path} "{thing}" --camera all')
-        console.say(f"look at it, and type a word: scoup view {result.field_path}")
+        console.say(f'query it: scoup query {self.out / FIELD} "{thing}" --camera all')
+        console.say(f"look at it, and type a word: scoup view {self.out / FIELD}")
         console.result(record)
 
 
@@ -89,28 +89,22 @@ def _page_problem() -> str:
     return ""
 
 
-def _write_page(result: DemoResult, folder: Path) -> None:
-    """Write the page of the demo, with the words of its table."""
-    from scoup.view.export import export_page
-    from scoup.view.viewed_field import ViewedField
-
-    export_page(ViewedField(result.field), folder / PAGE)
-
-
-def _record(result: DemoResult, out: Path) -> dict[str, Any]:
+def _record(result: DemoResult, field: Path, out: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
     import torch
 
-    from scoup_lab.evaluate.demonstration import rows_by_name, summary
+    from scoup_lab.evaluate.demonstration import rows_by_name
+    from scoup_lab.evaluate.scores import miou_interval
 
     return {
         "layout": result.scene.layout.name,
-        "protocol": "lerf-ovs 2D on held-out views",
         "gaussians": len(result.field),
         "coded": int(result.field.coded().sum()),
-        "field_bytes": result.field_path.stat().st_size,
-        "methods": summary(result),
+        "field_bytes": field.stat().st_size,
+        "miou": result.score.miou,
+        "miou_interval": miou_interval([result.score]).ends,
+        "accuracy": result.score.accuracy,
         "names": [asdict(row) for row in rows_by_name(result)],
         "seconds": {stage: round(value, 2) for stage, value in result.seconds.items()},
         "threads": torch.get_num_threads(),
@@ -119,50 +113,26 @@ def _record(result: DemoResult, out: Path) -> dict[str, Any]:
     }
 
 
-def _say_names(console: Console, result: DemoResult) -> None:
-    """Print the scores of each name."""
+def _say_scores(console: Console, result: DemoResult, record: dict[str, Any]) -> None:
+    """Print the scores of each name and their means, the size of the field and the seconds of each stage."""
+    from scoup.field.part_sizes import part_sizes
     from scoup_lab.bench import markdown
-    from scoup_lab.evaluate.demonstration import ALL_ATOMS, DENSE, METHOD, rows_by_name
+    from scoup_lab.evaluate.demonstration import rows_by_name
 
     rows = []
     for row in rows_by_name(result):
         levels = sorted(row.levels.items(), key=lambda item: -item[1])
-        rows.append(
-            [
-                row.name,
-                str(row.views),
-                f"{row.iou[METHOD]:.2f}",
-                f"{row.accuracy[METHOD]:.0%}",
-                " ".join(f"{level}{count}" for level, count in levels),
-                f"{row.iou[ALL_ATOMS]:.2f}",
-                f"{row.iou[DENSE]:.2f}",
-            ]
-        )
-    heads = ["query", "views", "IoU", "hit", "levels", f"IoU {ALL_ATOMS}", f"IoU {DENSE}"]
+        chosen = " ".join(f"{level}{count}" for level, count in levels)
+        rows.append([row.name, str(row.views), f"{row.iou:.2f}", f"{row.accuracy:.0%}", chosen])
+    heads = ["query", "views", "IoU", "hit", "levels"]
     console.say(f"Every name that the held-out views show\n{markdown(heads, rows)}\n")
-
-
-def _say_totals(console: Console, result: DemoResult) -> None:
-    """Print the means by variant, the size of the field and the seconds of each stage."""
-    from scoup.field.part_sizes import part_sizes
-    from scoup_lab.bench import markdown
-    from scoup_lab.evaluate.demonstration import summary
-
-    rows = []
-    for method, row in summary(result).items():
-        low, high = row["interval"]  # pyright: ignore[reportGeneralTypeIssues]
-        rows.append(
-            [
-                method,
-                f"{row['miou']:.3f}",
-                f"{low:.3f} to {high:.3f}",
-                f"{row['accuracy']:.1%}",
-                f"{row['bytes_per_gaussian']:.0f}",
-            ]
-        )
-    heads = ["method", "mIoU", "95 % interval over names", "localisation", "bytes per Gaussian"]
-    console.say(f"Means over all (view, name) pairs\n{markdown(heads, rows)}\n")
-    size = result.field_path.stat().st_size
-    console.say(f"the field: {size / 1e6:.2f} MB ({part_sizes(result.field_path)})")
+    low, high = record["miou_interval"]
+    console.say(
+        f"mIoU {record['miou']:.3f} (95 % interval over names {low:.3f} to {high:.3f}), "
+        f"localisation {record['accuracy']:.1%}, over all (view, name) pairs"
+    )
+    console.say(
+        f"the field: {record['field_bytes'] / 1e6:.2f} MB ({part_sizes(Path(record['out']) / FIELD)})"
+    )
     for stage, value in result.seconds.items():
         console.say(f"  {value:6.1f} s  {stage}")

@@ -39,11 +39,6 @@ class LabelledFrame:
     def labels(self) -> tuple[str, ...]:
         return tuple(self.masks)
 
-    def only(self, label: str) -> LabelledFrame:
-        """Return this frame with one label."""
-        masks, boxes = {label: self.masks[label]}, {label: self.boxes[label]}
-        return LabelledFrame(self.name, self.width, self.height, masks, boxes)
-
     def resized(self, width: int, height: int) -> LabelledFrame:
         """Return the same truth at another image size: masks by nearest neighbour, boxes scaled."""
         if (width, height) == (self.width, self.height):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scoup.pictures import contact_sheet, heat_map, mask_overlay
 from scoup.pictures.colors import Picture
-from scoup_lab.evaluate.demonstration import METHOD, DemoResult, question_of, rows_by_name
+from scoup_lab.evaluate.demonstration import DemoResult, question_of, rows_by_name
 from scoup_lab.evaluate.failures import TRUTH_COLOR
 from scoup_lab.evaluate.scores import PairScore
 
@@ -16,7 +16,7 @@ def query_sheet(result: DemoResult) -> Picture:
     """
     pairs = [_median_pair(result, name) for name in names_to_show(result)]
     tiles = [tile for pair in pairs for tile in _row(result, pair)]
-    score = result.scores[METHOD]
+    score = result.score
     count = f"{len(score.pairs)} queries in held-out views"
     heading = f"{count}: mIoU {score.miou:.2f}, localisation {score.accuracy:.0%}"
     footer = (
@@ -37,9 +37,7 @@ def names_to_show(result: DemoResult) -> list[str]:
 
 
 def _median_pair(result: DemoResult, name: str) -> PairScore:
-    pairs = sorted(
-        (pair for pair in result.scores[METHOD].pairs if pair.label == name), key=lambda pair: pair.iou
-    )
+    pairs = sorted((pair for pair in result.score.pairs if pair.label == name), key=lambda pair: pair.iou)
     return pairs[len(pairs) // 2]
 
 

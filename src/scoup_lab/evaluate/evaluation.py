@@ -12,13 +12,13 @@ from scoup.base.atomic import reserved_output
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
-from scoup.io import check_output, load_gaussians, load_regions, splat_source
+from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.provenance import embedding_source
 from scoup.uplift.rasterise import open_sums
-from scoup_lab.evaluate.report import SUFFIXES, Report
+from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scenes import SceneFiles
 
 Scene = TypeVar("Scene", bound=SceneFiles)
@@ -52,12 +52,6 @@ class Evaluation(ABC, Generic[Scene, Result]):
     @abstractmethod
     def reports(self, results: dict[str, Result], described: dict[str, Any]) -> list[Report]:
         """Return the reports on scenes by name; ``described`` goes into the records: the data set, the machine."""
-
-    def check_outputs(self, out: Path, overwrite: bool) -> None:
-        """Refuse reports that are there already."""
-        for stem in self.stems:
-            for suffix in SUFFIXES:
-                check_output(out / f"{stem}{suffix}", overwrite)
 
     def field(
         self, scene: SceneFiles, path: Path, source: str, progress: Progress = no_progress

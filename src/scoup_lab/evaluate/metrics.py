@@ -43,11 +43,6 @@ class Interval:
         """[low, high], for JSON."""
         return [self.low, self.high]
 
-    def scaled(self, factor: float, digits: int | None = None) -> Interval:
-        """Return times a factor, rounded to some digits."""
-        parts = (factor * self.mean, factor * self.low, factor * self.high)
-        return Interval(*(part if digits is None else round(part, digits) for part in parts))
-
     def percent(self) -> tuple[str, str]:
         """Return cells of a table: the mean and the interval of a share, in percent."""
         return f"{100 * self.mean:.1f}", f"{100 * self.low:.1f} to {100 * self.high:.1f}"
@@ -55,9 +50,6 @@ class Interval:
     def signed(self) -> str:
         """Return a difference in percent points, with signs."""
         return f"{100 * self.mean:+.1f} [{100 * self.low:+.1f}, {100 * self.high:+.1f}]"
-
-    def __str__(self) -> str:
-        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
 
 def bootstrap_interval(

@@ -1,4 +1,4 @@
-"""Evaluation of labelled frames: maps are predicted into a cache, scored, and the worst answers drawn."""
+"""Evaluation of labelled frames: maps are rendered from the field and scored, and the worst answers drawn."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.digests import file_sha256
 from scoup.base.progress import Progress, no_progress
 from scoup.field.language_field import LanguageField
 from scoup.io import save_png
@@ -20,7 +19,6 @@ from scoup_lab.evaluate.evaluation import Evaluation, Say, say_nothing
 from scoup_lab.evaluate.failures import failure_sheet
 from scoup_lab.evaluate.label_vectors import encode_labels
 from scoup_lab.evaluate.pixel_report import PixelScores
-from scoup_lab.evaluate.predictions import kept_map, prediction_key
 from scoup_lab.evaluate.protocols import selection
 from scoup_lab.evaluate.protocols.pixels import LabelledScene, PixelProtocol
 from scoup_lab.evaluate.report import Report
@@ -61,9 +59,8 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         vectors = encode_labels(scene, source, self.device)
         path = out / "fields" / f"{scene.name}.scoup"
         field = self.field(scene, path, source, progress)
-        cache, digest = out / "cache", file_sha256(path)
         rule = self.protocol.rule(self.rules)
-        maps = predict(scene, vectors, field, digest, cache, progress=progress)
+        maps = predict(scene, vectors, field, progress=progress)
         score = self.protocol.score(scene.name, maps, rule, field.levels)
         selected = None
         if self.selection:
@@ -74,7 +71,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
         if self.sheets:
 
             def map_of(pair: PairScore) -> Tensor:
-                ((frame, found),) = predict(scene, vectors, field, digest, cache, [pair.frame])
+                ((frame, found),) = predict(scene, vectors, field, [pair.frame])
                 return found[:, frame.labels.index(pair.label)]
 
             sheet = failure_sheet(score, scene, field, map_of, rule)
@@ -103,8 +100,6 @@ def predict(
     scene: LabelledScene,
     vectors: TextVectors,
     field: LanguageField,
-    digest: str,
-    cache: Path,
     frames: Sequence[str] | None = None,
     progress: Progress = no_progress,
 ) -> Iterator[tuple[LabelledFrame, Tensor]]:
@@ -116,12 +111,6 @@ def predict(
     wanted = [pair for pair in scene.frames if frames is None or pair[0].name in frames]
     progress(f"predict {scene.name}", 0, len(wanted))
     for done, (frame, camera) in enumerate(wanted, start=1):
-        queries = vectors.of(frame.labels)
-        size = scene.map_size(frame, camera)
-        key = prediction_key(digest, camera, frame.labels, queries, vectors.canonical, size)
-
-        def relevancy(camera=camera, queries=queries, size=size) -> Tensor:
-            return fitted.relevancy(field.project(camera), queries, vectors.canonical, size)
-
-        yield frame, kept_map(cache, f"{scene.name}/{frame.name}", key, relevancy)
+        queries, size = vectors.of(frame.labels), scene.map_size(frame, camera)
+        yield frame, fitted.relevancy(field.project(camera), queries, vectors.canonical, size)
         progress(f"predict {scene.name}", done, len(wanted))

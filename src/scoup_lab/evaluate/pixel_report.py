@@ -39,16 +39,11 @@ class PixelScores:
         return all(scene.localizes for scene in self.scenes)
 
     @property
-    def comparable(self) -> bool:
-        """Return whether the scenes are those of the published data set, by name."""
-        return {scene.scene for scene in self.scenes} <= set(self.published_scenes)
-
-    @property
     def published(self) -> tuple[Published, ...]:
         """Rows that may stand beside ours: those of a protocol, where some tell of every scene here."""
         rows = PUBLISHED.get(self.protocol, ())
-        known = {scene for row in rows for scene in row.by_scene or ()}
-        return rows if self.comparable and {scene.scene for scene in self.scenes} <= known else ()
+        known = {scene for row in rows for scene in row.by_scene or ()} & set(self.published_scenes)
+        return rows if {scene.scene for scene in self.scenes} <= known else ()
 
 
 def overall_table(scores: PixelScores) -> Table:

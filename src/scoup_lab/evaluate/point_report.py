@@ -19,8 +19,6 @@ from scoup_lab.evaluate.protocols.points import (
     class_ious,
     class_mean,
     class_totals,
-    frequency_weighted_iou,
-    overall_accuracy,
 )
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.tables import Table, number_or_none, percent
@@ -69,8 +67,6 @@ class PointScores:
         return {
             "mIoU": lambda totals: class_mean(class_ious(totals)),
             "mAcc": lambda totals: class_mean(class_accuracies(totals)),
-            "accuracy": overall_accuracy,
-            "frequency-weighted IoU": frequency_weighted_iou,
         }
 
     def totals(self, system: str) -> Tensor:

@@ -30,20 +30,13 @@ class Segmentation:
     score: float  # the largest smoothed relevancy at that level, 0..1
 
 
-def localize_and_segment(relevancy: Tensor, rule: MaskRule) -> tuple[Localization, Segmentation]:
-    """Return ``localize`` and ``segment`` of one query, computing box means once."""
-    averaged = averaged_relevancy(relevancy, rule)
-    return localize(relevancy, rule, averaged), segment(relevancy, rule, averaged)
-
-
-def localize(relevancy: Tensor, rule: MaskRule, averaged: Tensor | None = None) -> Localization:
-    """Return the most relevant place in one view, by the relevancy [S, H, W] to one query, 0..1, ``averaged`` if that
-    is known (``averaged_relevancy``).
+def localize(relevancy: Tensor, rule: MaskRule) -> Localization:
+    """Return the most relevant place in one view, by the relevancy [S, H, W] to one query, 0..1.
 
     Each level is averaged by the rule's box; the level with the largest maximum is chosen, the first of equals,
     whatever the rule's ``level_choice``.
     """
-    averaged = averaged_relevancy(relevancy, rule) if averaged is None else averaged
+    averaged = averaged_relevancy(relevancy, rule)
     peaks = averaged.flatten(1).amax(1)
     level = int(peaks.argmax())
     pixels = (averaged[level] == peaks[level]).nonzero().flip(1)
@@ -53,10 +46,9 @@ def localize(relevancy: Tensor, rule: MaskRule, averaged: Tensor | None = None) 
     return Localization(pixels, (x, y), level, float(peaks[level]))
 
 
-def segment(relevancy: Tensor, rule: MaskRule, averaged: Tensor | None = None) -> Segmentation:
+def segment(relevancy: Tensor, rule: MaskRule) -> Segmentation:
     """Return the pixels of one view that answer a query; arguments as for ``localize``."""
-    averaged = averaged_relevancy(relevancy, rule) if averaged is None else averaged
-    smoothed = 0.5 * (relevancy + averaged)
+    smoothed = 0.5 * (relevancy + averaged_relevancy(relevancy, rule))
     above = torch.stack([rescale(level) > rule.threshold for level in smoothed])
     masks = majority(above, rule.smoothing, rule.smoothing_border)
     level = choose_level(smoothed, masks, rule.level_choice)

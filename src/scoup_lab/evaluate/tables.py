@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from scoup_lab.bench.report import markdown
+
 CAVEATS = (
     "Thresholds are tuned for each data set by the papers.",
     "All views with regions are used for building, labelled ones too: nothing is held out.",
@@ -23,13 +25,8 @@ class Table:
 
     def markdown(self) -> str:
         """Return a GitHub table under a heading."""
-        lines = [
-            f"## {self.title}",
-            "",
-            _line(self.headers),
-            "|---" + "|---:" * (len(self.headers) - 1) + "|",
-        ]
-        lines += [_line([cell.replace("|", "\\|") for cell in row]) for row in self.rows]
+        rows = [[cell.replace("|", "\\|") for cell in row] for row in self.rows]
+        lines = [f"## {self.title}", "", markdown(self.headers, rows)]
         if self.notes:
             lines += ["", *(f"* {note}" for note in self.notes)]
         return "\n".join(lines) + "\n"
@@ -54,10 +51,6 @@ def percent(share: float) -> str:
 def number_or_none(value: float) -> float | None:
     """Return a number for JSON, which has no NaN."""
     return None if value != value else value
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def _latex_line(cells: Sequence[str]) -> str:

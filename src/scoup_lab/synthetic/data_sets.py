@@ -18,12 +18,11 @@ from scoup.base.errors import InputError, OutputExistsError, looked_up
 from scoup.base.progress import Progress, no_progress
 from scoup.base.staging import staged
 from scoup.io import save_png, write_text
-from scoup.raster import render_colors
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions
 from scoup_lab.synthetic.art.layout import Layout
 from scoup_lab.synthetic.art.table import TABLE
-from scoup_lab.synthetic.folder import label_file, write_scene
+from scoup_lab.synthetic.folder import label_file, picture_of, write_scene
 from scoup_lab.synthetic.point_truth import with_class_words, write_scannet_truth
 from scoup_lab.synthetic.scene import LABELLED_LEVELS, DemoScene, make_demo_scene
 
@@ -134,7 +133,7 @@ def _write_scene(data_set: str, scene: DemoScene, root: Path, name: str, size: D
         write_scannet_truth(scene, folder)
     write_scene(scene, folder)
     for camera in scene.building:
-        image = (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
+        image = picture_of(scene, camera)
         save_png(image, folder / "images" / camera.name)
         if camera.name in labelled and data_set not in TRUTHS:
             _write_label(data_set, scene, camera, image, root / "label" / name, size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -43,34 +42,27 @@ Build and query:
 def write_demo_scene(
     scene: DemoScene,
     folder: str | Path,
-    render: Callable[[Camera], Any] | None = None,
     progress: Progress = no_progress,
 ) -> Path:
     """Write a scene so that ``scoup build FOLDER`` works on it; ``NOTE`` says what lies where.
 
-    ``render(camera)`` gives [H, W, 3] float 0..1 or uint8; by default the colour render. ``progress`` is called for the
-    stage "render".
+    ``progress`` is called for the stage "render".
     """
     folder = Path(folder)
     with staged(folder, [*FILES, *(f"images/{name}" for name in scene.building.names)]) as hidden:
-        _write_all(scene, hidden, render, progress)
+        _write_all(scene, hidden, progress)
     return folder
 
 
-def _write_all(
-    scene: DemoScene, folder: Path, render: Callable[[Camera], Any] | None, progress: Progress
-) -> None:
+def _write_all(scene: DemoScene, folder: Path, progress: Progress) -> None:
     """Write everything into a new folder."""
     held_out = folder / "held_out"
     write_scene(scene, folder)
     cameras = scene.cameras
     for done, camera in enumerate(cameras):
         progress("render", done, len(cameras))
-        image = np.asarray(render(camera) if render else render_colors(scene.gaussians, camera))
-        if image.dtype != np.uint8:
-            image = (image.clip(0, 1) * 255 + 0.5).astype(np.uint8)
         base = folder if camera.name in scene.building.names else held_out
-        save_png(image, base / "images" / camera.name)
+        save_png(picture_of(scene, camera), base / "images" / camera.name)
     progress("render", len(cameras), len(cameras))
 
     if len(scene.held_out):
@@ -81,6 +73,11 @@ def _write_all(
         write_text(held_out / "label" / f"{frame.name}.json", json.dumps(content) + "\n")
     note = NOTE.format(title=scene.layout.title, name=scene.layout.favourites[0])
     write_text(folder / "README.txt", note)
+
+
+def picture_of(scene: DemoScene, camera: Camera) -> np.ndarray:
+    """Return the colour render of a view, [H, W, 3] uint8."""
+    return (render_colors(scene.gaussians, camera).numpy() * 255 + 0.5).astype(np.uint8)
 
 
 def label_file(frame: LabelledFrame, image_name: str, groups: dict[str, str]) -> dict[str, Any]:

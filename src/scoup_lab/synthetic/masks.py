@@ -13,9 +13,8 @@ Box = tuple[int, int, int, int]
 """x0, y0, x1, y1: corner pixels inside the box."""
 Polygon = list[tuple[int, int]]
 """Corners (x, y)."""
-
-# The eight neighbours (row, column) of a pixel, clockwise from the left.
-_AROUND = ((0, -1), (-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1))
+Run = tuple[int, int, int]
+"""Row, first and last column."""
 
 
 def components(mask: Mask) -> tuple[NDArray[np.int32], int]:
@@ -35,90 +34,75 @@ def shrunk(mask: Mask, steps: int) -> Mask:
     return np.asarray(ndimage.binary_erosion(mask, iterations=steps), bool)
 
 
-def filled(mask: Mask) -> Mask:
-    """Return the mask without its holes."""
-    return np.asarray(ndimage.binary_fill_holes(mask), bool)
-
-
 def piece_boxes(mask: Mask, least: float) -> list[Box]:
     """Return the boxes of the connected pieces of at least ``least`` pixels."""
     labels, count = components(mask)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    return [
-        (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
-        for (rows, columns), size in zip(ndimage.find_objects(labels), sizes, strict=True)
-        if size >= least
-    ]
+    found = zip(ndimage.find_objects(labels), sizes, strict=True)
+    return [_box_of(box) for box, size in found if size >= least]
+
+
+def _box_of(box: tuple[slice, ...]) -> Box:
+    rows, columns = box
+    return columns.start, rows.start, columns.stop - 1, rows.stop - 1
 
 
 def mask_polygons(mask: Mask) -> list[tuple[Polygon, Box]]:
     """Return polygons of a mask [H, W]: ``PIL.ImageDraw.polygon`` with its outline paints the mask again.
 
-    Their corners are pixels on the rim. A piece with a hole is cut in two at the hole's row, because a polygon cannot
-    have a hole.
-
-    Returns for each polygon its corners, and the box around the whole connected piece that it belongs to.
+    A polygon has one run of pixels in each of its rows: one cannot have a hole. Returns for each its corners, pixels on
+    its rim, and the box around the whole connected piece that it belongs to.
     """
-    polygons = []
-    pieces, count = components(mask)
-    for number, box in enumerate(ndimage.find_objects(pieces, count), start=1):
-        rows, columns = box
-        outer = (columns.start, rows.start, columns.stop - 1, rows.stop - 1)
-        for part in _without_holes(pieces[box] == number):
-            corners = [(x + columns.start, y + rows.start) for x, y in _rim(part)]
-            polygons.append((corners, outer))
-    return polygons
+    pieces, _ = components(mask)
+    boxes = [_box_of(box) for box in ndimage.find_objects(pieces)]
+    return [(_rim(runs), boxes[pieces[runs[0][:2]] - 1]) for runs in _stacks(mask)]
 
 
-def _without_holes(mask: Mask) -> list[Mask]:
-    """Return the connected pieces of a mask, cut into parts that have no holes; all of the mask's shape."""
-    done: list[Mask] = []
-    pieces, count = components(mask)
-    left = [pieces == number for number in range(1, count + 1)]
-    while left:
-        piece = left.pop()
-        holes = filled(piece) & ~piece
-        if not holes.any():
-            done.append(piece)
-            continue
-        cut = int(np.nonzero(holes)[0][0])
-        for half in (np.arange(len(piece)) <= cut, np.arange(len(piece)) > cut):
-            labels, count = components(piece & half[:, None])
-            left += [labels == number for number in range(1, count + 1)]
-    return done
+def _stacks(mask: Mask) -> list[list[Run]]:
+    """Return the runs of a mask, cut into stacks in which each run touches only the one above and the one below."""
+    stacks: list[list[Run]] = []
+    above: list[list[Run]] = []  # those that reach the row before
+    for row, pixels in enumerate(mask):
+        ends = np.flatnonzero(np.diff(pixels, prepend=False, append=False)).tolist()
+        runs = [(row, first, after - 1) for first, after in zip(ends[::2], ends[1::2], strict=True)]
+        reached = []
+        for run in runs:
+            over = [stack for stack in above if _touch(stack[-1], run)]
+            if len(over) == 1 and sum(_touch(over[0][-1], other) for other in runs) == 1:
+                over[0].append(run)
+            else:
+                stacks.append([run])
+                over = stacks[-1:]
+            reached.append(over[0])
+        above = reached
+    return stacks
 
 
-def _rim(mask: Mask) -> Polygon:
-    """Return the rim of one connected piece [H, W], clockwise (Moore's tracing); a straight run is one edge."""
-    padded = np.pad(mask, 1)
-    rows, columns = np.nonzero(padded)
-    start = (int(rows[0]), int(columns[0]))  # topmost, then leftmost: nothing lies to its left
-    path = [start]
-    place, came_from = start, 0
-    first_move: tuple[tuple[int, int], int] | None = None
-    while True:
-        for turn in range(1, 9):
-            direction = (came_from + turn) % 8
-            step = _AROUND[direction]
-            if padded[place[0] + step[0], place[1] + step[1]]:
-                break
-        else:
-            break  # a single pixel
-        if (place, direction) == first_move:
-            break
-        first_move = first_move or (place, direction)
-        place = (place[0] + step[0], place[1] + step[1])
-        path.append(place)
-        # Continue from the empty neighbour passed last, seen from the new place.
-        came_from = (direction + 5) % 8 if direction % 2 else (direction + 6) % 8
-    corners = [(column - 1, row - 1) for row, column in path]
-    return _straightened(corners[:-1] if len(corners) > 1 and corners[-1] == corners[0] else corners)
+def _touch(upper: Run, lower: Run) -> bool:
+    return upper[0] in (lower[0] - 1, lower[0]) and upper[1] <= lower[2] and lower[1] <= upper[2]
+
+
+def _rim(runs: list[Run]) -> Polygon:
+    """Return the corners of a stack: down along its first pixels, in steps inside it, and up along its last ones."""
+    left, right = Polygon(), Polygon()
+    for (row, *ends), (_, *below) in zip(runs, [*runs[1:], runs[-1]], strict=True):
+        inner = max(ends[0], below[0]), min(ends[1], below[1])
+        left += [(ends[0], row), (inner[0], row)]
+        right += [(ends[1], row), (inner[1], row)]
+        if row < runs[-1][0]:
+            left.append((inner[0], row + 1))
+            right.append((inner[1], row + 1))
+    return _straightened([*left, *reversed(right)])
 
 
 def _straightened(corners: Polygon) -> Polygon:
+    """Return corners of upright and level edges without those that a straight run goes through."""
+    turns = [
+        corner for corner, before in zip(corners, [corners[-1], *corners], strict=False) if corner != before
+    ]
     kept = []
-    for number, (x, y) in enumerate(corners):
-        (px, py), (nx, ny) = corners[number - 1], corners[(number + 1) % len(corners)]
-        if (x - px, y - py) != (nx - x, ny - y):
+    for number, (x, y) in enumerate(turns):
+        (px, py), (nx, ny) = turns[number - 1], turns[(number + 1) % len(turns)]
+        if (x - px) * (nx - x) + (y - py) * (ny - y) <= 0:
             kept.append((x, y))
     return kept or corners[:1]

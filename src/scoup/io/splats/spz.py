@@ -1,6 +1,6 @@
 """Niantic's .spz: about 20 bytes per Gaussian, compressed (github.com/nianticlabs/spz).
 
-Versions 1 to 4 are read. Version 3 is written: most programs read it, and it keeps rotations, unlike 2.
+Versions 1 to 4 are read. Version 3 is written, which most programs read and which keeps rotations, unlike 2; or 4.
 
 Axes in the file are those of OpenGL (right, up, back), unless it says others: y and z change their signs on the way, as
 in the format's own tools (``axes``).
@@ -33,7 +33,7 @@ _QUARTER = np.array(
 )  # from right, back, down to right, down, front
 MOST_BITS = 16  # after the binary point of a coordinate
 _MOST_FIXED = (1 << 23) - 1  # what 24 bits with a sign hold
-_WRITTEN, _MOST_DEGREE = 3, 3  # version, and what it has a place for
+_MOST_DEGREE = {3: 3, 4: 4}  # of SH, by version that is written
 _COLOR = 0.15  # of a base colour's coefficient in a byte
 _STEPS = (8, 16)  # of a byte, for coefficients of degree 1 and of higher degrees
 _ROOT = math.sqrt(0.5)  # the largest value of a component that is not the largest
@@ -85,17 +85,21 @@ def spz_columns(path: Path, content: bytes) -> tuple[SpzHeader, Columns]:
     }
 
 
-def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -> None:
-    """Write a .spz file; docs/formats.md says how values are rounded. Rows that are not finite are refused.
+def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False, version: int = 3) -> None:
+    """Write a .spz file of version 3 or 4; docs/formats.md says how values are rounded. Rows that are not finite are
+    refused.
 
     Warns:
         ScoupWarning: coefficients of SH degree 4 were left out, or scales were clipped.
     """
+    if version not in _MOST_DEGREE:
+        raise InputError(f"{path}: .spz of version {version} is not written; versions: 3, 4")
     arrays = half_turn(finite_arrays(gaussians, path), _AXIS)
     means, scales, sh = arrays["means"], arrays["scales"], arrays["sh"]
-    if gaussians.sh_degree > _MOST_DEGREE:
-        warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz", ScoupWarning, stacklevel=2)
-        sh = sh[:, : (_MOST_DEGREE + 1) ** 2]
+    degree = min(gaussians.sh_degree, _MOST_DEGREE[version])
+    if gaussians.sh_degree > degree:
+        warnings.warn(f"{path}: SH degree 4 was cut to 3, for .spz {version}", ScoupWarning, stacklevel=2)
+        sh = sh[:, : (degree + 1) ** 2]
     largest = float(np.abs(means).max(initial=0.0))
     if largest > _MOST_FIXED:
         raise InputError(f"{path}: .spz cannot store coordinates of {largest:.3g}; use another format")
@@ -109,10 +113,10 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
         )
     # The most bits after the binary point that leave room for the largest coordinate.
     bits = next(bits for bits in range(MOST_BITS, -1, -1) if round(largest * (1 << bits)) <= _MOST_FIXED)
-    degree = min(gaussians.sh_degree, _MOST_DEGREE)
-    header = SpzHeader(_WRITTEN, len(means), degree, bits, gaussians.antialiased)
+    header = SpzHeader(version, len(means), degree, bits, gaussians.antialiased)
     fixed = np.rint(means * (1 << bits)).astype("<i4")
-    steps = np.where(np.arange(1, sh.shape[1]) < 4, *_STEPS)[:, None]  # degree 1, higher ones
+    higher = _last_turned(sh[:, 1:])
+    steps = np.where(np.arange(higher.shape[1]) < 3, *_STEPS)[:, None]  # degree 1, higher ones
     with np.errstate(all="ignore"):
         parts = {
             "positions": np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes(),
@@ -121,7 +125,7 @@ def write_spz(gaussians: Gaussians, path: str | Path, overwrite: bool = False) -
             "scales": _bytes((np.log(scales) + 10.0) * 16.0),
             "rotations": _packed_quats(arrays["quats"]),
             # Rounded to steps that compress well.
-            "sh": _bytes(np.floor((np.rint(sh[:, 1:] * 128.0) + 128.0 + steps // 2) / steps) * steps),
+            "sh": _bytes(np.floor((np.rint(higher * 128.0) + 128.0 + steps // 2) / steps) * steps),
         }
     packed = write_container(header, parts)
     with atomic_file(path, overwrite) as stream:

@@ -92,13 +92,22 @@ def read_container(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, byt
 
 
 def write_container(header: SpzHeader, parts: Mapping[str, bytes]) -> bytes:
-    """Return the bytes of a file of a version before 4; the same for the same header and attributes."""
+    """Return the bytes of a file; the same for the same header and attributes."""
     flags = _ANTIALIASED if header.antialiased else 0
-    start = _START.pack(MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags, 0)
-    packed = io.BytesIO()
-    with gzip.GzipFile("", "wb", 9, packed, mtime=0) as stream:
-        stream.writelines([start, *(parts[name] for name in header.sizes)])
-    return packed.getvalue()
+    start = (MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags)
+    if header.version < 4:
+        packed = io.BytesIO()
+        with gzip.GzipFile("", "wb", 9, packed, mtime=0) as stream:
+            stream.writelines([_START.pack(*start, 0), *(parts[name] for name in header.sizes)])
+        return packed.getvalue()
+    import zstandard
+
+    # Without higher harmonics there is no stream of them; the format's own reader counts.
+    names = [name for name, size in header.row_sizes.items() if size]
+    streams = [zstandard.ZstdCompressor(level=12).compress(parts[name]) for name in names]
+    table = [_STREAM.pack(len(each), len(parts[name])) for name, each in zip(names, streams, strict=True)]
+    head = _START.pack(*start, len(streams)) + _PLACE.pack(_START.size + _PLACE.size)
+    return b"".join([head, *table, *streams])
 
 
 def _read_streams(path: Path, content: bytes) -> tuple[SpzHeader, dict[str, bytes]]:

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, Names, OptionalInteger, OptionalText, OptionGroups
+from scoup.cli.options import Flag, Names, OptionalInteger, OptionGroups
 from scoup_lab.cli.evaluate.options import DataSetOptions, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.evaluation import Evaluation
-    from scoup_lab.evaluate.scenes import Places, SceneFiles
+    from scoup_lab.evaluate.scenes import SceneFiles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +58,14 @@ class Evaluated(DataSetOptions):
     def run(self, console: Console) -> None:
         """Build what is missing, score, write."""
         from scoup_lab.bench.environment import describe_environment
+        from scoup_lab.evaluate.report import refuse_existing
 
         evaluation = self.evaluation()
         out = self.out or Path(f"eval_{self.protocol}")
-        evaluation.check_outputs(out, self.overwrite)
+        for stem in evaluation.stems:
+            refuse_existing(out, stem, self.overwrite)
         scenes = self.opened(console)
-        console.kept = lambda: kept_in(out, "fields and predictions")
+        console.kept = lambda: kept_in(out, "fields")
         results = {}
         with console.progress() as progress:
             for scene in scenes:
@@ -104,7 +106,7 @@ class OfPixels(Evaluated):
         )
 
     def made(self) -> str:
-        return "fields, cache" + (", failures" if self.sheets == "worst" else "")
+        return "fields" + (", failures" if self.sheets == "worst" else "")
 
     def opened(self, console: Console) -> Iterator[SceneFiles]:
         from scoup_lab.evaluate.protocols import PIXELS
@@ -117,8 +119,8 @@ class OfPixels(Evaluated):
 class LerfOvs(OfPixels):
     """Score LERF-OVS (figurines, ramen, teatime, waldo_kitchen): masks and points, with the rules of its protocol.
 
-    Builds the fields that are missing, predicts once into a cache, and writes tables by query, by scene and overall,
-    with intervals, published figures marked as such, and the worst answers as pictures.
+    Builds the fields that are missing, and writes tables by query, by scene and overall, with intervals, published
+    figures marked as such, and the worst answers as pictures.
     """
 
     protocol: ClassVar[str] = "lerf-ovs"
@@ -157,11 +159,9 @@ class ScanNet(Evaluated):
     positions and order.
     """
 
-    option_groups: ClassVar[OptionGroups] = {"data set": "cameras", "scoring": "classes level methods"}
+    option_groups: ClassVar[OptionGroups] = {"scoring": "classes level methods"}
     protocol: ClassVar[str] = "scannet"
 
-    cameras: OptionalText = None
-    """The cameras (folder or file), with {scene} for the scene's name. Default: those in each scene's folder."""
     classes: Names = ()
     """Lists of classes to score by; repeat it for several. Default: 19, 15 and 10."""
     level: Literal["best", "s", "m", "l"] = "best"
@@ -186,8 +186,3 @@ class ScanNet(Evaluated):
 
         names = scannet.find(self.root, self.scenes)
         return (scannet.open_scene(self.root, name, self.places()) for name in names)
-
-    def places(self) -> Places:
-        from dataclasses import replace
-
-        return replace(super().places(), cameras=self.cameras)

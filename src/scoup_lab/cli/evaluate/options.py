@@ -34,7 +34,7 @@ class DataSetOptions(WritesCommon):
     """Options of all commands that read a data set."""
 
     option_groups: ClassVar[OptionGroups] = {
-        "data set": "scenes gaussians features images undistort text",
+        "data set": "scenes gaussians cameras features images undistort text",
         "output": "out",
     }
 
@@ -44,6 +44,8 @@ class DataSetOptions(WritesCommon):
     """Scenes to score; repeat it for several. Default: all that have labels."""
     gaussians: OptionalText = None
     """The trained splats, with {scene} for the scene's name. Default: the one in each scene's folder."""
+    cameras: OptionalText = None
+    """The cameras (folder or file), with {scene} for the scene's name. Default: those in each scene's folder."""
     features: OptionalText = None
     """The region features, with {scene} for the scene's name. Default: language_features in each scene's folder."""
     images: OptionalText = None
@@ -59,7 +61,7 @@ class DataSetOptions(WritesCommon):
         """Return where the parts of scenes lie."""
         from scoup_lab.evaluate.scenes import Places
 
-        return Places(self.gaussians, self.features, self.images, undistort=self.undistort)
+        return Places(self.gaussians, self.features, self.images, self.cameras, self.undistort)
 
     def open_labelled(self, console: Console, protocol: PixelProtocol) -> list[LabelledScene]:
         """Open the scenes of a data set of labelled frames, and say what they have."""

@@ -43,19 +43,16 @@ class StudyOptions(DataSetOptions):
         return PIXELS[self.data_set].rule(self.rules)
 
     def run(self, console: Console) -> None:
-        """Refuse outputs that are there, run all, write and show tables and plots."""
-        from scoup.io import check_output
+        """Refuse outputs that are there, run all, write and show tables."""
         from scoup_lab.bench.environment import describe_environment
         from scoup_lab.evaluate.label_vectors import encode_labels
-        from scoup_lab.evaluate.plots import HOW_TO_GET_THEM, can_draw
         from scoup_lab.evaluate.protocols import PIXELS
-        from scoup_lab.evaluate.report import SUFFIXES
+        from scoup_lab.evaluate.report import refuse_existing
         from scoup_lab.evaluate.studies.study_scene import open_study_scene
 
         out = self.out or Path(f"eval_{self.data_set}")
         study, protocol = self.study(console, out), PIXELS[self.data_set]
-        for suffix in SUFFIXES:
-            check_output(out / f"{study.stem}{suffix}", self.overwrite)
+        refuse_existing(out, study.stem, self.overwrite)
         labelled = self.open_labelled(console, protocol)
         scenes = [open_study_scene(each, encode_labels(each, self.text_source(each))) for each in labelled]
         with console.progress() as progress:
@@ -66,8 +63,6 @@ class StudyOptions(DataSetOptions):
         written = report.write(out, self.overwrite)
         say_tables(console, report)
         console.say("written: " + ", ".join(str(path) for path in written))
-        if report.plots and not can_draw():
-            console.say(HOW_TO_GET_THEM)
         console.result({"out": out, **report.record})
 
 
@@ -77,7 +72,7 @@ class Baselines(StudyOptions):
     with product quantisation (Dr. Splat), LangSplat's autoencoder and, by name, codes learned through renderings
     (LangSplatV2), on the same regions and with the same queries.
 
-    Accuracy, time, memory and storage of each; docs/evaluation.md says what each follows and where it departs. The same
+    Accuracy, time and storage of each; docs/evaluation.md says what each follows and where it departs. The same
     command resumes: results are kept in OUT/baselines.
     """
 
@@ -105,13 +100,13 @@ class Baselines(StudyOptions):
         settings = replace(_settings(self.seed, self.epochs), joint=joint)
         folder = out / Comparison.stem
         console.kept = lambda: kept_in(folder, "results")
-        return Comparison(methods, self.mask_rule(), settings, self.selection, folder, console.say)
+        return Comparison(methods, self.mask_rule(), folder, settings, self.selection, console.say)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ablations(StudyOptions):
     """Change one thing at a time: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver,
-    levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each. Table and plot.
+    levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each.
     """
 
     groups: Names = ()

@@ -15,7 +15,7 @@ from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS
 from scoup_lab.data.labels import LabelledFrame, match_frames
 from scoup_lab.evaluate.metrics import any_inside, iou
-from scoup_lab.evaluate.relevancy_maps import localize_and_segment, segment
+from scoup_lab.evaluate.relevancy_maps import localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES, LevelChoice, MaskRule
 from scoup_lab.evaluate.scenes import USUAL, Places, SceneFiles, check_root, choose_scenes
 from scoup_lab.evaluate.scores import PairScore, SceneScore, scene_score
@@ -85,8 +85,21 @@ class PixelProtocol(Entry):
                 f"frame {frame.name!r} is {frame.width} x {frame.height}, its relevancy {width} x {height}; features "
                 "are resized to the label, never the label"
             )
-        labels = enumerate(frame.labels)
-        return [self._score_pair(frame, label, maps[:, place], rule, levels) for place, label in labels]
+        rows = list(range(len(maps)))
+        if self.levels is not None:
+            rows = self.rows(levels)
+            if len(maps) != len(levels):
+                raise InputError(f"relevancy of {len(maps)} levels, but {len(levels)} are named")
+        truth, pairs = frame.resized(width, height), []
+        for place, label in enumerate(frame.labels):
+            of_label, hit, pixel = maps[rows, place], None, None
+            found = segment(of_label, rule)
+            if self.localizes:
+                point = localize(of_label, rule)
+                hit, pixel = any_inside(point.pixels.cpu(), truth.boxes[label]), point.pixel
+            score = iou(found.mask.cpu(), truth.masks[label])
+            pairs.append(PairScore(frame.name, label, score, hit, rows[found.level], found.score, pixel))
+        return pairs
 
     def score(
         self,
@@ -109,31 +122,6 @@ class PixelProtocol(Entry):
                 wanted = ", ".join(self.levels)
                 raise InputError(f"{self.title} queries the levels {wanted}; there is no {level!r}")
         return [list(levels).index(level) for level in self.levels]
-
-    def _score_pair(
-        self, frame: LabelledFrame, label: str, maps: Tensor, rule: MaskRule, levels: Sequence[str]
-    ) -> PairScore:
-        rows = list(range(len(maps)))
-        if self.levels is not None:
-            rows = self.rows(levels)
-            if len(maps) != len(levels):
-                raise InputError(f"relevancy of {len(maps)} levels, but {len(levels)} are named")
-        height, width = maps.shape[1:]
-        if not self.localizes:
-            found = segment(maps[rows], rule)
-            score = iou(found.mask.cpu(), frame.resized(width, height).masks[label])
-            return PairScore(frame.name, label, score, None, rows[found.level], found.score, None)
-        point, found = localize_and_segment(maps[rows], rule)
-        truth = frame.only(label).resized(width, height)
-        return PairScore(
-            frame.name,
-            label,
-            iou(found.mask.cpu(), truth.masks[label]),
-            any_inside(point.pixels.cpu(), truth.boxes[label]),
-            rows[found.level],
-            found.score,
-            point.pixel,
-        )
 
 
 @dataclass(frozen=True, eq=False)

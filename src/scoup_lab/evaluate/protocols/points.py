@@ -103,14 +103,3 @@ def class_accuracies(totals: Tensor) -> Tensor:
 def class_mean(values: Tensor) -> Tensor:
     """Return [...] mean of [..., C] over the classes that have a value; NaN where there is none."""
     return values.nanmean(-1)
-
-
-def frequency_weighted_iou(totals: Tensor) -> Tensor:
-    """Return [...] mean of the classes' IoU, weighted by their shares of the points."""
-    true = totals[..., 1, :]
-    return (class_ious(totals).nan_to_num() * true).sum(-1) / true.sum(-1)
-
-
-def overall_accuracy(totals: Tensor) -> Tensor:
-    """Return [...] share of all points that were given their class."""
-    return totals[..., 0, :].sum(-1) / totals[..., 1, :].sum(-1)

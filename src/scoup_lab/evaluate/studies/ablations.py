@@ -11,7 +11,6 @@ from scoup.base.progress import Progress, no_progress
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
-from scoup_lab.evaluate.plots import IntervalPlot
 from scoup_lab.evaluate.published import ABLATIONS as PUBLISHED
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MaskRule
@@ -93,8 +92,7 @@ class Ablations(Study[AblationResult]):
     def report(self, results: Sequence[AblationResult], protocol: str, described: dict[str, Any]) -> Report:
         pairs = pair_names(next(iter(results[0].scores.values())))
         record = {"protocol": protocol, **described, "pairs": pairs, "rows": ablation_record(results)}
-        plots = {"ablations.png": ablation_plot(results, protocol)}
-        return Report(self.stem, "Ablations", [ablation_table(results, protocol)], record, plots)
+        return Report(self.stem, "Ablations", [ablation_table(results, protocol)], record)
 
 
 def ablation_table(results: Sequence[AblationResult], protocol: str) -> Table:
@@ -132,12 +130,6 @@ def difference(result: AblationResult, base: AblationResult) -> Interval:
     ious, _, groups, kinds = result.pair_means()
     others = base.pair_means()[0]
     return bootstrap_interval([a - b for a, b in zip(ious, others, strict=True)], groups, scenes=kinds)
-
-
-def ablation_plot(results: Sequence[AblationResult], protocol: str) -> IntervalPlot:
-    """Return points with intervals, in groups."""
-    rows = [(each.ablation.group, each.ablation.name, each.interval().scaled(100, 1)) for each in results]
-    return IntervalPlot(rows, f"Ablations, {protocol}", "mIoU, %, with 95 % intervals over queries")
 
 
 def ablation_record(results: Sequence[AblationResult]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Several methods on the same scenes: accuracy, time, memory, storage."""
+"""Several methods on the same scenes: accuracy, time, storage."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from pathlib import Path
 from statistics import mean
 from typing import Any, ClassVar
 
+import torch
+from torch import Tensor
+
 from scoup import raster
 from scoup.base.progress import Progress, no_progress
 from scoup.base.version import VERSION
 from scoup.io import write_text
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import DEFAULTS, Method, MethodSettings
-from scoup_lab.bench.measure import Cost, Meter
+from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.evaluate.evaluation import Say, say_nothing
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
-from scoup_lab.evaluate.predictions import tensor_digest
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.rules import MaskRule
 from scoup_lab.evaluate.scores import (
@@ -45,7 +47,7 @@ class MethodResult:
     score: SceneScore  # by the 2D protocol
     selected: SceneScore | None  # by the 3D-selection protocol; None if it was not wanted
     rasterise_seconds: float  # of all views, which methods that count the same pixels share
-    fit: Cost  # of everything after that
+    fit_seconds: float  # of everything after that
     query_seconds: float  # mean over labelled frames, all labels of a frame at once, projected before
     bytes_per_gaussian: float  # stored
     shared_bytes: float  # stored once
@@ -61,7 +63,7 @@ class MethodResult:
                     for pair in score["pairs"]
                 )
                 record[name] = SceneScore(**{**score, "pairs": pairs})
-        return cls(**{**record, "fit": Cost(**record["fit"])})
+        return cls(**record)
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,9 @@ class Comparison(Study[MethodResult]):
 
     methods: Sequence[Method]
     rule: MaskRule  # how maps become masks and points, for all of them
+    folder: Path  # keeps results, which are found again by all that they depend on
     settings: MethodSettings = DEFAULTS
     selection: bool = False  # score by the 3D-selection protocol too
-    folder: Path | None = (
-        None  # keeps results, which are found again by all that they depend on; None keeps none
-    )
     say: Say = say_nothing  # called with a line for each result
 
     stem: ClassVar[str] = "baselines"
@@ -85,7 +85,7 @@ class Comparison(Study[MethodResult]):
         total = len(scenes) * len(self.methods)
         progress("compare", 0, total)
         for scene in scenes:
-            inputs = [] if self.folder is None else _digests(scene)
+            inputs = _digests(scene)
             for method in self.methods:
                 found.append(self._kept_or_new(scene, method, inputs, progress))
                 progress("compare", len(found), total)
@@ -116,12 +116,12 @@ class Comparison(Study[MethodResult]):
     def _kept_or_new(
         self, scene: StudyScene, method: Method, inputs: list[str], progress: Progress
     ) -> MethodResult:
-        path = None if self.folder is None else self.folder / scene.name / self._file(method, inputs)
-        kept = path is not None and path.is_file()
-        result = MethodResult.read(path) if path and kept else self._result(scene, method, progress)
-        if path and not kept:
+        path = self.folder / scene.name / self._file(method, inputs)
+        kept = path.is_file()
+        result = MethodResult.read(path) if kept else self._result(scene, method, progress)
+        if not kept:
             write_text(path, json.dumps(asdict(result)))
-        scored = f"mIoU {100 * result.score.miou:.1f} %, fit in {result.fit.seconds:.1f} s"
+        scored = f"mIoU {100 * result.score.miou:.1f} %, fit in {result.fit_seconds:.1f} s"
         self.say(f"{scene.name}, {result.method}: {scored}{', kept from before' if kept else ''}")
         return result
 
@@ -137,14 +137,14 @@ class Comparison(Study[MethodResult]):
         rasterised = scene.rasterised
         rasterised.inputs(method.pixels, method.views)  # not part of the fit
         rasterised.forget_codes()  # each method pays for its own
-        with Meter() as meter:
-            fitted = method.fit(rasterised, replace(self.settings, progress=progress))
+        clock = Stopwatch()
+        fitted = clock("fit", method.fit, rasterised, replace(self.settings, progress=progress))
         return MethodResult(
             method.title(self.settings),
             scene.score(fitted, self.rule),
             scene.selection_score(fitted) if self.selection else None,
             rasterised.seconds(method.pixels),
-            meter.cost,
+            clock.seconds["fit"][0],
             _query_seconds(scene, fitted),
             fitted.bytes_per_gaussian,
             fitted.shared_bytes,
@@ -158,7 +158,13 @@ def _digests(scene: StudyScene) -> list[str]:
     masks = [mask for frame, _ in scene.labelled.frames for mask in frame.masks.values()]
     embeddings = [regions.embeddings(level)[0] for level in regions.levels]
     tensors = [scene.vectors.queries, scene.vectors.canonical, *poses, *embeddings, *masks]
-    return [rasterised.gaussians.fingerprint(), rasterised.raster_preset, *map(tensor_digest, tensors)]
+    return [rasterised.gaussians.fingerprint(), rasterised.raster_preset, *map(_digest, tensors)]
+
+
+def _digest(tensor: Tensor) -> str:
+    """Return SHA-256 of the shape and the values of a tensor, as float32."""
+    values = tensor.detach().cpu().to(torch.float32).contiguous()
+    return hashlib.sha256(str(list(values.shape)).encode() + values.numpy().tobytes()).hexdigest()
 
 
 def _query_seconds(scene: StudyScene, fitted: FittedMethod) -> float:
@@ -183,7 +189,6 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
         "query a frame, ms",
         "bytes a Gaussian",
         "shared, kB",
-        "peak memory, MB",
     ]
     rows = []
     for name, own in by_method(results).items():
@@ -192,14 +197,12 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
         if localizes:
             found = accuracy_interval([result.score for result in own])
             cells.append("-" if found is None else found.percent()[0])
-        peaks = [result.fit.peak_bytes for result in own if result.fit.peak_bytes is not None]
         cells += [
             f"{mean(result.rasterise_seconds for result in own):.2f}",
-            f"{mean(result.fit.seconds for result in own):.2f}",
+            f"{mean(result.fit_seconds for result in own):.2f}",
             f"{1e3 * mean(result.query_seconds for result in own):.0f}",
             f"{mean(result.bytes_per_gaussian for result in own):.0f}",
             f"{mean(result.shared_bytes for result in own) / 1e3:.0f}",
-            f"{mean(peaks) / 1e6:.0f}" if peaks else "-",
         ]
         rows.append(tuple(cells))
     notes = (
@@ -207,8 +210,7 @@ def comparison_table(results: Sequence[MethodResult], title: str) -> Table:
         "Methods are written here from the papers' descriptions, on the same regions, rasteriser and queries; see "
         "docs/evaluation.md for what each follows and where it departs. None of these is a figure of a "
         "system's own code.",
-        "Rasterising is shared by methods that count the same pixels. Peak memory: beyond what the "
-        "process held before the method was fitted.",
+        "Rasterising is shared by methods that count the same pixels.",
     )
     return Table(title, tuple(headers), tuple(rows), notes)
 
@@ -272,8 +274,7 @@ def comparison_record(results: Sequence[MethodResult]) -> dict[str, Any]:
             "selection_miou": overall(selected)[0] if selected else None,
             "scenes": {result.score.scene: result.score.miou for result in own},
             "rasterise_seconds": mean(result.rasterise_seconds for result in own),
-            "fit_seconds": mean(result.fit.seconds for result in own),
-            "peak_bytes": [result.fit.peak_bytes for result in own],
+            "fit_seconds": mean(result.fit_seconds for result in own),
             "query_seconds": mean(result.query_seconds for result in own),
             "bytes_per_gaussian": mean(result.bytes_per_gaussian for result in own),
             "shared_bytes": mean(result.shared_bytes for result in own),

@@ -23,7 +23,6 @@ from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings, fit_autoencoder
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
-from scoup_lab.evaluate.plots import IntervalPlot
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.studies.matches import Matches, Observation, matched_points
 from scoup_lab.evaluate.studies.study import Study
@@ -133,8 +132,7 @@ class Consistency(Study[ConsistencyResult]):
     ) -> Report:
         """See ``Study``; what lies in 2D is compared, whatever the protocol."""
         record = {**described, **consistency_record(results)}
-        plots = {"consistency.png": consistency_plot(results)}
-        return Report(self.stem, "Multi-view consistency", [consistency_table(results)], record, plots)
+        return Report(self.stem, "Multi-view consistency", [consistency_table(results)], record)
 
 
 def _pairs(matches: Matches, seed: int) -> tuple[list[Observation], list[Observation], np.ndarray]:
@@ -176,19 +174,22 @@ def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
     levels, each counting alike."""
     rows = []
     means: dict[str, list[tuple[float, float]]] = {}
+    gains = {each[:3]: each[3] for each in gap_differences(results)}
     for result in results:
+        gain = gains.get((result.scene, result.level, result.features))
         interval = result.interval()
         cells = (
             f"{interval.mean:.3f}",
             f"{interval.low:.3f} to {interval.high:.3f}",
             f"{result.unmatched:.3f}",
             f"{interval.mean - result.unmatched:.3f}",
+            "-" if gain is None else f"{gain.mean:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]",
         )
         rows.append((result.features, result.scene, result.level, str(len(result.cosines)), *cells))
         means.setdefault(result.features, []).append((interval.mean, result.unmatched))
     for features, pairs in means.items():
         cosine, unmatched = (mean(part) for part in zip(*pairs, strict=True))
-        cells = (f"{cosine:.3f}", "-", f"{unmatched:.3f}", f"{cosine - unmatched:.3f}")
+        cells = (f"{cosine:.3f}", "-", f"{unmatched:.3f}", f"{cosine - unmatched:.3f}", "-")
         rows.append((features, "all", "all", "-", *cells))
     notes = tuple(f"{scene}: matched by {source}." for scene, source in sources_of(results).items())
     return Table(
@@ -202,10 +203,12 @@ def consistency_table(results: Sequence[ConsistencyResult]) -> Table:
             "95 % interval over points",
             "unmatched",
             "difference",
+            "minus raw",
         ),
         tuple(rows),
         (
             *notes,
+            "Minus raw: the difference less that of the raw embeddings, paired over points.",
             "Unmatched: observations of different points, drawn at random. Features that are all alike are "
             "consistent too.",
             "Codes and network are learned from all regions of the scene, as for a build.",
@@ -227,18 +230,6 @@ def gap_differences(results: Sequence[ConsistencyResult]) -> list[tuple[str, str
             numbers = [str(number) for number in range(len(differences))]
             rows.append((each.scene, each.level, each.features, bootstrap_interval(differences, numbers)))
     return rows
-
-
-def consistency_plot(results: Sequence[ConsistencyResult]) -> IntervalPlot:
-    """Return the ``gap_differences`` with their intervals against 0, by scene and level."""
-    rows = [
-        (f"{scene}, level {level}", features, interval)
-        for scene, level, features, interval in sorted(gap_differences(results), key=lambda row: row[0])
-    ]
-    title = "Multi-view consistency: cosine of matched minus of unmatched observations"
-    return IntervalPlot(
-        rows, title, "difference from raw embeddings; above 0: points are kept apart better", 3, 0.0
-    )
 
 
 def sources_of(results: Sequence[ConsistencyResult]) -> dict[str, str]:

@@ -25,4 +25,4 @@ class Study(ABC, Generic[Result]):
 
     @abstractmethod
     def report(self, results: Sequence[Result], protocol: str, described: dict[str, Any]) -> Report:
-        """Return tables, plots and record."""
+        """Return tables and record."""
