@@ -295,7 +295,7 @@ class Archive:
         """
         about, source = self._about(), self._encoder
         if source is None and about:
-            source = place_of(self.folder.resolve() / ABOUT, about["words"]) or about["embedding_model"]
+            source = place_of(self.folder / ABOUT, about["words"]) or about["embedding_model"]
             if isinstance(source, Path) and not source.is_file():
                 problem = f"is missing, and the archive {self.folder} names it as its word table"
                 raise MissingFileError(source, problem, "pass its new path as `encoder`")

@@ -77,7 +77,7 @@ class ScanRecord:
     @cached_property
     def field_path(self) -> Path:
         """File of the field."""
-        return place_of(self.file.resolve(), self.field_file) or self.file
+        return place_of(self.file, self.field_file) or self.file
 
 
 @dataclass(frozen=True, eq=False)

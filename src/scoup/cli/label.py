@@ -102,10 +102,9 @@ def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
     """Report the Gaussians of each word, and the files."""
-    from scoup.query.label_files import label_record
     from scoup.query.place import numbered_things
 
-    record: dict[str, Any] = label_record(labels)
+    record = labels.to_dict()
     for one, answer in zip(record["classes"], answers, strict=True):
         things = f", {numbered_things(one['things'])}" if one["things"] else ""
         seen = f", as seen from {answer.seen_from}" if answer.seen_from else ""
