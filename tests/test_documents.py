@@ -180,3 +180,14 @@ def test_commands_of_the_benchmarks_exist(command: str) -> None:
     assert place.with_suffix(".py").is_file() or (place / "__main__.py").is_file()
     if module == "benchmarks" and words and words[0] != "NAME":
         parse(words, STUDIES, "python -m benchmarks")
+
+
+@pytest.mark.parametrize("path", documents.DOCUMENTS, ids=lambda path: path.stem)
+def test_no_command_of_a_block_needs_the_place_of_an_earlier_output(path: Path) -> None:
+    for block in re.findall(r"^```\n(.*?)^```$", path.read_text(), re.MULTILINE | re.DOTALL):
+        places = []
+        for line in re.findall(r"^scoup (?:query|select|label|catalog|render) .*", block, re.MULTILINE):
+            words = shlex.split(line, comments=True)
+            place = words[words.index("--out") + 1 :][:1] if "--out" in words else words[1:3]
+            assert "--overwrite" in words or place not in places, line
+            places.append(place)

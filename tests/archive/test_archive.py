@@ -62,7 +62,7 @@ def test_answers_are_those_of_the_fields(
     encoder = archive.text_encoder()
     search = Search.of(question, encoder, encoder.encode, False, None)
     ranks = {}
-    for bound, asked in archive._ranked(search, None):
+    for bound, asked in archive._ranked(search, archive._chosen(None)):
         mine = {(asked.scan.record.name, thing): asked.rank(thing, text)[1] for thing, text in asked.things()}
         assert all(rank < bound for rank in mine.values())
         ranks |= mine
@@ -132,7 +132,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     assert archive.find("mug")[0].score == pytest.approx(field.answer("mug").score)
     field.thing_table = replace(things, names=names_of({"mug": {BALL: 0.6}}, {"mug": 0.9}))
     field.save(tmp_path / "named.scoup", overwrite=True)
-    with pytest.warns(ScoupWarning, match="has changed since"):
+    with pytest.warns(ScoupWarning, match="the field of scan named has changed"):
         archive.find("mug left of the laptop")
     none = torch.zeros(0, dtype=torch.int32)
     in_vain = NameTable(("mug",), torch.tensor([0.1]), none, none, none.float())
@@ -171,21 +171,26 @@ def test_a_condition_reads_this_folder_and_nothing_else(archive: scoup.Archive, 
 def test_a_field_that_left_or_changed_answers_no_phrase(
     fields: dict[str, LanguageField], tmp_path: Path
 ) -> None:
-    archive, path = scoup.Archive(tmp_path / "a"), tmp_path / "moved.scoup"
-    field = planted_room()
+    archive, paths = scoup.Archive(tmp_path / "a"), [tmp_path / "one.scoup", tmp_path / "two.scoup"]
+    field, phrase = planted_room(), "mug left of the laptop"
     field.info = replace(field.info, embedding_model="some/model", words=fields["office"].info.words)
-    field.save(path)
-    archive.add(path)
-    assert archive.find("mug left of the laptop")
+    for path in paths:
+        field.save(path)
+        archive.add(path)
+    assert {each.scan for each in archive.find(phrase)} == {"one", "two"}
     assert field.thing_table is not None
     field.thing_table = replace(field.thing_table, embeddings=field.thing_table.embeddings.flip(0))
-    field.save(path, overwrite=True)
-    with pytest.warns(ScoupWarning, match="has changed since"):
-        assert archive.find("mug left of the laptop") == []
-    path.unlink()
-    with pytest.warns(ScoupWarning, match=r"moved\.scoup: cannot be asked"):
-        assert archive.find("mug left of the laptop") == []
-    assert archive.find("mug")
+    field.save(paths[0], overwrite=True)
+    with pytest.warns(ScoupWarning, match=r"^the field of scan one has changed: .*one\.scoup; add it again$"):
+        assert {each.scan for each in archive.find(phrase)} == {"two"}
+    paths[1].unlink()
+    gone = r"the field of scan two is gone: .*two\.scoup; put it back or add the field again$"
+    for at_least in (None, 1):
+        with pytest.warns(ScoupWarning, match="scan one has changed"), pytest.raises(InputError, match=gone):
+            archive.find(phrase, at_least=at_least)
+    archive.remove("one")
+    assert "is gone" in refused("archive", archive.folder, phrase)
+    assert {each.scan for each in archive.find("mug")} == {"two"}
 
 
 def test_a_page_has_no_pictures_of_what_is_gone(fields: dict[str, LanguageField], tmp_path: Path) -> None:

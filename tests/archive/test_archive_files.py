@@ -31,7 +31,7 @@ def test_a_scan_is_replaced_and_removed(
 ) -> None:
     before = archive.find("mug")
     archive.add(fields["office"], floor=7)
-    assert archive.scans()["office"].columns == {"floor": 7}
+    assert archive.scans()["office"].columns == {"floor": 7, "city": "Graz"}
     assert [each.thing for each in archive.find("mug")] == [each.thing for each in before]
     archive.remove("office")
     assert {each.scan for each in archive.find("mug")} == {each.scan for each in before} - {"office"}
@@ -169,6 +169,36 @@ def test_scans_are_listed_again_if_one_has_gone(
     assert {each.scan for each in archive.find("mug")} == {"kitchen"}
 
 
+@pytest.mark.parametrize("is_before", [True, False])
+def test_things_are_of_the_files_that_a_condition_holds_for(
+    archive: scoup.Archive,
+    fields: dict[str, LanguageField],
+    monkeypatch: pytest.MonkeyPatch,
+    is_before: bool,
+) -> None:
+    floors, asked, matching = [7], list[list[str]](), scoup.Archive._matching
+
+    def replace_office() -> None:
+        while floors:
+            archive.add(fields["office"], floor=floors.pop())
+
+    def matching_meanwhile(self: scoup.Archive, where: str, names: list[str]) -> dict[str, set[int]]:
+        if is_before:
+            replace_office()
+        asked.append(names)
+        found = matching(self, where, names)
+        replace_office()
+        return found
+
+    archive.find("lamp")
+    monkeypatch.setattr(scoup.Archive, "_matching", matching_meanwhile)
+    found = archive.find("lamp", "floor != 1")
+    assert {each.scan: each.columns["floor"] for each in found} == {"office": 7, "hall": 2}
+    assert asked == [["hall", "kitchen", "office"], ["office"]]
+    floors.append(1)
+    assert {each.scan for each in archive.find("lamp", "floor != 1")} == {"hall"}
+
+
 def test_two_writers_lose_nothing(fields: dict[str, LanguageField], tmp_path: Path) -> None:
     paths = [str(field.path) for field in fields.values()] * 2
     run_threads([lambda path=path: scoup.Archive(tmp_path / "a").add(path) for path in paths])
@@ -192,9 +222,13 @@ def test_what_does_not_fit_is_refused(
                 archive.add(field)
         else:
             archive.add(field)
-    for columns in ({"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}):
+    new = scoup.Archive(tmp_path / "new")
+    for columns in (
+        {"thing": 1}, {"Floor": 1}, {"x; drop": 1}, {"floor": [1]}, {"floor": 2**63}, {"city": "\ud800"},
+    ):  # fmt: skip
         with pytest.raises(InputError, match="column"):
-            archive.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
+            new.add(fields["hall"], **columns)  # pyright: ignore[reportArgumentType]
+    assert not new.folder.exists()
     bare = planted_room(has_things=False)
     bare.save(tmp_path / "bare.scoup")
     with pytest.raises(InputError, match="has no things"):

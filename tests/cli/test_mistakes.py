@@ -177,6 +177,7 @@ MISTAKES: dict[str, list[tuple[str, str]]] = {
         ("scene --segmenter ./no-such-model", "felzenszwalb"),
         ("scene --segmenter felzenszwalb --embedder ./no-such-model", "colors"),
         (PLY, f"{PLY}: is a splat, expected photographs; scoup build {PLY} makes views of it first"),
+        ("'a splat.ply'", "scoup build 'a splat.ply' makes views of it first"),
     ],
     "regions scene --view view_02 --out b.png": [
         ("--view other", "nearest names"), ("--out b.jpg", "ends in .png"), ("--width 5", "--width"),
@@ -377,12 +378,12 @@ def test_a_mistake_is_one_sentence(
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(("options", "said"), [
-    ((), "bare: has cameras, but none of their photographs was found"),
-    (("--sums", "s"), "make them with scoup extract bare, or name their folder with --features"),
+    ((), "bare one: has cameras, but none of their photographs was found"),
+    (("--sums", "s"), "make them with scoup extract 'bare one', or name their folder with --features"),
 ])  # fmt: skip
 def test_a_scene_without_regions_and_photographs(options, said):
-    shutil.copytree("scene", "bare", ignore=shutil.ignore_patterns("language_features", "images"))
-    code, _, err = run("build", "bare", "--out", "a.scoup", *options)
+    shutil.copytree("scene", "bare one", ignore=shutil.ignore_patterns("language_features", "images"))
+    code, _, err = run("build", "bare one", "--out", "a.scoup", *options)
     assert code == 2
     assert said in err
 
@@ -397,7 +398,9 @@ def test_no_option_is_said_to_take_none():
 @pytest.mark.usefixtures("here")
 def test_a_field_that_names_nothing_to_encode_texts_is_warned_of():
     assert "a.scoup: names nothing that can encode texts; build with --model" in run(*BUILD)[2]
-    assert "encode texts" not in run(*BUILD, "--model", TABLE, "--overwrite")[2]
+    _, out, warned = run(*BUILD, "--model", TABLE, "--overwrite")
+    assert "encode texts" not in warned
+    assert "ask it: scoup query a.scoup WORD" in out
 
 
 @pytest.mark.usefixtures("here")

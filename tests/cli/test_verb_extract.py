@@ -78,6 +78,11 @@ def test_regions_picture(here) -> None:
         assert len(picture.convert("RGB").getcolors(1 << 20)) > 20
     options = ("--view", "view_00.png", "--features", "scene/language_features", "--out", "d.png")
     assert "100% covered" in run("regions", "scene", *options)[1]
+    Path("scene/images/view_03.png").unlink()
+    Path("scene/language_features/view_03.regions").unlink()
+    said = refused("regions", "scene", "--view", "view_03")
+    there = "it has view_00.regions, view_01.regions, view_02.regions; make them with scoup extract"
+    assert f"has no regions of view_03.png: expected view_03.regions; {there}" in said
 
 
 def test_convert_both_ways(here) -> None:

@@ -108,7 +108,7 @@ CHANGES = {
     "fewer regions": (lambda: Path("scene/language_features/view_01_s.npy").unlink(),
                       "skipped 1 of 4 cameras that have no features"),
     "regions of others": (each_file("language_features", rename),
-                          "has features of none of the 4 cameras: expected view_00_s.npy"),
+                          "has regions of none of the 4 cameras: expected view_00_s.npy"),
     "equal names": (equal_names_in_folders, "share the feature name '0000'; LangSplat's files have no folders"),
 }  # fmt: skip
 

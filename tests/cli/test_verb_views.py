@@ -100,18 +100,19 @@ def test_a_build_of_a_splat_alone_makes_its_views() -> None:
 
 
 def test_a_build_of_a_splat_alone_continues() -> None:
-    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "alone_views")
-    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
-    cameras = LanguageField.load("alone.scoup").cameras
+    run_json("views", SPLAT, *SMALL, "--views", 3, "--out", "all alone_views")
+    built = run_json("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup")
+    cameras = LanguageField.load("all alone.scoup").cameras
     assert cameras is not None
-    assert cameras.names == load_cameras("alone_views").names
+    assert cameras.names == load_cameras("all alone_views").names
     assert built["views"] == 3
-    kept = snapshot(Path("alone_views"))
-    code, said, _ = run("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup", "--overwrite")
+    kept = snapshot(Path("all alone_views"))
+    code, said, _ = run("build", SPLAT, *FREE, *QUICK, "--out", "all alone.scoup", "--overwrite")
     assert code == 0
-    assert "uses the existing views" in said
+    again = f"scoup views {SPLAT} --out 'all alone_views' --overwrite"
+    assert f"uses the existing views; to replace them: {again}" in said
     assert "already there" in said
-    assert snapshot(Path("alone_views")) == kept
+    assert snapshot(Path("all alone_views")) == kept
 
 
 def test_interrupted_builds_of_a_splat_say_that_its_views_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,6 +86,28 @@ def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
     assert LanguageField.load(path, stored).gaussians is stored
 
 
+def test_links_to_a_field_lead_to_what_it_names(scene, tmp_path):
+    gaussians, cameras, regions = scene
+    splat = tmp_path / "scene" / "splat.ply"
+    scoup.save_gaussians(gaussians, splat)
+    field = build(scoup.load_gaussians(splat), cameras, regions, settings=QUICK, geometry_path=splat)
+    (tmp_path / "store" / "deep").mkdir(parents=True)
+    (tmp_path / "linked").symlink_to(tmp_path / "store" / "deep")
+    for folder in ("store/deep", "linked"):
+        path = tmp_path / folder / "f.scoup"
+        field.save(path, overwrite=True)
+        link = tmp_path / "link.scoup"
+        link.unlink(missing_ok=True)
+        link.symlink_to(path)
+        for name in (tmp_path / "linked" / "f.scoup", tmp_path / "store" / "deep" / "f.scoup", link):
+            assert LanguageField.load(name).geometry_path == splat, (folder, name)
+    field.geometry_path = tmp_path / "linked" / "splat.ply"  # beside the field, so it moves with it
+    field.save(tmp_path / "linked" / "g.scoup")
+    (tmp_path / "store").rename(tmp_path / "moved")
+    moved = tmp_path / "moved" / "deep"
+    assert LanguageField.load(moved / "g.scoup").geometry_path == moved / "splat.ply"
+
+
 def test_nothing_is_overwritten_unless_wanted(field, tmp_path):
     path = tmp_path / "f.scoup"
     path.write_bytes(b"precious")

@@ -165,6 +165,17 @@ def test_windows_line_ends_and_comments(tmp_path):
     assert read_ply_table(path).comments == ("made by hand",)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_comments_beyond_ascii_are_read_and_written(tmp_path, encoding):
+    path = file_of(tmp_path / "a.ply", raw_columns())
+    comment = "made by Zoë\N{NO-BREAK SPACE}à"
+    path.write_bytes(path.read_bytes().replace(b"ply\n", f"ply\ncomment {comment}\n".encode(encoding), 1))
+    for _ in range(2):
+        table = read_ply_table(path)
+        assert table.comments == (comment,)
+        write_ply_table(table, path, overwrite=True)
+
+
 def test_elements_before_and_after(tmp_path):
     path = file_of(tmp_path / "a.ply", raw_columns())
     plain = read_ply(path)

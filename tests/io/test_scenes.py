@@ -19,7 +19,16 @@ from io_samples import (
     write_inria_cameras,
 )
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.io import as_stored, load_cameras, load_gaussians, load_image, save_gaussians, splat_source
+from scoup.extract import find_photographs
+from scoup.io import (
+    as_stored,
+    camera_photographs,
+    load_cameras,
+    load_gaussians,
+    load_image,
+    save_gaussians,
+    splat_source,
+)
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraFormat, find_cameras
 from scoup.io.cameras.colmap import write_colmap
 from scoup.io.cameras.nerfstudio import write_transforms
@@ -163,6 +172,12 @@ def test_images_of_another_shape_or_damaged(tmp_path):
         save_images(some_cameras(1, width, height), scene / "images")
         with pytest.raises(FileFormatError, match=said):
             load_cameras(scene)
+    save_images(some_cameras(2, 24, 32), scene / "images")
+    save_images(some_cameras(1, 1, 1), scene / "images")
+    for read in (load_cameras, camera_photographs, find_photographs):
+        with pytest.raises(FileFormatError, match=rf"view_00.png: is a single .*view_01.png {of_shape}; use"):
+            read(scene)
+    save_images(some_cameras(), scene / "images")
     (scene / "images" / "view_00.png").write_bytes(b"no image")
     said = "1 of 3 photographs cannot be read, their cameras are {}: .*view_00.png: is not an image"
     with pytest.warns(ScoupWarning, match=said.format("skipped")):

@@ -19,7 +19,7 @@ from scoup.io import read_ply_table
 from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
 from scoup.query.boxes import PointSets
-from scoup.query.label_files import label_files, label_record, labelled_colors, save_label_views, save_labels
+from scoup.query.label_files import label_files, labelled_colors, save_label_views, save_labels
 from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label, label_map
 from scoup.scene.gaussians import SH_C0
 from scoup.scene.up import estimate_up
@@ -74,7 +74,7 @@ def test_all_files_agree(queried: Queried, labels: GaussianLabels, tmp_path: Pat
     assert table.rows["thing"].tolist() == labels.instances.tolist()
     assert table.rows["label"].dtype == table.rows["thing"].dtype == np.int32
     record = json.loads((tmp_path / "labels.json").read_text())
-    assert record == json.loads(json.dumps(label_record(labels)))
+    assert record == json.loads(json.dumps(labels.to_dict()))
     for entry in record["classes"]:
         assert entry["gaussians"] == int((labels.ids == entry["id"]).sum())
         assert entry["level"] in queried.field.levels

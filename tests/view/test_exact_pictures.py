@@ -99,6 +99,8 @@ def test_requests_out_of_range_are_refused(viewed: ViewedField, camera: Camera) 
         viewed.picture(camera, "mask", ["thing 1", "thing 2"], [BLUE])
     with pytest.raises(InputError, match=f"{LARGEST_SIDE} pixels"):
         viewed.picture(make_camera(LARGEST_SIDE + 1, 1))
+    with pytest.raises(InputError, match="5,595,136 pixels is too large for 8 texts"):
+        viewed.picture(make_camera(LARGEST_SIDE, 1366), "heat", WORDS[:8], [BLUE] * 8)
 
 
 def test_what_is_at_a_pixel_is_what_a_render_of_codes_says(viewed: ViewedField, camera: Camera) -> None:

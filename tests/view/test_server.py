@@ -6,6 +6,7 @@ import io
 import json
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -15,8 +16,9 @@ from PIL import Image
 
 pytest.importorskip("starlette", reason="needs scoup[view]")
 from starlette.testclient import TestClient
-from view_samples import PAGE, WORDS, camera_record, table, unpacked, viewed_field
+from view_samples import PAGE, WORDS, camera_record, field_with_things, table, unpacked, viewed_field
 
+from scoup.io import read_ply_table
 from scoup.view.guard import MOST_BYTES, Guard, is_loopback
 from scoup.view.server import application
 from scoup.view.viewed_field import ViewedField
@@ -161,6 +163,14 @@ def test_pictures_points_and_selections(client: TestClient, viewed: ViewedField)
     assert Image.open(io.BytesIO(thumbnail.content)).size == (160, 120)
 
 
+def test_names_in_any_script_are_saved_with_their_things(tmp_path: Path) -> None:
+    client, path = client_of(ViewedField(field_with_things(), table())), tmp_path / "a.ply"
+    names = {1: "tasse à café", 3: "杯子"}
+    things = [{"number": number, "name": name} for number, name in names.items()]
+    path.write_bytes(client.post("/api/select", json={"things": things}).content)
+    assert read_ply_table(path).comments[-2:] == tuple(f"thing {n}: {name}" for n, name in names.items())
+
+
 ANY_CAMERA = {
     "camera": {
         "viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
@@ -179,6 +189,8 @@ ANY_CAMERA = {
         ("query", {"texts": "kettle"}, "1 to 8 texts"),
         ("query", {"texts": [7]}, "1 to 200 characters"),
         ("query", {"texts": ["x" * 201]}, "1 to 200 characters"),
+        ("query", {"texts": ["thing 1 or \ud800"]}, "valid Unicode"),
+        ("select", {"things": [{"number": 1, "name": "\ud800"}]}, "valid Unicode"),
         ("query", {"texts": ["thing 99"]}, "no text embedding named 'thing 99'"),
         ("query", {"texts": ["thing 1"], "always": 1}, "must be true or false"),
         ("render", {}, "the camera is missing"),
@@ -197,7 +209,7 @@ ANY_CAMERA = {
     ],
 )
 def test_wrong_messages_get_one_sentence(client: TestClient, path: str, message: Any, said: str) -> None:
-    answer = client.post(f"/api/{path}", json=message)
+    answer = client.post(f"/api/{path}", content=json.dumps(message))
     assert answer.status_code == 400
     assert said in answer.json()["error"]
 

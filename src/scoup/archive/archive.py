@@ -5,13 +5,15 @@ from __future__ import annotations
 import heapq
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import torch
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from scoup.archive.kept_scans import KeptScans, file_of, scan_names
+from scoup.archive.kept_scans import KeptScans, Place, file_of, scan_names
 from scoup.archive.scan_files import (
     PLACE,
     OwnColumns,
@@ -29,7 +31,7 @@ from scoup.archive.scan_files import (
     connect,
     write_scan,
 )
-from scoup.archive.search import Asked, Encode, ImageSearch, Search, words_digest
+from scoup.archive.search import Asked, Encode, ImageSearch, Search, UnaskedScanError, words_digest
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.atomic import write_text
 from scoup.base.errors import (
@@ -38,6 +40,7 @@ from scoup.base.errors import (
     MissingFileError,
     OutputExistsError,
     ScoupError,
+    ScoupWarning,
     check_format_version,
     looked_up,
 )
@@ -57,6 +60,8 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
+Chosen: TypeAlias = "Mapping[str, tuple[Place, set[int] | None]]"
+"""Name of a scan -> the scan, and the numbers of its things that are chosen; None if all are."""
 ENCODED = 16  # lists of names whose vectors are in memory
 
 
@@ -173,13 +178,14 @@ class Archive:
 
         Args:
             field: a saved field with things, or its file.
-            columns: of the scan, for conditions, such as ``floor=2``.
+            columns: of the scan, for conditions, such as ``floor=2``. A replaced scan keeps those not given.
 
         Raises:
-            InputError: the field has no things or is not saved, its embedding model is not that of the archive, or
-                a scan of this name is of another field.
+            InputError: the field has no things or is not saved, its embedding model is not that of the archive, a
+                scan of this name is of another field, or a column cannot be kept.
             MissingFileError, FileFormatError, WriteError: the field cannot be read, or the scan not be written.
         """
+        check_columns(columns)
         field = field if isinstance(field, LanguageField) else LanguageField.load(field)
         if field.path is None or field.thing_table is None:
             lack = "has no things; build it again" if field.path else "is not saved; save it first"
@@ -193,11 +199,13 @@ class Archive:
         about = self._check_model(field)
         if file.exists():
             with suppress(FileFormatError):  # a damaged scan is replaced
-                if (old := self._kept.records([name])[0].field_path) != path and old.exists():
-                    problem = f"the scan {name} of this archive is of {old}"
+                (old,) = self._kept.records([name])
+                if old.field_path != path and old.field_path.exists():
+                    problem = f"the scan {name} of this archive is of {old.field_path}"
                     raise InputError(f"{path}: {problem}; rename one of the fields")
+                columns = {**old.columns, **columns}
         place = relative_place(file.resolve(), path) or ""
-        sizes = field.dim, field.levels, check_columns(columns), len(field.thing_table)
+        sizes = field.dim, field.levels, columns, len(field.thing_table)
         record = ScanRecord(name, file, place, field.embedding_model, *sizes, "", torch.zeros(0))
         scan = self._scan_of(field, record)
         if not self._about():
@@ -237,7 +245,7 @@ class Archive:
             present_from: as of ``LanguageField.question``.
 
         Raises:
-            InputError: the question or condition cannot be used.
+            InputError: the question or condition cannot be used, or nothing is found and a field cannot be asked.
             FileFormatError: a file is damaged; the error names it.
         """
         for name, number in (("top", top), ("at_least", at_least)):
@@ -245,10 +253,10 @@ class Archive:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")
         encoder = self.text_encoder()
         search = Search.of(question, encoder, self._encode(encoder), at_least is not None, present_from)
-        wanted = self._wanted(where)
+        chosen = self._chosen(where)
         if at_least is None:
-            return self._best(search, wanted, top)
-        counted = [[*_found(asked, wanted)] for _, asked in self._ranked(search, wanted)]
+            return self._best(search, chosen, top)
+        counted = self._answers(search, chosen)
         enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
         return [found for each in enough[:top] for _, found in each]
 
@@ -276,7 +284,7 @@ class Archive:
             name = Path(image).name
             with open_image(Path(image)) as opened:
                 pixels = _pixels(opened)
-        return self._best(ImageSearch(name, self._embedded(pixels)), self._wanted(where), top)
+        return self._best(ImageSearch(name, self._embedded(pixels)), self._chosen(where), top)
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
         """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
@@ -287,7 +295,7 @@ class Archive:
         """
         about, source = self._about(), self._encoder
         if source is None and about:
-            source = place_of(self.folder.resolve() / ABOUT, about["words"]) or about["embedding_model"]
+            source = place_of(self.folder / ABOUT, about["words"]) or about["embedding_model"]
             if isinstance(source, Path) and not source.is_file():
                 problem = f"is missing, and the archive {self.folder} names it as its word table"
                 raise MissingFileError(source, problem, "pass its new path as `encoder`")
@@ -384,33 +392,50 @@ class Archive:
         whole = Masks.from_dense(np.ones((1, *pixels.shape[:2]), np.bool_))
         return embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
 
-    def _best(
-        self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None, top: int
-    ) -> list[FoundThing]:
-        best: list[tuple[float, FoundThing]] = []
-        for bound, asked in self._ranked(search, wanted):
-            if len(best) >= top and best[-1][0] >= bound:
-                break  # all that follow are lower
-            best = heapq.nlargest(top, [*best, *_found(asked, wanted)], key=lambda each: each[0])
-        return [found for _, found in best]
+    def _best(self, search: Search | ImageSearch, chosen: Chosen, top: int) -> list[FoundThing]:
+        answers = chain.from_iterable(self._answers(search, chosen, top))
+        return [found for _, found in heapq.nlargest(top, answers, key=lambda each: each[0])]
 
-    def _ranked(
-        self, search: Search | ImageSearch, wanted: dict[str, set[int]] | None
-    ) -> Iterator[tuple[float, Asked]]:
+    def _answers(
+        self, search: Search | ImageSearch, chosen: Chosen, top: int | None = None
+    ) -> list[list[tuple[float, FoundThing]]]:
+        """Return the ranks and things that answer in each scan, those that are the ``top`` best at least.
+
+        Scans whose fields cannot be asked are left out with a warning; an error if nothing is found in the others.
+        """
+        answers: list[list[tuple[float, FoundThing]]] = []
+        ranks: list[float] = []  # the best
+        unasked: list[UnaskedScanError] = []
+        for bound, asked in self._ranked(search, chosen):
+            if len(ranks) == top and ranks[-1] >= bound:
+                break  # all that follow are lower
+            try:
+                answers.append([*_found(asked, chosen)])
+            except UnaskedScanError as error:
+                unasked.append(error)
+            else:
+                ranks = heapq.nlargest(top or 0, [*ranks, *(rank for rank, _ in answers[-1])])
+        fatal = unasked.pop() if unasked and not any(answers) else None
+        for error in unasked:
+            warnings.warn(str(error), ScoupWarning, stacklevel=4)
+        if fatal is not None:
+            raise fatal
+        return answers
+
+    def _ranked(self, search: Search | ImageSearch, chosen: Chosen) -> Iterator[tuple[float, Asked]]:
         """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
-        places = self._kept.places()
-        bounds = {block: search.bounds(block) for block in {block for block, _ in places.values()}}
-        ranked = [
-            (bound, place)
-            for name, place in places.items()
-            if (wanted is None or name in wanted) and (bound := bounds[place[0]][place[1]]) is not None
-        ]
-        for bound, place in sorted(ranked, key=lambda each: each[0], reverse=True):
+        places = [place for place, _ in chosen.values()]
+        bounds = {block: search.bounds(block) for block in {block for block, _ in places}}
+        ranked = [(bounds[block][number], (block, number)) for block, number in places]
+        able = [(bound, place) for bound, place in ranked if bound is not None]
+        for bound, place in sorted(able, key=lambda each: each[0], reverse=True):
             yield bound, search.ask(self._kept.scan(*place))
 
-    def _wanted(self, where: str | None) -> dict[str, set[int]] | None:
-        """Return the things of each scan for which a condition holds; None without a condition."""
-        return None if where is None else self._kept.read_now(partial(self._matching, where))
+    def _chosen(self, where: str | None) -> Chosen:
+        """Return the scans with things for which a condition holds, and these things; without one, all scans."""
+        if where is None:
+            return {name: (place, None) for name, place in self._kept.places().items()}
+        return self._kept.places_where(partial(self._matching, where))
 
     def _matching(self, where: str, names: Iterable[str]) -> dict[str, set[int]]:
         import duckdb
@@ -449,12 +474,13 @@ class Archive:
         return Scan(record, table, known.counts, known.shared, known.hubs, places)
 
 
-def _found(asked: Asked, wanted: dict[str, set[int]] | None) -> Iterator[tuple[float, FoundThing]]:
-    """Yield the things of a scan that answer and are wanted, best first."""
+def _found(asked: Asked, chosen: Chosen) -> Iterator[tuple[float, FoundThing]]:
+    """Yield the things of a scan that answer and are chosen, best first."""
     scan, record = asked.scan, asked.scan.record
+    _, wanted = chosen[record.name]
     for number, text in asked.things():
         place = scan.places[number]
-        if (wanted is not None and number not in wanted[record.name]) or bool(place.isnan().any()):
+        if (wanted is not None and number not in wanted) or bool(place.isnan().any()):
             continue
         position, centre, axes, extent = place.split([*PLACE.values()])
         box = OrientedBox(centre, axes.reshape(3, 3), extent)

@@ -76,6 +76,26 @@ class KeptScans:
         with self._lock:
             return self.read_now(self._updated)
 
+    def places_where(
+        self, matching: Callable[[Iterable[str]], dict[str, set[int]]]
+    ) -> dict[str, tuple[Place, set[int]]]:
+        """Return the scans with things for which a condition holds, and these things, both of the same files.
+
+        Args:
+            matching: returns the things of files, by scan; scans without any are left out.
+        """
+        chosen: dict[str, tuple[Place, set[int]]] = {}
+        changed: set[str] | None = None
+        while changed is None or changed:
+            with self._lock:
+                places, stamps = self.read_now(self._updated), self._stamps
+            names = {*places} if changed is None else changed & {*places}
+            found = self.read_now(lambda now, names=names: matching(sorted(names & {*now})))
+            now = self._listed()
+            changed = {name for name in found if now.get(name) != stamps[name]}
+            chosen |= {name: (places[name], found[name]) for name in {*found} - changed}
+        return dict(sorted(chosen.items()))
+
     def read_now(self, read: Callable[[dict[str, Stamp]], Found]) -> Found:
         """Return ``read(stamps)`` of the scans as they are now; again if it failed and they have changed.
 

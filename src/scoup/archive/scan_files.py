@@ -77,7 +77,7 @@ class ScanRecord:
     @cached_property
     def field_path(self) -> Path:
         """File of the field."""
-        return place_of(self.file.resolve(), self.field_file) or self.file
+        return place_of(self.file, self.field_file) or self.file
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +213,10 @@ def check_columns(columns: Any) -> OwnColumns:
             )
         if type(value) not in _OWN_TYPES:
             raise InputError(f"column {name}: expected a text or a number, got {type(value).__name__}")
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise InputError(f"column {name}: expected an integer of at most 64 bits")
+        if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
+            raise InputError(f"column {name}: expected a text of valid Unicode, got {value!r}")
     return columns
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from scoup.archive.read_scans import ScanBlock
 from scoup.archive.scan_files import Scan, ScanRecord
-from scoup.base.errors import InputError, MissingFileError, ScoupWarning
+from scoup.base.errors import InputError, MissingFileError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.query import matching
@@ -128,6 +127,10 @@ class Search:
         return torch.tensor(joined, dtype=torch.float64)
 
 
+class UnaskedScanError(InputError):
+    """A scan whose field cannot be asked."""
+
+
 @dataclass(frozen=True, eq=False)
 class AskedScan:
     """A scan, and how its things fit the texts of a search."""
@@ -171,7 +174,11 @@ class AskedScan:
         return self.known.leads(self.fits)
 
     def things(self) -> list[tuple[int, str]]:
-        """Return the numbers of the things that answer, each once and with the text it answers, best first."""
+        """Return the numbers of the things that answer, each once and with the text it answers, best first.
+
+        Raises:
+            UnaskedScanError: the field is needed, and is gone or has changed.
+        """
         expression = self.search.expression
         chosen = dict(zip(self.search.question.texts, self._chosen(), strict=True))
         targets = [
@@ -201,21 +208,20 @@ class AskedScan:
 
     def _of_field(self) -> list[tuple[int, str]]:
         """The things that answer phrases, for which shapes are compared: the field itself is asked."""
-        record, search, problem = self.scan.record, self.search, "has changed"
+        record, search = self.scan.record, self.search
         try:
             field = LanguageField.load(record.field_path)
-            if field.thing_table is not None and _is_same(field.thing_table, self.scan.table):
-                least = search.question.present_from
-                question = make_question(field, search.expression, search.encoder, least is None, least)
-                found = things(field, question)
-                return [(thing.number, thing.text) for thing in found if thing.number is not None]
+            if field.thing_table is None or not _is_same(field.thing_table, self.scan.table):
+                problem = f"the field of scan {record.name} has changed: {record.field_path}"
+                raise UnaskedScanError(f"{problem}; add it again")
+            least = search.question.present_from
+            question = make_question(field, search.expression, search.encoder, least is None, least)
+            found = things(field, question)
         except MissingFileError as error:
-            problem = f"cannot be asked ({error})"
-        message = (
-            f"{record.field_path}: {problem} since it became the scan {record.name}, which answers no phrase"
-        )
-        warnings.warn(f"{message}; add it again", ScoupWarning, stacklevel=2)
-        return []
+            part = "field" if error.path == record.field_path else "splat"
+            problem = f"the {part} of scan {record.name} is gone: {error.path}"
+            raise UnaskedScanError(f"{problem}; put it back or add the field again") from error
+        return [(thing.number, thing.text) for thing in found if thing.number is not None]
 
 
 @dataclass(frozen=True, eq=False)

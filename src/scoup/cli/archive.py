@@ -43,7 +43,7 @@ class SearchArchive(WritesCommon):
     question: tyro.conf.Positional[OptionalText] = None
     """What to find: a text, or a phrase such as "mug left of the laptop"."""
     add: Annotated[tuple[Path, ...], arg(metavar="FIELD [FIELD ...]")] = ()
-    """Add .scoup files as scans, each named as its file; a scan that is there is replaced."""
+    """Add .scoup files as scans, each named as its file; a scan that is there is replaced, but keeps its columns."""
     remove: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
     """Remove scans; their fields stay."""
     list_scans: Annotated[bool, arg(name="list")] = False

@@ -23,7 +23,7 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError, MissingFileError, ScoupError
 from scoup.base.html import page, shown
 from scoup.cli.build_options import BuildOptions
-from scoup.cli.console import Console, with_options
+from scoup.cli.console import Console, command, with_options
 from scoup.cli.options import Model, OptionalPath, OptionalText, OptionGroups, arg, check_number
 
 REPORT, PAGE = "batch.json", "batch.html"
@@ -106,7 +106,7 @@ class Batch(BuildOptions):
             )
         if has_cameras(self.scans):
             raise InputError(
-                f"{self.scans}: is a scan, expected a folder of scans; scoup build {self.scans} builds its field"
+                f"{self.scans}: is a scan, expected a folder of scans; {command('build', self.scans)} builds its field"
             )
         folders = sorted(path for path in self.scans.iterdir() if path.is_dir() and path.name[0] != ".")
         if not folders:

@@ -16,7 +16,7 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.parts import Part
 from scoup.cli.build_options import BuildOptions, ViewOptions, check_field_output, report_field
-from scoup.cli.console import Console, kept
+from scoup.cli.console import Console, command, kept
 from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups, arg
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class Build(BuildOptions, ViewOptions):
         seconds = time.perf_counter() - started
         report_field(console, field, out, kept_sums, self.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
-        console.say(f"{whole}ask it: scoup query {out} WORD, or scoup view {out}")
+        console.say(whole + _suggestion(field, out))
         return None
 
     def _extract(self, console: Console) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class Build(BuildOptions, ViewOptions):
         seconds = time.perf_counter() - started
         console.say(
             f"{self.keep_sums}: part {part.number} of {part.count}, {counted(len(chosen), 'view')} of {len(views):,}, "
-            f"in {seconds:.0f} s; with all parts there: scoup build --sums {self.keep_sums}"
+            f"in {seconds:.0f} s; with all parts there: {command('build', self.scene, '--sums', self.keep_sums)}"
         )
         console.result(
             {
@@ -260,6 +260,15 @@ class Build(BuildOptions, ViewOptions):
         console.kept = lambda: kept(f"{len(sums)} of {views} views") if len(sums) else before
         if len(sums):
             console.say(f"{sums.path}: contains {counted(len(sums), 'view')} already")
+
+
+def _suggestion(field: LanguageField, out: Path) -> str:
+    """What to do with a field: texts are asked only where it names what encodes them."""
+    from scoup.models.text import COLORS
+
+    if field.info.words is None and field.embedding_model in ("", COLORS):
+        return f"look at it: {command('view', out)}, or {command('render', out, '--what', 'codes')}"
+    return f"ask it: {command('query', out, 'WORD')}, or {command('view', out)}"
 
 
 def _usual_model(regions: Regions) -> str:

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -149,6 +150,11 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
 def kept(views: str) -> str:
     """Return in words that an interruption leaves these views."""
     return f"{views} are kept, run the same command again to continue"
+
+
+def command(*words: object) -> str:
+    """Return a command of scoup as a shell takes it, to be suggested in a message."""
+    return shlex.join(["scoup", *map(str, words)])
 
 
 def with_options(message: str) -> str:

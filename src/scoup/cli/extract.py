@@ -15,7 +15,7 @@ from scoup.base.atomic import reserved_part
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.base.parts import Part
-from scoup.cli.console import Console, kept
+from scoup.cli.console import Console, command, kept
 from scoup.cli.options import (
     CLIP_MODEL,
     OptionalInteger,
@@ -110,9 +110,8 @@ class Extract(WritesCommon):
         if self.scene is None:
             raise InputError("pass the folder of the scene, or --list")
         if is_splat(self.scene):
-            raise InputError(
-                f"{self.scene}: is a splat, expected photographs; scoup build {self.scene} makes views of it first"
-            )
+            remedy = f"{command('build', self.scene)} makes views of it first"
+            raise InputError(f"{self.scene}: is a splat, expected photographs; {remedy}")
         check_number("--max-height", self.max_height, 0)
         words = self._words()  # a mistake shows before the long work
         if self.views != "all":

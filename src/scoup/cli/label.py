@@ -102,10 +102,9 @@ def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
     """Report the Gaussians of each word, and the files."""
-    from scoup.query.label_files import label_record
     from scoup.query.place import numbered_things
 
-    record, of_name = label_record(labels), {answer.text: answer for answer in answers}
+    record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
     for one in record["classes"]:
         answer = of_name[one["name"]]
         things = f", {numbered_things(one['things'])}" if one["things"] else ""

@@ -11,7 +11,7 @@ import tyro
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.base.staging import check_outputs
-from scoup.cli.console import Console, kept
+from scoup.cli.console import Console, command, kept
 from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, OptionGroups, WritesCommon, arg
 
 
@@ -53,7 +53,8 @@ class MakeViews(WritesCommon):
         record = self.make(console)
         out = record["scene"]
         console.say(
-            f"look at {out / SHEET}; then: scoup extract {out}, scoup build {out} --gaussians {self.splat}"
+            f"look at {out / SHEET}; then: {command('extract', out)}, "
+            f"{command('build', out, '--gaussians', self.splat)}"
         )
         console.result(record)
 
@@ -104,7 +105,8 @@ def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> 
     from scoup.extract.own_views import TRANSFORMS
 
     if (folder / TRANSFORMS).exists():
-        console.say(f"{folder}: uses the existing views; to replace them: scoup views --overwrite")
+        again = command("views", splat, "--out", folder, "--overwrite")
+        console.say(f"{folder}: uses the existing views; to replace them: {again}")
     else:
         MakeViews(splat=splat, out=folder, overwrite=overwrite).make(console)
     console.kept = lambda: kept("the views")

@@ -9,7 +9,7 @@ from typing import ClassVar
 from scoup.base.atomic import check_output
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
-from scoup.cli.console import Console
+from scoup.cli.console import Console, command
 from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionGroups, WritesCommon
 
 
@@ -46,8 +46,9 @@ class MakeWords(WritesCommon):
         with TextEncoder.open(self.model, device=self.device) as encoder:
             save_table(self.out, words, encoder.encode(words), self.overwrite, encoder.name)
         console.say(
-            f"{self.out}: {counted(len(words), 'word')} of {encoder.dim} dimensions; with it: scoup build SCENE "
-            f"--model {self.out}, or scoup query FIELD WORD --text {self.out}"
+            f"{self.out}: {counted(len(words), 'word')} of {encoder.dim} dimensions; with it: "
+            f"{command('build', 'SCENE', '--model', self.out)}, or "
+            f"{command('query', 'FIELD', 'WORD', '--text', self.out)}"
         )
         console.result(
             {"out": self.out, "names": len(words), "dim": encoder.dim, "embedding_model": encoder.name}

@@ -67,6 +67,10 @@ def find_photographs(scene: str | Path, images: str | Path | None = None) -> lis
         scene: a folder with cameras as ``load_cameras`` reads them (their photographs are taken), or a folder
             with ``images``, ``images_2`` and so on, or of photographs.
         images: the folder of the photographs, where it is another.
+
+    Raises:
+        MissingFileError: there is no scene, or no photograph.
+        FileFormatError: a file of cameras is damaged, or photographs have another shape than their cameras.
     """
     scene = Path(scene)
     if not scene.exists():

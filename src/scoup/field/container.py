@@ -76,15 +76,18 @@ def relative_place(path: Path, target: Path | None) -> str | None:
     """Return the path of a file that another one names, relative to the folder of that one; None for None."""
     if target is None:
         return None
+    folder = os.path.realpath(path.parent)  # where ``place_of`` begins
+    if folder != os.path.abspath(path.parent):  # a link: a path beside it may not be one beside the folder
+        target = target.parent.resolve() / target.name
     try:
-        return Path(os.path.relpath(target.absolute(), path.absolute().parent)).as_posix()
+        return Path(os.path.relpath(target.absolute(), folder)).as_posix()
     except ValueError:  # another drive on Windows
         return target.absolute().as_posix()
 
 
 def place_of(path: Path, relative: Any) -> Path | None:
-    """Return where a file is that another one names relative to its own folder; None for None."""
-    return None if relative is None else Path(os.path.normpath(path.absolute().parent / str(relative)))
+    """Return where a file is that another one names relative to its own folder, links followed; None for None."""
+    return None if relative is None else Path(os.path.normpath(path.resolve().parent / str(relative)))
 
 
 @contextmanager

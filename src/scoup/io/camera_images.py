@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
@@ -18,6 +20,7 @@ MissingImages = Literal["skip", "keep"]
 
 FACTORS = (1, 2, 4, 8)
 ASPECT_TOLERANCE = 0.01
+_MOST_NAMED = 20  # images in an error
 _ROUNDING = 1.5  # pixels that rounding a scaled size can cost
 
 
@@ -38,6 +41,7 @@ def attach_images(
     others: list[Camera] = []
     missing: list[str] = []
     unreadable: list[str] = []
+    misfits: dict[Path, str] = {}
     for camera in cameras:
         path, scale = _find(camera, folder, factor, images is None)
         size = None
@@ -51,8 +55,11 @@ def attach_images(
         if path is None or size is None:
             camera = replace(camera, image_path=None)
             others.append(_resized(source, camera, camera.width / wanted, camera.height / wanted))
+        elif misfit := _misfit(camera, size):
+            misfits[path] = misfit
         else:
             attached.append(_resized_to_image(source, camera, path, size, scale / (downscale or scale)))
+    _refuse(misfits)
     if not attached and not unreadable and images is not None:
         named = listed([camera.name for camera in others])
         raise MissingFileError(
@@ -80,12 +87,22 @@ def attach_images(
 def image_files(
     cameras: Cameras, roots: tuple[Path, ...], images: str | Path | None
 ) -> tuple[list[tuple[str, Path, Path | None]], str]:
-    """Return the names of cameras that have image files, with these files and their masks, which are not opened; and
-    which files of others were looked for, "" if there are none."""
+    """Return the names of cameras that have image files, with these files, of which only the headers are read, and
+    their masks; and which files of others were looked for, "" if there are none."""
     folder, factor = _choose_folder(roots, images, None)
-    images_of = [(camera, _find(camera, folder, factor, images is None)[0]) for camera in cameras]
-    missing = [camera.name for camera, path in images_of if path is None]
-    found = [(camera.name, path, camera.mask_path) for camera, path in images_of if path is not None]
+    missing: list[str] = []
+    found: list[tuple[str, Path, Path | None]] = []
+    misfits: dict[Path, str] = {}
+    for camera in cameras:
+        path = _find(camera, folder, factor, images is None)[0]
+        if path is None:
+            missing.append(camera.name)
+            continue
+        found.append((camera.name, path, camera.mask_path))
+        with suppress(FileFormatError):  # reported by whoever decodes it
+            if misfit := _misfit(camera, image_size(path)):
+                misfits[path] = misfit
+    _refuse(misfits)
     return found, _searched(folder, missing) if missing else ""
 
 
@@ -125,29 +142,41 @@ def _find(camera: Camera, folder: ImageFolder | None, factor: int, usual: bool) 
     return (path, factor) if path is not None else (hint, 1)
 
 
+def _misfit(camera: Camera, size: tuple[int, int]) -> str:
+    """Return why an image of this size is not of a camera; "" where it can be."""
+    width, height = size
+    if size == (1, 1) and max(camera.width, camera.height) > max(FACTORS):
+        what = f"is a single pixel, but its camera has {camera.width} x {camera.height}"
+        return f"{what}: a placeholder, not the photograph"
+    expected = camera.height * width / camera.width
+    if abs(height - expected) > max(ASPECT_TOLERANCE * expected, _ROUNDING * max(1.0, width / camera.width)):
+        what = f"is {width} x {height} pixels"
+        return f"{what}, another shape than its camera ({camera.width} x {camera.height})"
+    return ""
+
+
+def _refuse(misfits: Mapping[Path, str]) -> None:
+    """Refuse images that are not those of their cameras, all at once."""
+    if not misfits:
+        return
+    (first, problem), *others = misfits.items()
+    named = [problem, *(f"{path} {other}" for path, other in others[: _MOST_NAMED - 1])]
+    if len(misfits) > _MOST_NAMED:
+        named.append(f"and {counted(len(misfits) - _MOST_NAMED, 'more image')} like these")
+    remedy = (
+        "use the images these cameras were made with, neither cropped nor rotated, name their folder with `images`, "
+        "or remove the folder to use the cameras alone"
+    )
+    raise FileFormatError(first, "; ".join(named), remedy)
+
+
 def _resized_to_image(
     source: Path, camera: Camera, path: Path, size: tuple[int, int], enlarge: float
 ) -> Camera:
-    width, height = size
-    if size == (1, 1) and max(camera.width, camera.height) > max(FACTORS):
-        raise FileFormatError(
-            path,
-            f"is a single pixel, but its camera has {camera.width} x {camera.height}: "
-            "a placeholder, not the photograph",
-            "replace it by the photographs, name their folder with `images`, or remove the folder to use the "
-            "cameras alone",
-        )
-    expected = camera.height * width / camera.width
-    if abs(height - expected) > max(ASPECT_TOLERANCE * expected, _ROUNDING * max(1.0, width / camera.width)):
-        raise FileFormatError(
-            path,
-            f"is {width} x {height} pixels, another shape than its camera ({camera.width} x {camera.height})",
-            "use the images these cameras were made with, neither cropped nor rotated",
-        )
     if not PurePosixPath(camera.name).suffix:
         camera = replace(camera, name=camera.name + path.suffix)
     camera = replace(camera, image_path=path)
-    return _resized(source, camera, width * enlarge, height * enlarge)
+    return _resized(source, camera, size[0] * enlarge, size[1] * enlarge)
 
 
 def _resized(source: Path, camera: Camera, width: float, height: float) -> Camera:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from scoup.base.errors import FileFormatError, MissingFileError
@@ -38,7 +39,9 @@ def find_features(scene: Path, features: Path | None = None) -> Path:
     if not folder.is_dir():
         problem = "there is no such folder (the region features were expected here)"
         raise MissingFileError(
-            folder, problem, f"make them with scoup extract {scene}, or name their folder with `features`"
+            folder,
+            problem,
+            f"make them with scoup extract {shlex.quote(str(scene))}, or name their folder with `features`",
         )
     return folder
 

@@ -202,7 +202,8 @@ def camera_photographs(
     path: str | Path, images: str | Path | None = None
 ) -> tuple[list[tuple[str, Path, Path | None]], str]:
     """Return names of a scene's cameras, their photographs where there are any, and the masks of these; and what was
-    looked for where there are none. No image is opened. Arguments as of ``load_cameras``."""
+    looked for where there are none. Images of another shape than their cameras are refused, by their headers alone.
+    Arguments as of ``load_cameras``."""
     source = find_cameras(path)
     return image_files(_read(source, "undistort"), source.roots, images)
 

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup import raster
 from scoup.base.counts import listed
 from scoup.base.errors import InputError
 from scoup.base.html import PREVIEW, card
@@ -82,7 +83,7 @@ def placed_atoms(atoms: Tensor) -> Tensor:
 class _CodeColors:
     """How the codes of one level become colours: the same in every view, for they come from the Gaussians."""
 
-    placed: Tensor  # [L, axes], places of the atoms
+    gaussians: Tensor  # [N, axes], the places of their atoms, weighted
     basis: tuple[NDArray[np.float64], NDArray[np.float64]]
     leading: dict[str, tuple[int, int, int]]  # atoms that lead the codes of most Gaussians, and their colours
 
@@ -97,7 +98,8 @@ def code_drawing(field: LanguageField, level: str | int, plain: bool = False) ->
     name = field.levels[row]
 
     def draw(view: FieldView) -> Picture:
-        picture = code_picture(view.render_codes()[row].cpu() @ colors.placed, colors.basis)
+        image = raster.render_values(view.projection, colors.gaussians.to(field.codebook.device))
+        picture = code_picture(image, colors.basis)
         if plain:
             return picture
         titled = captioned(picture, f"codes, level {LEVEL_NAMES.get(name, name)}", view.camera.name)
@@ -122,7 +124,7 @@ def _code_colors(field: LanguageField, row: int) -> _CodeColors:
         if counts[atom]:
             red, green, blue = colors[atoms == atom].mean(0).round().astype(int).tolist()
             leading[str(atom)] = red, green, blue
-    return _CodeColors(placed, basis, leading)
+    return _CodeColors(gaussians, basis, leading)
 
 
 def moving_cameras(

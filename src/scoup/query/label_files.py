@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -79,7 +79,7 @@ def save_labels(
     if "sidecar" in outputs:
         with atomic_file(folder / SIDECAR[0]) as stream:
             np.lib.format.write_array(stream, labels.ids.numpy().astype(np.int32), allow_pickle=False)
-        write_text(folder / SIDECAR[1], json.dumps(label_record(labels), indent=1) + "\n")
+        write_text(folder / SIDECAR[1], json.dumps(labels.to_dict(), indent=1) + "\n")
     if "ids" in outputs:
         rows = SplatTable.of(field, geometry)
         for name, numbers in ((PROPERTY, labels.ids), (INSTANCE, labels.instances)):
@@ -156,26 +156,6 @@ def usd_things(field: LanguageField, labels: GaussianLabels) -> list[UsdThing]:
         )
         if box is not None
     ]
-
-
-def label_record(labels: GaussianLabels) -> dict[str, Any]:
-    """Return the meaning of the numbers in a file of labels, as plain JSON values."""
-    counts, colors = labels.counts(), label_colors(len(labels.names)).tolist()
-    classes = [
-        {
-            "id": number,
-            "name": name,
-            "color": colors[number],
-            "gaussians": counts[name],
-            "level": labels.levels[number],
-            "things": list(labels.things[number]),
-            "present": labels.presence[number],
-            "score": None if labels.scores[number] is None else round(labels.scores[number] or 0.0, 4),
-        }
-        for number, name in enumerate(labels.names)
-    ]
-    none = {"id": NONE, "name": NONE_NAME, "gaussians": counts[NONE_NAME]}
-    return {"gaussians": len(labels.ids), "classes": classes, "none": none}
 
 
 def labelled_colors(gaussians: Gaussians, labels: GaussianLabels) -> Gaussians:

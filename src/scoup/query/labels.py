@@ -81,6 +81,25 @@ class GaussianLabels:
         counts = torch.bincount(self.ids.long() + 1, minlength=len(self.names) + 1).tolist()
         return {**dict(zip(self.names, counts[1:], strict=True)), NONE_NAME: counts[0]}
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the meaning of the numbers as plain JSON values, as in ``labels.json`` (docs/editing.md)."""
+        counts, colors = self.counts(), label_colors(len(self.names)).tolist()
+        classes = [
+            {
+                "id": number,
+                "name": name,
+                "color": colors[number],
+                "gaussians": counts[name],
+                "level": self.levels[number],
+                "things": list(self.things[number]),
+                "present": self.presence[number],
+                "score": None if self.scores[number] is None else round(self.scores[number] or 0.0, 4),
+            }
+            for number, name in enumerate(self.names)
+        ]
+        none = {"id": NONE, "name": NONE_NAME, "gaussians": counts[NONE_NAME]}
+        return {"gaussians": len(self.ids), "classes": classes, "none": none}
+
 
 def label(field: LanguageField, question: Question[Any] | str | Several) -> GaussianLabels:
     """Return the word that fits each Gaussian best, or "none"; ``field.label`` documents it.

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import relevancy
@@ -26,6 +27,8 @@ from scoup.scene.codes import signed
 Colors: TypeAlias = Sequence[tuple[float, float, float]]
 PictureMode = Literal["color", "heat", "mask", "codes"]
 LARGEST_SIDE = 4096
+MOST_FOR_TEXTS = 1 << 26
+"""Most pixels * (texts + 4) of heat and masks. Each takes about 60 bytes, 4 GB in all."""
 _WORDS_SHOWN = 5
 
 
@@ -40,7 +43,7 @@ def draw_picture(
     """Return [H, W, 3] uint8 of the camera's size, without lettering.
 
     Args:
-        view: sides of at most ``LARGEST_SIDE`` pixels.
+        view: sides of at most ``LARGEST_SIDE`` pixels, and fewer pixels with texts (``MOST_FOR_TEXTS``).
         mode: heat: relevancy over the splat, of several texts a colour each; mask: a colour each; codes: like meaning,
             like colour.
         answers: for heat and mask.
@@ -61,6 +64,12 @@ def draw_picture(
         raise InputError(f"expected {len(answers)} colors, got {len(colors)}")
     if mode == "codes":
         return code_drawing(view.field, len(view.field.levels) // 2 if level is None else level, True)(view)
+    n_pixels = view.camera.width * view.camera.height
+    if mode != "color" and n_pixels * (len(answers) + 4) > MOST_FOR_TEXTS:
+        texts = counted(len(answers), "text")
+        raise InputError(
+            f"a picture of {n_pixels:,} pixels is too large for {texts}; use fewer texts or pixels"
+        )
     rgb = view.renders.colors().cpu()
     if mode == "color":
         return as_picture(rgb)

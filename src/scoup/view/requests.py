@@ -108,6 +108,8 @@ def _number(value: Any, name: str, least: float, most: float) -> float:
 def _checked_text(text: Any) -> str:
     if not isinstance(text, str) or not text.strip() or len(text) > LONGEST_TEXT:
         raise InputError(f"a text must have 1 to {LONGEST_TEXT} characters")
+    if any("\ud800" <= letter <= "\udfff" for letter in text):  # JSON can escape half a character
+        raise InputError("a text must be valid Unicode, without lone surrogates")
     return " ".join(text.split())
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from scoup.base.counts import counted
 from scoup.base.staging import staged
-from scoup.cli.console import Console
+from scoup.cli.console import Console, command
 from scoup.cli.options import OptionGroups, WritesCommon
 
 if TYPE_CHECKING:
@@ -72,8 +72,8 @@ class Demo(WritesCommon):
         console.say(f"\npictures: {self.out / SHEET}\nscores:   {self.out / SCORES}")
         console.say(f"field:    {self.out / FIELD}\npage:     {page}")
         thing = result.scene.layout.favourites[0]
-        console.say(f'query it: scoup query {self.out / FIELD} "{thing}" --camera all')
-        console.say(f"look at it, and type a word: scoup view {self.out / FIELD}")
+        console.say(f"query it: {command('query', self.out / FIELD, thing, '--camera', 'all')}")
+        console.say(f"look at it, and type a word: {command('view', self.out / FIELD)}")
         console.result(record)
 
 

@@ -116,10 +116,13 @@ def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingF
     expected = listed([" and ".join(stem + ending for ending in store.endings) for stem in stems])
     there = [stem + store.endings[0] for stem in store.all_stems()]
     actual = f"it has {listed(there)}" if there else f"it has no *{store.endings[0]} files"
+    lack = f"has regions of {none_of(len(cameras), 'camera')}"
+    if len(cameras) == 1:
+        lack = f"has no regions of {cameras[0].name}"
     return MissingFileError(
         store.folder,
-        f"has features of {none_of(len(cameras), 'camera')}: expected {expected}; {actual}",
-        "use the features of these images",
+        f"{lack}: expected {expected}; {actual}",
+        "make them with scoup extract, or use the features of these images",
     )
 
 

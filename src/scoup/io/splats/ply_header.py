@@ -103,7 +103,7 @@ def format_header(dtype: np.dtype, count: int, comments: tuple[str, ...] = ()) -
     lines += [f"comment {comment}" for comment in comments]
     lines.append(f"element vertex {count}")
     lines += [f"property {_NAMES[dtype[name].str[1:]]} {name}" for name in names]
-    return "\n".join([*lines, "end_header", ""]).encode("latin-1")
+    return "\n".join([*lines, "end_header", ""]).encode()
 
 
 def _header_lines(path: Path, head: bytes) -> tuple[list[bytes], int]:
@@ -125,12 +125,12 @@ def _parse(path: Path, lines: list[bytes]) -> tuple[str, list[_Element], tuple[s
     comments: list[str] = []
     for line in lines[1:]:
         # As bytes: text in UTF-8 contains bytes that are line ends and spaces in Latin-1.
-        words = [word.decode("latin-1") for word in line.split()]
+        words = [_text(word) for word in line.split()]
         match words:
             case [] | ["obj_info", *_]:
                 pass
             case ["comment", *_]:
-                comments.append(line.split(b"comment", 1)[1].strip().decode("latin-1"))
+                comments.append(_text(line.split(b"comment", 1)[1].strip()))
             case ["format", kind, _] if kind in _ORDERS:
                 encoding = kind
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
@@ -145,6 +145,14 @@ def _parse(path: Path, lines: list[bytes]) -> tuple[str, list[_Element], tuple[s
     if not encoding:
         raise FileFormatError(path, "does not name its format in the header", _DAMAGED)
     return encoding, elements, tuple(comments)
+
+
+def _text(data: bytes) -> str:
+    """Decode UTF-8, as ``format_header`` writes it, or else Latin-1, as some other programs do."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
 
 
 def _dtype(path: Path, element: _Element, encoding: str) -> np.dtype:

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from scoup.cli.console import Console
+from scoup.cli.console import Console, command
 from scoup.cli.options import OptionGroups, WritesCommon, arg
 
 
@@ -54,5 +54,6 @@ class Synthetic(WritesCommon):
             names = write_data_set(
                 self.data_set, self.root, size=size, seeds=seeds, overwrite=self.overwrite, progress=progress
             )
-        console.say(f"{self.root}: {', '.join(names)}; to score: scoup eval {self.data_set} {self.root}")
+        score = command("eval", self.data_set, self.root)
+        console.say(f"{self.root}: {', '.join(names)}; to score: {score}")
         console.result({"root": self.root, "data_set": self.data_set, "scenes": list(names)})
