@@ -124,8 +124,9 @@ async def _asked(name: str, data: Path) -> Record:
             answer, right = await _answer(call, scene, kind, asked, truth)
             comma = "," * kind.startswith("which")
             rows.append({"question": f"{kind}{comma} {asked}?", "answer": answer, "right": right})
-        cards = (await call("describe_scene", limit=1))["count"]
-    return {"asked": rows, "objects": cards, "true_objects": sum(scene.counts.values()) or None}
+        graph = await call("describe_scene", limit=1)
+        objects = len(graph["things"]) + graph["more"]
+    return {"asked": rows, "objects": objects, "true_objects": sum(scene.counts.values()) or None}
 
 
 async def _answer(call: Call, scene: RealScene, kind: str, asked: str, truth: Any) -> tuple[str, bool]:

@@ -129,6 +129,10 @@ MISTAKES: dict[str, list[tuple[str, str]]] = {
         ("'and mug'", "and mug: a text is missing before 'and'"),
         ("'()'", "(): a text is missing; write texts"),
         *((words, "for example") for words in ("'kettle and'", "'(kettle'", "kettle not mug")),
+        ("'mug not on the kettle'", "mug not on the kettle: 'not' must follow 'and' or 'or'; write texts"),
+        *((words, "an operator is missing beside a bracket; put a text that contains brackets in double quotes")
+          for words in ("'kettle (blue)'", "'(blue) kettle'")),
+        ("'(kettle'", "a bracket is not closed"), ("'kettle)'", "a bracket is closed that was not opened"),
         ("'mug opposite the kettle'", "known relations"),
     ],
     "render f.scoup": [

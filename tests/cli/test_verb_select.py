@@ -171,6 +171,16 @@ def test_selections_are_reshaped(text, options, wanted):
     assert any(line.endswith(f": {count}") for line in out)
 
 
+def test_a_shape_that_leaves_nothing_is_named():
+    field = LanguageField.load("f.scoup")
+    found, shape = int(field.select("kettle").mask.sum()), Reshaping(shrink=1000)
+    assert field.select("kettle", shape).presence
+    assert refused("select", "f.scoup", "kettle", "--shrink", 1000, "--out", "a.ply") == (
+        f"a.ply: nothing to write, 0 of 150 Gaussians answer; {found} do before --shrink 1000, which leaves none; "
+        "shrink less"
+    )
+
+
 def test_recoloured_and_faded_scenes_differ_where_they_should():
     chosen = set(rows_of("kettle"))
     before = read_ply_table("scene/point_cloud.ply").rows

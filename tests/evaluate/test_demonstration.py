@@ -14,6 +14,7 @@ from scoup.view import export, page
 from scoup.view.page import page_files
 from scoup_lab.evaluate.demonstration import rows_by_name, run_demo
 from scoup_lab.evaluate.demonstration_sheet import query_sheet
+from scoup_lab.synthetic import EMBEDDING_MODEL
 from view.view_samples import PAGE
 
 TINY = ("--n-gaussians", 3000, "--width", 96, "--height", 72, "--views", 4)
@@ -48,6 +49,7 @@ def test_the_folder_of_the_demo_can_be_built_and_queried(
     for built in (field, demo[0] / "demo.scoup"):  # both find the table by themselves
         found = run_json("query", built, "teapot", "--out", tmp_path / "q", "--overwrite")
         assert found["answers"][0]["text"] == "teapot"
+        assert run_json("info", built)["embedding_model"] == EMBEDDING_MODEL
 
 
 def test_without_its_page_the_demo_says_how_to_get_it(

@@ -55,6 +55,9 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         field.at("view_09.png").answer("word 1")
     with pytest.raises(InputError, match="has 3"):
         field.at(7).answer("word 1")
+    for scale in (0, -1, float("nan"), float("inf"), "1"):
+        with pytest.raises(InputError, match=f"`scale={scale}`: must be a number above 0"):
+            field.at(0, scale)  # pyright: ignore[reportArgumentType]
     assert field.camera(np.int64(1)) is field.camera(1)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="must be vectors"):
         field.gaussian_relevancy("word 1", ["object"])  # pyright: ignore[reportArgumentType]
@@ -81,6 +84,8 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
         ("word 1", {"encoder": 3}, "encoder is of type int"),
         ("word 1", {"encoder": {"object": "abc"}}, "must contain vectors"),
         ("word 1", {"present_from": float("nan")}, "must be 0 to 1, got nan"),
+        ("word 1", {"present_from": "a"}, "presence must be 0 to 1, got a"),
+        ("word 1", {"threshold": "a"}, "the threshold must be 0 to 1, got a"),
     ],
 )
 def test_what_is_no_query(
@@ -223,6 +228,8 @@ def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor])
         assert place.level == level
         own = field.gaussian_relevancy(texts.queries[:1], texts.canonical)[number, 0]
         assert torch.equal(place.relevancy(), own)
+        asked = field.question(texts.queries, level=np.int64(number), encoder=table)  # pyright: ignore
+        assert asked.level == number
     best = answer_scene(field, texts)[0]
     assert torch.equal(
         best.mask, answer_scene(field, replace(texts, level=field.level_index(best.level)))[0].mask

@@ -78,8 +78,12 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried)
         assert not any(judged.things[n] for n in range(len(judged.names)) if n not in present)
 
 
-@pytest.mark.parametrize("words", [("word 1", "word 1"), ("word 1", "none")])
-def test_words_that_cannot_be_distinguished_are_refused(queried: Queried, words: tuple[str, str]) -> None:
-    texts = replace(queried.texts, texts=words, queries=queried.texts.queries[:2])
-    with pytest.raises(InputError, match="words that differ"):
+def test_words_differ_from_each_other_and_from_none(queried: Queried) -> None:
+    texts = replace(queried.texts, texts=("word 1", "none"), queries=queried.texts.queries[:2])
+    with pytest.raises(InputError, match="words that differ from 'none'"):
         label(queried.field, texts)
+    once = queried.texts.one(1)
+    twice = replace(once, texts=once.texts * 2, queries=once.queries.expand(2, -1))
+    found = label(queried.field, twice)
+    assert found.names == ("word 1",)
+    assert found.ids.equal(label(queried.field, once).ids)

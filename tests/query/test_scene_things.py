@@ -63,6 +63,12 @@ def test_what_is_absent_has_no_things(room) -> None:
     assert not room.select(f"largest {ABSENT}").mask.any()
 
 
+def test_a_few_gaussians_of_a_thing_are_too_small(room) -> None:
+    answer = room[:3].answer("table")
+    assert not answer.presence
+    assert answer.remark() == "not in this scene: what fits has fewer than 10 Gaussians (score 1.00)"
+
+
 def test_what_fits_better_comes_first() -> None:
     field = planted_room([Box("mug", (0, 0, 0), (1, 1, 1)), Box("mug", (3, 0, 0), (1, 1, 1))])
     assert field.thing_table is not None

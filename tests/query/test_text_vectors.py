@@ -10,6 +10,7 @@ import torch
 
 from query.conftest import Queried, random_vectors
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
+from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
@@ -91,7 +92,7 @@ def test_vectors_of_another_size_are_told_from_what_the_field_names(
         ("openai/clip-vit-base-patch16", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", True),
         ("scoup-demo (simulated)", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", True),
         ("", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", False),
-        ("google/siglip-base-patch16-224", "", False),
+        ("google/siglip-base-patch16-224", "", True),
     ],
 )
 def test_vectors_of_another_model_are_warned_of(
@@ -105,3 +106,14 @@ def test_vectors_of_another_model_are_warned_of(
             encode_texts(encoder, other, ["kettle"])
     else:
         encode_texts(encoder, other, ["kettle"])
+
+
+def test_a_question_of_a_field_of_another_model_is_warned_of(field: LanguageField) -> None:
+    one, other = (altered(field, info=replace(field.info, embedding_model=name)) for name in ("one", "other"))
+    one.keep_encoder_of(field)  # a table that names no model
+    question = one.question("word 1")
+    one.answer(question)
+    with pytest.warns(
+        ScoupWarning, match="vectors come from one, the field's embeddings from other; answers"
+    ):
+        other.answer(question)

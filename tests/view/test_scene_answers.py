@@ -112,8 +112,9 @@ def test_ways_to_ask_do_not_contradict_each_other(make: Callable[[], LanguageFie
         found = (labels.scores[0], labels.presence[0], labels.levels[0], labels.things[0])
         assert found == (answer.score, present, answer.level, answer.things)
         reply = tools.find("f", text)
-        assert reply["count"] == len(things)
         said = {name: answer.to_dict()[name] for name in ("score", "certainty", "runner_up")}
+        assert len(reply["things"]) == len(things)
+        assert reply["count"] == answer.to_dict()["count"]
         assert reply["texts"] == [{"text": text, **said}]
         if answer.things:
             numbers = [each["thing"] for each in reply["things"]]

@@ -52,7 +52,7 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
         records = [each.to_dict() for each in found]
         for record in records:
             del record["field"]  # a path of this machine
-        return {"count": len(found), "things": records}
+        return {"things": records}
 
     return find_in_archive
 

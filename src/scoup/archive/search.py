@@ -18,12 +18,13 @@ from scoup.base.errors import InputError, MissingFileError
 from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.query import matching
+from scoup.query.answer_scene import compared_others
 from scoup.query.ask import things
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.matching import ComparedTable, compared_words, hub_cosines
 from scoup.query.named import Named, choose, instances_of, joined_presence, named_texts
 from scoup.query.phrases import texts_of
-from scoup.query.presence import TextScore, is_present, other_words, presence_threshold
+from scoup.query.presence import TextScore, is_present, presence_threshold
 from scoup.query.question import Question, make_question, near_names, text_vectors
 from scoup.scene.names import number_of
 from scoup.scene.things import ThingTable
@@ -54,7 +55,7 @@ class Search:
     encoder: TextEncoder
     words: Tensor  # [B, D]
     digest: str  # of the words
-    others: Tensor  # [Q, B] boolean, the words that count (``other_words``); none with too few words
+    others: Tensor  # [Q, B] boolean, the words that count (``compared_others``); none with too few words
     encode: Encode  # of the encoder, with a cache
 
     @classmethod
@@ -72,9 +73,7 @@ class Search:
         expression = expression.as_count() if counted else expression
         question = Question.from_vectors(vectors.with_everyday(), present_from=least)
         words = compared_words(question)
-        others = other_words(question.queries, words)
-        if not question.can_judge_presence:
-            others = others[:, :0]
+        others = compared_others(question)
         return cls(expression, question, encoder, words, words_digest(words), others, encode)
 
     def ask(self, scan: Scan) -> AskedScan:

@@ -182,14 +182,14 @@ class Convert(WritesCommon):
     def _encoder(self) -> dict[str, Any]:
         """The model and word table that the field is to name."""
         from scoup.models.text import check_model
-        from scoup.models.word_table import is_table, load_table
+        from scoup.models.word_table import is_table
 
         if self.model is None:
-            return {"embedding_model": ""}
+            return {}
         if not is_table(self.model):
             check_model(self.model)
             return {"embedding_model": self.model}
-        return {"embedding_model": load_table(self.model).model, "words": self.model}
+        return {"words": self.model}
 
     def _save(self, console: Console, field: LanguageField, embed_geometry: bool) -> None:
         field.save(self.target, self.overwrite, embed_geometry=embed_geometry)

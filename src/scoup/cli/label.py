@@ -104,8 +104,9 @@ def _report(
     """Report the Gaussians of each word, and the files."""
     from scoup.query.place import numbered_things
 
-    record = labels.to_dict()
-    for one, answer in zip(record["classes"], answers, strict=True):
+    record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
+    for one in record["classes"]:
+        answer = of_name[one["name"]]
         things = f", {numbered_things(one['things'])}" if one["things"] else ""
         seen = f", as seen from {answer.seen_from}" if answer.seen_from else ""
         found = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"

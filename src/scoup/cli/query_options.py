@@ -115,10 +115,9 @@ class CameraOptions(FieldOptions):
         if cameras is None or not len(cameras):
             raise InputError(f"{self.field}: contains no cameras; name a scene that has them with --scene")
         longest = max(max(camera.width, camera.height) for camera in cameras)
-        if not (self.scale > 0 and math.isfinite(self.scale)) or longest * self.scale > LONGEST_SIDE:
-            most = LONGEST_SIDE / longest
+        if longest * self.scale > LONGEST_SIDE:
             raise InputError(
-                f"--scale {self.scale}: must be above 0 and at most {most:.3g} for these cameras"
+                f"--scale {self.scale}: must be at most {LONGEST_SIDE / longest:.3g} for these cameras"
             )
         return cameras.scaled(self.scale) if self.scale != 1 else cameras
 

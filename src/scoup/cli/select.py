@@ -85,8 +85,9 @@ class Select(AnswerOptions, CameraOptions):
         field = self.open_field()
         expression = parse_expression(self.texts, field.text_encoder(self.text).names)
         self._check_out(field)
-        whole = field.select(self.question(field, expression, level=self.level), shape)
-        self._check_found(whole)
+        question = self.question(field, expression, level=self.level)
+        whole = field.select(question, shape)
+        self._check_found(whole, int(field.select(question).mask.sum()))
         written = self._write(field, whole)
         self._report(console, whole, written, field.location(whole))
 
@@ -128,8 +129,8 @@ class Select(AnswerOptions, CameraOptions):
             if source and self.out.exists() and source.exists() and self.out.samefile(source):
                 raise InputError(f"{self.out}: is the {what}; use another name with --out")
 
-    def _check_found(self, answer: Answer) -> None:
-        """Refuse to write nothing, or the scene as it was.
+    def _check_found(self, answer: Answer, before: int) -> None:
+        """Refuse to write nothing, or the scene as it was; ``before`` Gaussians answer without the options of shape.
 
         Raises:
             InputError: nothing answers, or all would be removed.
@@ -142,6 +143,8 @@ class Select(AnswerOptions, CameraOptions):
             advice = f"{answer.text}: {answer.remark()}"
             if not all(part.presence for part in answer.parts):
                 advice += "; --always chooses something anyway"
+        if not found and before:
+            advice = f"{before:,} do before --shrink {self.shrink}, which leaves none; shrink less"
         raise InputError(
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )

@@ -152,10 +152,10 @@ class LanguageField:
 
     def level_index(self, level: str | int) -> int:
         """Return the position of a level, given by name or position."""
-        if isinstance(level, int) and 0 <= level < len(self.levels):
-            return level
+        if not isinstance(level, str) and level in range(len(self.levels)):
+            return int(level)
         if level not in self.levels:
-            named = level if isinstance(level, int) else repr(level)
+            named = repr(level) if isinstance(level, str) else level
             raise InputError(f"there is no level {named}; expected one of {', '.join(self.levels)}")
         return self.levels.index(level)
 
@@ -394,7 +394,7 @@ class LanguageField:
             backend: of the rasteriser; by default the best one.
 
         Raises:
-            InputError, UnknownNameError: there is no such camera.
+            InputError, UnknownNameError: there is no such camera, or the scale is not above 0.
 
         Example:
             >>> view = field.at("view_00.png")
@@ -506,7 +506,8 @@ class LanguageField:
         return select(self, question, reshaping)
 
     def label(self, question: Question | str | Several) -> GaussianLabels:
-        """Return the word that fits each Gaussian best, or "none". Words must differ from each other and from "none".
+        """Return the word that fits each Gaussian best, or "none", which cannot be a word itself. Repeated words
+        count once.
 
         Example:
             >>> sorted(field.label(["kettle", "wooden table"]).counts())

@@ -13,7 +13,7 @@ from torch import Tensor
 from scoup.base.counts import listed
 from scoup.base.errors import InputError
 from scoup.base.html import card
-from scoup.query.presence import Certainty, certainty
+from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty
 
 if TYPE_CHECKING:
     from scoup.field.language_field import LanguageField
@@ -133,7 +133,10 @@ class Answer:
         start = f"{names}; " if names else ""
         if self.score is None:
             return f"{start}presence not judged{seen}" if self.presence else "not in this scene"
-        where = "not in this scene" if not self.presence else str(self.certainty)
+        where = str(self.certainty) if self.presence else "not in this scene"
+        least = self.asked[0].question.present_from if self.asked else None
+        if not self.presence and least is not None and self.score >= least:
+            where += f": what fits has fewer than {LEAST_GAUSSIANS} Gaussians"
         return f"{start}{where} (score {self.score:.2f}){seen}"
 
     def relevancy(self) -> Tensor:

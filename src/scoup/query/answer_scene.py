@@ -85,12 +85,16 @@ def text_scores(
 ) -> list[TextScore]:
     """Return the score of each text against the best fits of everyday words [B], joined with that of its name; with
     too few words, none counts."""
-    queries, words = question.queries.float().cpu(), question.everyday.float().cpu()
-    others = torch.zeros(len(queries), 0, dtype=torch.bool)
-    if question.can_judge_presence:
-        others = other_words(queries, words)
-    every = zip(others, names or [None] * len(queries), strict=True)
+    every = zip(compared_others(question), names or [None] * len(question.texts), strict=True)
     return [TextScore(best_fits[: len(own)], own, named) for own, named in every]
+
+
+def compared_others(question: Question[Any]) -> Tensor:
+    """Return which everyday words count for each text, [Q, B] boolean; [Q, 0] with too few words."""
+    queries = question.queries.float().cpu()
+    if not question.can_judge_presence:
+        return torch.zeros(len(queries), 0, dtype=torch.bool)
+    return other_words(queries, question.everyday.float().cpu())
 
 
 def sampled_votes(field: LanguageField, question: Question[Any]) -> SampledVotes:

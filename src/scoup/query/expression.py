@@ -144,7 +144,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
     reader = _Reader(tokens, " ".join(given))
     root = reader.union()
     if reader.rest:
-        raise reader.refusal(f"{reader.rest[0]!r} is not expected")
+        raise reader.unexpected()
     return Expression(root).as_count() if counted else Expression(root)
 
 
@@ -203,6 +203,18 @@ class _Reader:
 
     def refusal(self, problem: str) -> InputError:
         return InputError(f"{self.source}: {problem}; {_GRAMMAR}")
+
+    def unexpected(self) -> InputError:
+        """Return the refusal of the next token."""
+        token = self.rest[0]
+        if token == "not":
+            return self.refusal("'not' must follow 'and' or 'or'")
+        if token == ")":
+            return self.refusal("a bracket is closed that was not opened")
+        problem = (
+            "an operator is missing beside a bracket; put a text that contains brackets in double quotes"
+        )
+        return self.refusal(problem)
 
     def union(self) -> Node:
         last, before = self.intersection(), self.depth
@@ -264,8 +276,12 @@ class _Reader:
         before, self.before = self.depth, token if token == "not" else ""
         self.deeper()
         inner: Node = Operation("not", (self.factor(noun),)) if token == "not" else self.union()
-        if token == "(" and (not self.rest or self.rest.pop(0) != ")"):
-            raise self.refusal("a bracket is not closed")
+        if token == "(":
+            if not self.rest:
+                raise self.refusal("a bracket is not closed")
+            if self.rest[0] != ")":
+                raise self.unexpected()
+            self.rest.pop(0)
         self.depth = before
         return inner
 

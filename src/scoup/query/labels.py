@@ -112,12 +112,13 @@ def label(field: LanguageField, question: Question[Any] | str | Several) -> Gaus
 
 
 def labels_of(field: LanguageField, answers: Sequence[Answer]) -> GaussianLabels:
-    """Return ``label`` from the answers to the words."""
-    names = tuple(answer.text for answer in answers)
-    if len(set(names)) < len(names) or NONE_NAME in names:
-        raise InputError(
-            f"labels need words that differ from each other and from {NONE_NAME!r} (got {', '.join(names)})"
-        )
+    """Return ``label`` from the answers to the words; repeated words count once."""
+    of_name: dict[str, Answer] = {}
+    for answer in answers:
+        of_name.setdefault(answer.text, answer)
+    names, answers = tuple(of_name), [*of_name.values()]
+    if NONE_NAME in names:
+        raise InputError(f"labels need words that differ from {NONE_NAME!r} (got {', '.join(names)})")
     ids = labels_of_answers(answers, field.levels)
     instances = torch.full_like(ids, NO_THING)
     for number, answer in enumerate(answers):

@@ -40,6 +40,11 @@ _UNKNOWN = frozenset(
 _COUNTING = re.compile(
     r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE
 )
+_FORMS = [form for forms in RELATIONS.values() for form in forms]
+_UNFINISHED = frozenset(["how many", "number of", "count of", *_FORMS])
+"""Texts that lack the thing that they are about."""
+_BEGINNINGS = tuple(f"{form} " for form in _FORMS if " " in form)
+"""So do texts that begin with these; one word may be a part of a name, as in "on switch"."""
 _ANYTHING = frozenset(
     ["what", "what's", "thing", "things", "object", "objects", "anything", "everything", "something"]
 )
@@ -54,7 +59,7 @@ RESERVED = frozenset(
         *ORDINALS,
         *OPERATORS,
         *_UNKNOWN,
-        *(form for forms in RELATIONS.values() for form in forms),
+        *_FORMS,
     )
     for word in words.split()
 )
@@ -168,7 +173,8 @@ def _parse(words: Sequence[str], source: str, depth: int) -> Target:
     end = len(words) if place is None else place[0]
     head, order, rank = _ordered(words[:end], source)
     if place is None:
-        return Phrase(_noun(head, source), order=order, rank=rank) if order else _joined(words)
+        noun = _noun(head, source)
+        return Phrase(noun, order=order, rank=rank) if order else _joined(words)
     _, relation, length = place
     rest = words[end + length :]
     while head and head[-1].lower() in _FILLERS:
@@ -233,7 +239,8 @@ def _noun(words: Sequence[str], source: str) -> str:
     words = words[1:] if words and words[0].lower() in ARTICLES else words
     if words and not words[-1].startswith(_SPACE):
         words = [*words[:-1], words[-1].rstrip(_STOPS)]
-    if not (noun := _joined(words)):
+    said = " ".join(words).lower()
+    if not (noun := _joined(words)) or said in _UNFINISHED or said.startswith(_BEGINNINGS):
         raise _refusal(source, "a thing is missing")
     return noun
 

@@ -13,6 +13,7 @@ docs/answers.md.
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import TYPE_CHECKING, Literal
 
 import torch
@@ -45,6 +46,12 @@ def certainty(score: float | None, presence: bool) -> Certainty | None:
     return "sure" if score >= SURE else "likely" if score >= LIKELY else "doubtful"
 
 
+def check_share(name: str, value: float | None) -> None:
+    """Refuse what is not a number from 0 to 1, if it was passed."""
+    if value is not None and not (isinstance(value, Real) and 0 <= value <= 1):
+        raise InputError(f"{name} must be 0 to 1, got {value}")
+
+
 def presence_threshold(n_words: int, source: str, wanted: float | None = None) -> float | None:
     """Return the score from which a text counts as present; None with too few everyday words to judge it.
 
@@ -53,8 +60,7 @@ def presence_threshold(n_words: int, source: str, wanted: float | None = None) -
         source: of the words, for messages.
         wanted: by default ``PRESENT_FROM``.
     """
-    if wanted is not None and not 0 <= wanted <= 1:
-        raise InputError(f"the least score of presence must be 0 to 1, got {wanted}")
+    check_share("the least score of presence", wanted)
     if n_words >= LEAST_WORDS:
         return PRESENT_FROM if wanted is None else wanted
     if wanted is not None:

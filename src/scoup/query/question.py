@@ -19,7 +19,7 @@ from scoup.field.language_field import Encoder, LanguageField
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.expression import Expression, parse_expression
-from scoup.query.presence import presence_threshold
+from scoup.query.presence import check_share, presence_threshold
 from scoup.scene.directions import query_vectors
 from scoup.scene.names import number_of
 from scoup.scene.regions import LEAST_EMBEDDING
@@ -99,10 +99,11 @@ class Question(TextVectors, Generic[Asked]):
     """The words that name all objects, where it asks for things that it does not name."""
     frame: Frame | None = None
     """What left, front and up mean in phrases; None: ``field.frame()``."""
+    model: str = ""
+    """Id of the model of its vectors; "" if unknown."""
 
     def __post_init__(self) -> None:
-        if self.threshold is not None and not 0 <= self.threshold <= 1:
-            raise InputError(f"the threshold must be 0 to 1, got {self.threshold}")
+        check_share("the threshold", self.threshold)
 
     @property
     def nbytes(self) -> int:
@@ -166,6 +167,7 @@ def make_question(
             frame=frame,
             level=None if level is None else field.level_index(level),
             near=_near_names(field, vectors),
+            model=source.name or field.embedding_model,
         )
 
     if not 0 < len(given) <= MOST_TEXTS:
@@ -199,8 +201,11 @@ def literal(texts: Any) -> Any:
 
 
 def as_question(field: LanguageField, question: Question[Any] | str | Several) -> Question[Any]:
-    """Return a question, or the question that texts alone are."""
-    return question if isinstance(question, Question) else make_question(field, question)
+    """Return a question, or the question that texts alone are; warn of a question of another field's model."""
+    if not isinstance(question, Question):
+        return make_question(field, question)
+    warn_of_another_model(question.model, field.embedding_model, question.source)
+    return question
 
 
 def _near_names(field: LanguageField, vectors: TextVectors) -> tuple[str | None, ...]:
@@ -279,7 +284,7 @@ def encode_texts(
         source: name of the encoder in messages; by default its model.
 
     Warns:
-        ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
+        ScoupWarning: the encoder names another model than the field, or the table lacks the canonical phrases.
     """
     source = source or encoder.name or "the word table"
     if encoder.dim != field.dim:
@@ -321,10 +326,10 @@ def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> 
 
 def warn_of_another_model(given: str, wanted: str, source: str) -> None:
     """Warn of vectors of another model: they may have the same size, but cosines with them mean nothing."""
-    if given and wanted and _words_of(given) != _words_of(wanted):
+    if given and _words_of(given) != _words_of(wanted):
         warnings.warn(
-            f"{source}: its vectors come from {given}, the field's embeddings from {wanted}; answers mean nothing "
-            "unless both are one model by two names",
+            f"{source}: its vectors come from {given}, the field's embeddings from {wanted or 'an unnamed model'}; "
+            "answers mean nothing unless both are one model by two names",
             ScoupWarning,
             stacklevel=3,
         )

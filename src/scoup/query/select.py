@@ -68,11 +68,10 @@ def select(
     asked = as_question(field, question)
 
     def made() -> Answer:
-        whole = one_answer(field, asked)
         if wanted == Reshaping():
-            return whole
-        mask = reshaped(field.gaussians, whole.mask, whole.relevancy(), wanted)
-        return replace(whole, mask=mask, presence=whole.presence and bool(mask.any()))
+            return one_answer(field, asked)
+        whole = select(field, asked)
+        return replace(whole, mask=reshaped(field.gaussians, whole.mask, whole.relevancy(), wanted))
 
     return copy.deepcopy(field.kept((select, asked, wanted), made))
 

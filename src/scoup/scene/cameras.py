@@ -10,6 +10,7 @@ import os
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import overload
 
@@ -214,7 +215,13 @@ class Camera:
         return replace(self, K=self.K * scale[:, None], width=width, height=height)
 
     def scaled(self, factor: float) -> Camera:
-        """Return the camera with its image size multiplied by ``factor`` (rounded, at least one pixel)."""
+        """Return the camera with its image size multiplied by ``factor`` (rounded, at least one pixel).
+
+        Raises:
+            InputError: the factor is not a number above 0, or not finite.
+        """
+        if not isinstance(factor, Real) or not 0 < factor < math.inf:
+            raise InputError(f"`scale={factor}`: must be a number above 0 and finite")
         return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike, scale: float = 1.0) -> Camera:

@@ -24,7 +24,7 @@ from scoup.scene.sanity_checks import sanity_problems
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.naming import name_things
-from scoup.uplift.provenance import build_record
+from scoup.uplift.provenance import build_record, recorded_model
 from scoup.uplift.rasterise import add_views, cameras_with_regions, check_sums
 from scoup.uplift.region_codes import RegionEmbeddings, code_regions, inputs_digest, learn_region_codes
 from scoup.uplift.region_sums import RegionSums
@@ -58,7 +58,8 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         cameras: posed cameras; those without regions are skipped.
         regions: region maps and embeddings.
         settings: everything that decides the result, or the name of one of ``BUILD_PRESETS``.
-        embedding_model: id of the model the embeddings come from, recorded in the field.
+        embedding_model: id of the model the embeddings come from, recorded in the field; by default the one that the
+            word table names.
         words: the word table that encodes texts in place of this model, recorded in the field.
         geometry_path: file of the Gaussians, recorded in the field.
         backend: name of the backend of rasteriser and vote.
@@ -89,7 +90,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
     check_arguments("build", codebook=(codebook, (LanguageField, type(None))))
-    settings = build_settings(settings)
+    settings, model = build_settings(settings), recorded_model(embedding_model, words)
     if codebook is not None:
         settings = replace(settings, n_atoms=codebook.n_atoms)
     device = gaussians.device
@@ -140,7 +141,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
             codes.codebook.to(device),
             FieldInfo(
                 sums.levels,
-                embedding_model,
+                model,
                 sums.fingerprint,
                 len(gaussians),
                 settings.raster_preset,

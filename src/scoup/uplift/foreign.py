@@ -29,6 +29,7 @@ from scoup.scene.directions import normalise_embeddings
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEAST_EMBEDDING
+from scoup.uplift.provenance import recorded_model
 
 LEARNED_FROM = 16_384  # rows from which a codebook is learned
 ROWS_AT_A_TIME = 65_536
@@ -105,7 +106,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
             f"features {list(rows.shape)} are not one row for each of {len(gaussians):,} Gaussians; use those of this "
             "splat, in its order"
         )
-    names = _level_names(levels, rows.shape[1])
+    names, model = _level_names(levels, rows.shape[1]), recorded_model(embedding_model, words)
     parts, books, cosines = [], [], []
     for level in range(rows.shape[1]):
         atoms = _learned_atoms(rows[:, level], n_atoms, k, seed, progress)
@@ -114,7 +115,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
         books.append(atoms)
         cosines.append(cosine)
     provenance = {"mean_cosine": dict(zip(names, cosines, strict=True)), "seed": seed}
-    info = _info(names, (embedding_model, words), gaussians, raster_preset, "features", provenance)
+    info = _info(names, (model, words), gaussians, raster_preset, "features", provenance)
     indices, weights = (
         torch.stack([getattr(part, name) for part in parts], 1) for name in ("indices", "weights")
     )
@@ -168,7 +169,8 @@ def field_from_langsplat(  # noqa: PLR0913  the public face: each keyword is one
         raise InputError(f"k must be 1 to {books[0].shape[1]}, got {k}")
     codes = [_top_codes(level.values, k) for level in read]
     provenance = {"files": [str(path) for path in paths], "k": k}
-    info = _info(names, (embedding_model, words), first, "inria", "LangSplatV2", provenance)
+    encoder = recorded_model(embedding_model, words), words
+    info = _info(names, encoder, first, "inria", "LangSplatV2", provenance)
     indices, weights = (torch.stack(parts, 1) for parts in zip(*codes, strict=True))
     return LanguageField(indices, weights, torch.stack([book.flatten(0, 1) for book in books]), info, first)
 

@@ -22,8 +22,8 @@ from scoup.uplift.region_sums import RegionSums
 
 
 def embedding_source(features: Path, regions: Regions, named: str | None = None) -> tuple[str, Path | None]:
-    """Return the embedding model and the word table for a field to record; "" and None where unknown. What is ``named``
-    is a model that takes precedence over the manifest of the regions in ``features``, or a word table.
+    """Return the embedding model and the word table for ``build``; "" and None where unknown. What is ``named`` is a
+    model that takes precedence over the manifest of the regions in ``features``, or a word table.
 
     Raises:
         FileFormatError, InputError: what is named is neither, or a table of vectors of another size.
@@ -43,7 +43,12 @@ def embedding_source(features: Path, regions: Regions, named: str | None = None)
             f"{named}: contains vectors of {dim} dimensions, but {features} contains embeddings of "
             f"{wanted}; use the table made with the same model"
         )
-    return made_by or table.model, Path(named)
+    return made_by, Path(named)
+
+
+def recorded_model(embedding_model: str, words: str | Path | None) -> str:
+    """Return the embedding model for a field to record: the one given, or the one that its word table names."""
+    return embedding_model if embedding_model or words is None else load_table(words).model
 
 
 def build_record(

@@ -129,9 +129,10 @@ class SceneTools:
         meant as seen from the camera `seen_from`. A score is the share of everyday words that fit this scene less well
         than the text, 0 to 1; null with too few everyday words.
         `texts` has one entry per text of the phrase: its score, the same in words (sure, likely, doubtful, not here),
-        and the runner-up, the best thing elsewhere. `count` is 0 where a text is not here, or where no thing has the
-        relation; `remark` says which. `frame` says what positions are in: unit vectors right, up and away from the
-        viewer in the same axes, and the unit of length.
+        and the runner-up, the best thing elsewhere. `count` is how many instances there are, which need not be the
+        things that answer: these may be pieces or parts. It is 0 where a text is not here, or where no thing has the
+        relation; `remark` says which. It is null in a scene without things. `frame` says what positions are in: unit
+        vectors right, up and away from the viewer in the same axes, and the unit of length.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
@@ -141,6 +142,7 @@ class SceneTools:
         axes = "x, y, z of the splat that the field was built on"
         return {
             **_reply(things, limit, lambda thing: thing.to_dict(self.metres_per_unit)),
+            "count": answer.to_dict()["count"],
             "remark": answer.remark(),
             "texts": [
                 {"text": part.text, **{key: part.to_dict()[key] for key in _OF_TEXTS}}
@@ -234,7 +236,7 @@ def _reply(
     if not 1 <= limit <= MOST_LISTED:
         raise InputError(f"limit: expected 1 to {MOST_LISTED}, got {limit}")
     listed = [describe(thing) for thing in things[:limit]]
-    return {"count": len(things), "more": len(things) - len(listed), "things": listed}
+    return {"more": len(things) - len(listed), "things": listed}
 
 
 def _name(thing: Thing) -> dict[str, Any]:
