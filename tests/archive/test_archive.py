@@ -189,7 +189,7 @@ def test_a_field_that_left_or_changed_answers_no_phrase(
         with pytest.warns(ScoupWarning, match="scan one has changed"), pytest.raises(InputError, match=gone):
             archive.find(phrase, at_least=at_least)
     archive.remove("one")
-    assert "is gone" in refused("archive", archive.folder, phrase)
+    assert "is gone" in refused("archive", archive.folder, phrase, folder=tmp_path)
     assert {each.scan for each in archive.find("mug")} == {"two"}
 
 

@@ -92,7 +92,7 @@ def test_vectors_of_another_size_are_told_from_what_the_field_names(
         ("openai/clip-vit-base-patch16", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", True),
         ("scoup-demo (simulated)", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", True),
         ("", "laion/CLIP-ViT-B-16-laion2B-s34B-b88K", False),
-        ("google/siglip-base-patch16-224", "", True),
+        ("google/siglip-base-patch16-224", "", False),
     ],
 )
 def test_vectors_of_another_model_are_warned_of(

@@ -284,7 +284,7 @@ def encode_texts(
         source: name of the encoder in messages; by default its model.
 
     Warns:
-        ScoupWarning: the encoder names another model than the field, or the table lacks the canonical phrases.
+        ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
     """
     source = source or encoder.name or "the word table"
     if encoder.dim != field.dim:
@@ -325,11 +325,12 @@ def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> 
 
 
 def warn_of_another_model(given: str, wanted: str, source: str) -> None:
-    """Warn of vectors of another model: they may have the same size, but cosines with them mean nothing."""
-    if given and _words_of(given) != _words_of(wanted):
+    """Warn of vectors of another model: they may have the same size, but cosines with them mean nothing. Where one is
+    not named, as in features that others have made, nothing is known."""
+    if given and wanted and _words_of(given) != _words_of(wanted):
         warnings.warn(
-            f"{source}: its vectors come from {given}, the field's embeddings from {wanted or 'an unnamed model'}; "
-            "answers mean nothing unless both are one model by two names",
+            f"{source}: its vectors come from {given}, the field's embeddings from {wanted}; answers mean nothing "
+            "unless both are one model by two names",
             ScoupWarning,
             stacklevel=3,
         )
