@@ -77,12 +77,7 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
 
     def embeddings(name: str, level: str) -> Tensor:
         view = views[name][1]
-        with np.errstate(all="ignore"):  # a signalling NaN, or beyond float32; refused below
-            rows = np.array(view.embeddings(level), np.float32)
-        if not np.isfinite(rows).all():
-            problem = "has embeddings that are not finite (NaN or infinite)"
-            raise FileFormatError(view.embeddings_path, problem, REMEDY)
-        return torch.from_numpy(rows)
+        return _normalised(view.embeddings_path, view.embeddings(level))
 
     def load(name: str, level: str) -> RegionMap:
         return RegionMap(labels(name, (level,))[0], embeddings(name, level))
@@ -158,3 +153,16 @@ def _at_camera(labels: Tensor, camera: Camera) -> Tensor:
         pixels = photograph_pixels(camera, labels.shape[-1], labels.shape[-2])
         return torch.stack([sample_nearest(item, pixels, outside=-1) for item in labels])
     return resize_labels(labels, camera.width, camera.height)
+
+
+def _normalised(path: Path, rows: np.ndarray) -> Tensor:
+    """Return [R, D] float32 stored embeddings of unit norm, to float32 rounding; ``scene.directions`` is content with
+    less, after which other codes would be learned."""
+    with np.errstate(invalid="ignore"):  # a signalling NaN; refused below
+        wide = np.asarray(rows, dtype=np.float64)
+    if not np.isfinite(wide).all():
+        raise FileFormatError(path, "has embeddings that are not finite (NaN or infinite)", REMEDY)
+    norms = np.linalg.norm(wide, axis=1, keepdims=True)
+    # Rows that are unit stay bit for bit; a zero row means "unknown" and stays zero.
+    unit = np.where(np.abs(norms - 1.0) < 1e-6, wide, wide / np.where(norms > 0, norms, 1.0))
+    return torch.from_numpy(unit.astype(np.float32))
