@@ -154,7 +154,7 @@ TABLES: dict[str, Callable[[], str]] = {
 HIDDEN = {
     "extract": "at level [sml]",
     "bench": "100,000",
-    "things": r"table-4|shelves-2|kitchen-22|room|AP at IoU 0.75|bytes per .*|"
+    "things": r"table-4|shelves-2|kitchen-22|AP at IoU 0.75|bytes per .*|"
     r"(right of|behind|under|near|between|inside): .*",
     "baselines": "visible-centre-pixel|top-contributors",
     "real": "from 0.[235]",
