@@ -164,8 +164,7 @@ def _is_in(scene: RealScene, label: str, position: list[float]) -> bool:
     hits = []
     for frame, camera in scene.frames:
         if label in frame.masks:
-            seen = camera.viewmat.double() @ torch.tensor([*position, 1.0]).double()
-            column, row = ((camera.K.double() @ seen[:3])[:2] / seen[2]).floor().int().tolist()
+            column, row = camera.pixels(torch.tensor([position]))[0][0].floor().int().tolist()
             height, width = frame.masks[label].shape
             inside = 0 <= row < height and 0 <= column < width
             hits.append(inside and bool(frame.masks[label][row, column]))
