@@ -20,10 +20,10 @@ from benchmarks.real_scenes import FOLDERS, REAL_SCENES, RealScene, place_of
 from benchmarks.study import Record, Study
 from benchmarks.ways import WAYS
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
 from scoup.query.answer_scene import answer_scene
 from scoup.query.field_view import counting_gaussians
+from scoup.query.language_field import LanguageField
 from scoup.query.named import TOGETHER, best_words, voted_names
 from scoup.query.refine import MOST_VIEWS, choose_views
 from scoup.scene.names import Detections, NameTable
@@ -73,7 +73,7 @@ class Concepts(Study):
             asked = fitted.field
             asked.attach(scene.gaussians, known=True)
             vectors = (*scene.everyday, *scene.canonical[: len(CANONICAL_PHRASES)])
-            asked.text_encoder(dict(zip((*scene.words, *CANONICAL_PHRASES), vectors, strict=True)))
+            asked = asked.with_encoder(dict(zip((*scene.words, *CANONICAL_PHRASES), vectors, strict=True)))
             table, place = asked.thing_table, place_of(name)
             assert table is not None
             if place not in votes:  # both poolings have the same things

@@ -19,9 +19,9 @@ from torch import Tensor
 
 import scoup
 from scoup import raster
-from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import PixelCosines, further_relevancy, relevancy
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.query.language_field import LanguageField
 from scoup.raster import ViewSums
 from scoup_lab.bench import (
     StageClock,
@@ -190,7 +190,7 @@ def query_row(field: LanguageField, name: str, device: str, repeats: int) -> Row
     view.relevancy(vectors[:1], phrases)
     known: PixelCosines = view.cache.get(PixelCosines, field.parts())
     words = [*CANONICAL_PHRASES, *EVERYDAY_WORDS]
-    field.text_encoder(dict(zip(words, clip_like(len(words), seed=3), strict=True)))
+    field = field.with_encoder(dict(zip(words, clip_like(len(words), seed=3), strict=True)))
     asked = [field.question(word) for word in EVERYDAY_WORDS[:16]]
     turn = itertools.count()
     runs: dict[str, Callable[[], object]] = {

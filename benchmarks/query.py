@@ -16,8 +16,8 @@ import scoup
 from benchmarks.processes import SCOUP, run_python
 from benchmarks.random_field import random_field, write_words
 from benchmarks.study import Record, Study
-from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup_lab.bench import Stopwatch, markdown, random_scene_cameras, random_scene_gaussians, torch_threads
 from scoup_lab.synthetic.random_scene import HEIGHT, WIDTH, clip_like
@@ -85,7 +85,7 @@ class Query(Study):
                 clock("first relevancy", view.relevancy, other, canonical)
                 clock("further relevancy", view.relevancy, query, canonical)
                 fresh = field.with_gaussians(field.gaussians)
-                fresh.text_encoder(words)
+                fresh = fresh.with_encoder(words)
                 clock("first location", fresh.location, asked[2 * number])
                 for stage in ("further location", "same location"):
                     clock(stage, fresh.location, asked[2 * number + 1])

@@ -98,7 +98,7 @@ class RealScene:
         built = scoup.build(
             self.gaussians(), views or self.cameras, self.regions, embedding_model=self.encoder.name
         )
-        built.text_encoder(self.encoder)
+        built = built.with_encoder(self.encoder)
         return built
 
 

@@ -135,7 +135,7 @@ def of_kitchen(data: Path, seed: int, most: int) -> Record:
     """Return all figures of a draw of the kitchen."""
     truth = Truth.open(data, 0.5)
     built = scoup.build(truth.gaussians, truth.cameras, make_draw(truth, seed).regions)
-    built.text_encoder(data / "clip" / "text_vit_b16_laion2b.npz")
+    built = built.with_encoder(data / "clip" / "text_vit_b16_laion2b.npz")
     frame, instances = built.frame(), Instances.of_kitchen(truth)
     cases = relation_cases(instances.boxes(frame.axes.numpy()), FREE_OF_SCALE)
     return of_scene(instances, built, frame, cases, most)

@@ -44,6 +44,6 @@ field = scoup.LanguageField(*parts, info, gaussians, cameras=cameras, thing_tabl
 field.save(out, overwrite=True)
 
 # 6. Ask it: once in the scene; a view draws that answer.
-answer = field.answer(field.question(text, encoder=words[0] if words else None))
+answer = field.answer(field.with_encoder(words[0] if words else None).question(text))
 print(answer)
 print(answer.in_view(cameras[0]))

@@ -47,7 +47,7 @@ for camera in cameras:
 
 field = scoup.build(gaussians, cameras, scoup.Regions.from_maps(maps), check_fit=False)
 words = {name: describe(np.array(color, float)) for name, color in COLORS.items()}
-answer = field.at(cameras[0]).answer(field.question(word, encoder=words))
+answer = field.at(cameras[0]).answer(field.with_encoder(words).question(word))
 print(
     f"{word} in {answer.view}: pixel {answer.point}, {answer.coverage:.0%} of the view, level {answer.level}"
 )

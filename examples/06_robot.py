@@ -14,7 +14,7 @@ if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, words, thing, metres_per_unit = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
-field.text_encoder(words)
+field = field.with_encoder(words)
 place = field.location(thing)
 print(f"{thing}: {place.describe(float(metres_per_unit))}")
 

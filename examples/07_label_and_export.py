@@ -13,7 +13,7 @@ if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, words, out, *names = sys.argv[1:]
 field = scoup.LanguageField.load(path)
-labels = field.label(field.question(names, encoder=words))
+labels = field.label(field.with_encoder(words).question(names))
 print(labels)
 outputs = ("sidecar", "ids", "glb", "clouds", "maps", "sheet")
 save_labels(field, labels, Path(out), outputs)

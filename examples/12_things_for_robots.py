@@ -21,7 +21,7 @@ if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, table, metres_per_unit, phrase = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4]
 field = scoup.LanguageField.load(path)
-field.text_encoder(table)
+field = field.with_encoder(table)
 right, up, away = field.frame().axes
 ROTATION = torch.stack([away, -right, up])
 TRANSLATION = torch.zeros(3, dtype=torch.float64)

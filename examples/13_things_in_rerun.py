@@ -17,7 +17,7 @@ if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, table, out, phrase = sys.argv[1:5]
 field = scoup.LanguageField.load(path)
-field.text_encoder(table)
+field = field.with_encoder(table)
 things = field.things(phrase)
 gaussians = field.gaussians
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from scoup.base.digests import sealed
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import METADATA_KEY
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians

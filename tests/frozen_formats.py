@@ -18,11 +18,11 @@ import torch
 
 from cli_support import run
 from scoup.archive.archive import Archive
-from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, save_gaussians, save_png, save_regions, write_colmap
 from scoup.io.regions.convert import convert_regions
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.language_field import LanguageField
 from scoup.scene.gaussians import Gaussians
 from support import random_gaussians, small_scene, unit
 

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from hypothesis import strategies as st
 
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEVELS, RegionMap, Regions

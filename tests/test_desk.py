@@ -48,7 +48,7 @@ def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path
     field = scoup.LanguageField.load(built)
     assert field.cameras is not None
     assert field.thing_table is not None
-    question = field.question(list(NAMES), encoder=desk / "desk_words.npz")
+    question = field.with_encoder(desk / "desk_words.npz").question(list(NAMES))
     overlaps: dict[str, list[float]] = {name: [] for name in NAMES}
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         frame = frame.resized(camera.width, camera.height)
@@ -66,7 +66,7 @@ def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path
 def test_the_best_thing_is_the_labelled_object(desk: Path, built: Path, name: str) -> None:
     field = scoup.LanguageField.load(built)
     assert field.cameras is not None
-    best = field.things(field.question([name], encoder=desk / "desk_words.npz"))[0]
+    best = field.things(field.with_encoder(desk / "desk_words.npz").question([name]))[0]
     overlaps = []
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         truth = frame.resized(camera.width, camera.height).masks[name]
@@ -102,7 +102,7 @@ def test_relations_agree_with_their_converses(desk: Path, built: Path) -> None:
 
 def test_facts_and_their_converses_are_answered_alike(desk: Path, built: Path) -> None:
     field = scoup.LanguageField.load(built)
-    field.text_encoder(desk / "desk_words.npz")
+    field = field.with_encoder(desk / "desk_words.npz")
     frame, told = field.frame(VIEWER), 0
     for fact in FACTS:
         phrase = parse_phrase(fact)

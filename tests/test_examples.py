@@ -113,7 +113,7 @@ def test_adding_views(scene):
 def test_robot(scene, field):
     printed = example("06_robot.py", field, scene / "words.npz", "kettle", 0.5)
     loaded = scoup.LanguageField.load(field)
-    place = loaded.location(loaded.question("kettle", encoder=scene / "words.npz"))
+    place = loaded.location(loaded.with_encoder(scene / "words.npz").question("kettle"))
     assert printed.startswith(f"kettle: {place.describe(0.5)}")
     assert "m ahead" in printed
 
@@ -150,7 +150,7 @@ def test_an_example_without_arguments_says_how_it_is_run(path, monkeypatch):
 def test_things_for_robots(scene, field):
     printed = json.loads(example("12_things_for_robots.py", field, scene / "words.npz", 2, "kettle"))
     loaded = scoup.LanguageField.load(field)
-    thing = loaded.things(loaded.question("kettle", encoder=scene / "words.npz", always=True))[0]
+    thing = loaded.things(loaded.with_encoder(scene / "words.npz").question("kettle", always=True))[0]
     detection = printed["detections"][0]
     assert printed["header"] == detection["header"]
     assert printed["header"]["frame_id"] == "map"
@@ -179,7 +179,7 @@ def test_things_in_rerun(scene, field, tmp_path):
     loaded = scoup.LanguageField.load(field)
     cameras = list(loaded.cameras or ())
     printed = example("13_things_in_rerun.py", field, scene / "words.npz", out, "kettle")
-    thing = loaded.things(loaded.question("kettle", encoder=scene / "words.npz", always=True))[0]
+    thing = loaded.things(loaded.with_encoder(scene / "words.npz").question("kettle", always=True))[0]
     assert printed == f"{out}: 1 things, {len(cameras)} cameras\n"
     read = {str(chunk.entity_path): chunk.to_record_batch() for chunk in chunks.RrdReader(out).stream()}
     boxes = read["/scene/things"].to_pydict()

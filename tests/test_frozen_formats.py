@@ -20,8 +20,8 @@ from frozen_formats import CODES, FORMATS, answers, gaussians_of_formats
 from scoup.archive.archive import Archive
 from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.container import METADATA_KEY
-from scoup.field.language_field import LanguageField
 from scoup.io import read_ply_table, write_ply_table
+from scoup.query.language_field import LanguageField
 from scoup.uplift.region_sums import VERSION, RegionSums
 from scoup.uplift.storage.array_file import read_arrays, write_arrays
 

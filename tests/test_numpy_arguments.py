@@ -42,11 +42,11 @@ def test_a_field_from_arrays_is_the_same_field(made):
     found = copy.relevancy(cameras[0], queries.numpy(), canonical.numpy())
     assert found.equal(field.relevancy(cameras[0], queries, canonical))
     phrases = {str(name): row for name, row in zip(CANONICAL_PHRASES, canonical.numpy(), strict=True)}
-    mask = field.select(field.question(queries.numpy(), encoder=phrases)).mask
-    assert mask.equal(field.select(field.question(queries, encoder=phrases)).mask)
+    mask = field.select(field.with_encoder(phrases).question(queries.numpy())).mask
+    assert mask.equal(field.select(field.with_encoder(phrases).question(queries)).mask)
     assert len(field[mask.numpy()]) == int(mask.sum())
     seen, same = (
-        field.at(cameras[0]).answer(field.question(one, encoder=phrases))
+        field.at(cameras[0]).answer(field.with_encoder(phrases).question(one))
         for one in (queries.numpy(), queries)
     )
     assert all(one.mask.equal(other.mask) for one, other in zip(seen, same, strict=True))

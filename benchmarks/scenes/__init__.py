@@ -22,7 +22,7 @@ def field_of(scene: DemoScene) -> LanguageField:
     """Return the field of a scene, which its own words encode the texts for."""
     built = build(scene.gaussians, scene.building, scene.regions)
     texts = scene.words.texts
-    built.text_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))
+    built = built.with_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))
     return built
 
 

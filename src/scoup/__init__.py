@@ -32,13 +32,14 @@ _HOMES = {
     "region_sums": "scoup.uplift.rasterise",
     "find_things": "scoup.uplift.things",
     "vote": "scoup.uplift.vote",
-    "LanguageField": "scoup.field.language_field",
+    "LanguageField": "scoup.query.language_field",
     "FieldInfo": "scoup.scene.field_info",
-    "build": "scoup.uplift.build",
+    "build": "scoup.query.language_field",
     "BuildSettings": "scoup.uplift.build_settings",
     "transfer": "scoup.uplift.transfer",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
+    "ExpressionAnswer": "scoup.query.answer",
     "Question": "scoup.query.question",
     "ViewAnswer": "scoup.query.view_answer",
     "Place": "scoup.query.place",
@@ -46,6 +47,8 @@ _HOMES = {
     "GaussianLabels": "scoup.query.labels",
     "parse_expression": "scoup.query.expression",
     "Archive": "scoup.archive.archive",
+    "refine": "scoup.query.refine",
+    "open_viewer": "scoup.view.viewer",
 }
 
 __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
@@ -58,7 +61,6 @@ if TYPE_CHECKING:
     from scoup.coding import fit_codes as fit_codes
     from scoup.extract.own_views import choose_cameras as choose_cameras
     from scoup.extract.own_views import save_views as save_views
-    from scoup.field.language_field import LanguageField as LanguageField
     from scoup.io import load_cameras as load_cameras
     from scoup.io import load_gaussians as load_gaussians
     from scoup.io import load_image as load_image
@@ -66,10 +68,14 @@ if TYPE_CHECKING:
     from scoup.io import save_gaussians as save_gaussians
     from scoup.models.text import TextEncoder as TextEncoder
     from scoup.query.answer import Answer as Answer
+    from scoup.query.answer import ExpressionAnswer as ExpressionAnswer
     from scoup.query.expression import parse_expression as parse_expression
     from scoup.query.labels import GaussianLabels as GaussianLabels
+    from scoup.query.language_field import LanguageField as LanguageField
+    from scoup.query.language_field import build as build
     from scoup.query.place import Place as Place
     from scoup.query.question import Question as Question
+    from scoup.query.refine import refine as refine
     from scoup.query.select import Reshaping as Reshaping
     from scoup.query.view_answer import ViewAnswer as ViewAnswer
     from scoup.raster import project as project
@@ -80,13 +86,13 @@ if TYPE_CHECKING:
     from scoup.scene.gaussians import Gaussians as Gaussians
     from scoup.scene.regions import RegionMap as RegionMap
     from scoup.scene.regions import Regions as Regions
-    from scoup.uplift.build import build as build
     from scoup.uplift.build_settings import BuildSettings as BuildSettings
     from scoup.uplift.rasterise import region_sums as region_sums
     from scoup.uplift.region_sums import RegionSums as RegionSums
     from scoup.uplift.things import find_things as find_things
     from scoup.uplift.transfer import transfer as transfer
     from scoup.uplift.vote import vote as vote
+    from scoup.view.viewer import open_viewer as open_viewer
 
 
 def __getattr__(name: str) -> Any:

@@ -26,9 +26,9 @@ from scoup.archive.results_page import results_page
 from scoup.archive.search import ImageSearch, Search
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
-from scoup.field.language_field import LanguageField
 from scoup.models.image import open_image_model
 from scoup.models.word_table import save_table
+from scoup.query.language_field import LanguageField
 from scoup.query.presence import LIKELY
 from scoup.scene.names import NameTable
 from support import unit

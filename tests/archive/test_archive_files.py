@@ -20,8 +20,8 @@ from scoup.archive import kept_scans
 from scoup.archive.read_scans import ScanBlock, read_block, read_records
 from scoup.archive.scan_files import ScanRecord
 from scoup.base.errors import FileFormatError, InputError, UnknownNameError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
+from scoup.query.language_field import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 

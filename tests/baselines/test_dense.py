@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 
 from scoup import raster
-from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import relevancy
+from scoup.query.language_field import LanguageField
 from scoup.scene.codes import SparseCodes
 from scoup.scene.field_info import FieldInfo
 from scoup.uplift.rasterise import region_sums

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cli_support import run, run_json
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 TEXTS = ("kettle", "mug")
@@ -55,7 +55,7 @@ def test_python_says_what_the_command_line_says():
         assert field.location(answer).to_dict() == field.location(answer.text).to_dict() == place.to_dict()
         entries = [entry for entry in record["answers"] if entry["text"] == answer.text]
         for camera, entry in zip(field.cameras or (), entries, strict=True):
-            seen = answer.in_view(camera)
+            seen = field.at(camera).show([answer])[0]
             assert {"camera": seen.view, "text": seen.text, **seen.to_dict()} == entry
             assert (seen.position is None) == (entry["position"] is None)
 

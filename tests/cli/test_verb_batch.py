@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cli_support import FREE, QUICK, refused, run, run_json, write_scene
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
 pytestmark = pytest.mark.usefixtures("quick_python")

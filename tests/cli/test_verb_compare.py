@@ -23,7 +23,7 @@ def captures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     room = planted_room()
     assert room.thing_table is not None
-    encoder = room.text_encoder()
+    encoder = room.encoder
     save_table(Path("words.npz"), encoder.names or (), encoder.encode(list(encoder.names or ())).numpy())
     room.save("old.scoup")
     room[~room.thing_table.members(torch.tensor([LAMP]))].save("new.scoup")
@@ -50,7 +50,7 @@ def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) 
     assert room.thing_table is not None
     room.thing_table = replace(room.thing_table, names=names_of({"lantern": {LAMP: 0.6}}))
     room.save("named.scoup")
-    encoder = room.text_encoder()
+    encoder = room.encoder
     names = list(encoder.names or ())
     vectors = encoder.encode([*names, "lamp"]).numpy()
     save_table(Path("lantern.npz"), [*names, "lantern"], vectors)

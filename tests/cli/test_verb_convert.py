@@ -11,8 +11,8 @@ import torch
 
 from cli_support import BUILD, QUICK, printed, refused, run, run_json
 from foreign_samples import LangSplatAutoencoder, save_langsplatv2
-from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
+from scoup.query.language_field import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -24,7 +24,7 @@ def test_features_become_a_field_that_can_be_queried():
     out = printed(*command, "--model", "scene/words.npz")
     assert "new.scoup: 150 Gaussians, 8 atoms, levels m (mean cosine" in out
     assert run_json("info", "new.scoup")["geometry"].endswith("point_cloud.ply")
-    texts = field.question("kettle", encoder="scene/words.npz")
+    texts = field.with_encoder("scene/words.npz").question("kettle")
     pair = [LanguageField.load(path).gaussian_relevancy(texts.queries, texts.canonical)[level, 0]
             for path, level in (("f.scoup", 1), ("new.scoup", 0))]  # fmt: skip
     assert torch.corrcoef(torch.stack(pair))[0, 1] > 0.9

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from cli_support import add_words, printed, run_json
-from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
+from scoup.query.language_field import LanguageField
 
 pytestmark = pytest.mark.usefixtures("here")
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from cli_support import run, run_json, snapshot
-from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, save_gaussians
+from scoup.query.language_field import LanguageField
 from scoup.scene.gaussians import Gaussians
 from uplift.edits import joined
 

@@ -13,8 +13,8 @@ from PIL import Image
 
 from cli_support import FREE, QUICK, refused, run, run_json, snapshot
 from scoup.cli.views import MakeViews
-from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, save_gaussians, write_transforms
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from evaluate.known_methods import NothingRendered
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError
-from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
+from scoup.query.language_field import LanguageField
 from scoup.uplift.build_settings import build_settings
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.methods import METHODS

@@ -10,7 +10,7 @@ import torch
 from field_files import parts_of, small_field
 from scoup.field.content import TENSORS
 from scoup.field.facts import read_facts
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.scene.names import NameTable
 from scoup.scene.things import NO_THING
 from support import altered, things_of, unit

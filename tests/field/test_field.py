@@ -8,7 +8,7 @@ from safetensors.torch import save_file
 
 import scoup
 from scoup.base.errors import FileFormatError, GeometryMismatchError, InputError, OutputExistsError
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
 from scoup.uplift.build import build

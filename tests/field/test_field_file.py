@@ -17,7 +17,7 @@ from field_files import parts_of, write_parts
 from scoup.base.errors import FieldVersionError, FileFormatError
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import VERSION
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from support import examples
 
 

@@ -17,7 +17,6 @@ from scoup.archive.archive import Archive
 from scoup.base.errors import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
 from scoup.field.facts import read_facts
-from scoup.field.language_field import LanguageField
 from scoup.field.part_sizes import part_sizes
 from scoup.io import (
     load_cameras,
@@ -35,6 +34,7 @@ from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 from scoup.io.regions.store import RegionStore, read_view
 from scoup.io.splats.gltf import read_gltf
 from scoup.models.word_table import load_table
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums

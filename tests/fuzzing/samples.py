@@ -34,7 +34,6 @@ from tests.io_samples import (
 )
 from tests.support import small_scene
 
-from scoup.field.language_field import LanguageField
 from scoup.io import (
     as_stored,
     save_gaussians,
@@ -50,6 +49,7 @@ from scoup.io.splats.formats import FORMATS
 from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
 from scoup.io.splats.ply import table_from_gaussians
 from scoup.models.word_table import save_table
+from scoup.query.language_field import LanguageField
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.names import Detections
 from scoup.uplift.rasterise import region_sums

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.language_field import LanguageField
 from scoup.query.question import Question
 from scoup.scene.cameras import Camera
 from scoup.uplift.build import build
@@ -52,7 +52,7 @@ def table() -> dict[str, Tensor]:
 def field(queried: Queried, table: dict[str, Tensor]) -> LanguageField:
     """A field of one's own, which takes the words of the table."""
     made = queried.field.with_gaussians(queried.field.gaussians)
-    made.text_encoder(table)
+    made = made.with_encoder(table)
     return made
 
 

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from query.conftest import random_vectors
-from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.things import NO_THING
@@ -97,7 +97,7 @@ def planted_room(
         cameras=Cameras(cameras),
         thing_table=things if has_things else None,
     )
-    field.text_encoder(dict(zip(words, vectors, strict=True)))
+    field = field.with_encoder(dict(zip(words, vectors, strict=True)))
     return field
 
 

@@ -15,10 +15,10 @@ from query.planted_room import BACK, FRONT, planted_room
 from query.test_named import LAMP, MUG, named_room
 from scoup.base.native import native_core
 from scoup.field.cache import ENTRY_BYTES, Cache
-from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import PixelCosines, pixel_relevancy, relevancy
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes, cosines_from_codes
 
@@ -80,7 +80,7 @@ def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> N
     assert field.location(field.question("word 3", always=True)).answer.threshold is not None
     assert moved.location(moved.question("word 3", always=True)).to_dict() == expected
     relevancy = field.answer("word 3").relevancy()
-    field.text_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))
+    field = field.with_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))
     assert not field.answer("word 3").relevancy().equal(relevancy)
 
 
@@ -160,11 +160,11 @@ def test_other_cameras_and_encoders_are_noticed() -> None:
         room.cameras = Cameras(cameras)
         assert room.select("mug left of the laptop").seen_from == cameras[0].name
     room = named_room({"mug": {MUG: 0.6}, "lamp": {LAMP: 0.6}})
-    encoder = room.text_encoder()
+    encoder = room.encoder
     mug, lamp, *others = encoder.encode(["mug", "lamp", *CANONICAL_PHRASES])
     for one, other in ((mug, lamp), (lamp, mug)):
         vectors = dict(zip(CANONICAL_PHRASES, others, strict=True), mug=one, lamp=other, beaker=one + 0.01)
-        assert room.question("beaker", encoder=TextEncoder.open(vectors)).near == ("mug",)
+        assert room.with_encoder(TextEncoder.open(vectors)).question("beaker").near == ("mug",)
 
 
 def test_several_threads_ask_one_field(field: LanguageField) -> None:

@@ -10,8 +10,8 @@ import torch
 
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
 from scoup.base.errors import InputError, ScoupWarning
-from scoup.field.language_field import LanguageField
 from scoup.query.compare import compare
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 
 WORDS = [*dict.fromkeys(box.name for box in ROOM)]

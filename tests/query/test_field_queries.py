@@ -14,11 +14,11 @@ from torch import Tensor
 from query.conftest import Queried
 from scoup import raster
 from scoup.base.errors import InputError, MissingFileError, UnknownNameError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.answer_scene import answer_scene
+from scoup.query.language_field import LanguageField
 from scoup.query.view_answer import ViewAnswer
 from support import altered
 
@@ -32,7 +32,7 @@ def assert_same_answer(first: ViewAnswer, second: ViewAnswer) -> None:
 
 def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, Tensor]) -> None:
     field, camera = queried.field, queried.camera
-    expected = field.at(camera).answer(field.question("word 3", encoder=table))
+    expected = field.at(camera).answer(field.with_encoder(table).question("word 3"))
     vector = table["word 3"]
     for same in (vector, vector.numpy(), vector.tolist(), 10 * vector, vector.double() / 99, vector[None]):
         (found,) = field.at(camera).answer(same)
@@ -43,14 +43,14 @@ def test_vectors_and_arrays_are_queries_too(queried: Queried, table: dict[str, T
     assert isinstance(several, list)
     assert [answer.text for answer in several] == ["query 1", "query 2"]
     phrases = {name: table[name].numpy() for name in CANONICAL_PHRASES}
-    only = field.at(camera).answer(field.question(vector, encoder=phrases))
+    only = field.at(camera).answer(field.with_encoder(phrases).question(vector))
     assert (only[0].score, only[0].presence) == (None, True)  # four phrases are no words to judge presence by
 
 
 def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> None:
     field = queried.field
     with pytest.raises(UnknownNameError, match="word 1"):
-        field.answer(field.question("wird 1", encoder=table))
+        field.answer(field.with_encoder(table).question("wird 1"))
     with pytest.raises(UnknownNameError, match=r"view_00\.png"):
         field.at("view_09.png").answer("word 1")
     with pytest.raises(InputError, match="has 3"):
@@ -71,7 +71,7 @@ def test_what_cannot_be_asked(queried: Queried, table: dict[str, Tensor]) -> Non
     with pytest.raises(InputError, match="names no embedding model"):
         nameless.at(queried.camera).answer("word 1")
     with pytest.raises(InputError, match="contains no cameras"):
-        nameless.at(0).answer(nameless.question("word 1", encoder=table))
+        nameless.at(0).answer(nameless.with_encoder(table).question("word 1"))
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_answers_are_drawn_by_the_field_s_rasteriser_and_pickled_without_it(
 ) -> None:
     field = queried.field
     other = altered(field, info=replace(field.info, raster_preset="gsplat"), thing_table=None)
-    answer = other.at(0).answer(other.question("word 3", encoder=table, always=True))
+    answer = other.at(0).answer(other.with_encoder(table).question("word 3", always=True))
     assert answer.source is not None
     expected = raster.render_colors(other.gaussians, queried.camera, other.project(queried.camera))
     assert answer.source.colors().equal(expected)
@@ -122,9 +122,9 @@ def test_a_table_beside_the_file_is_found(queried: Queried, table: dict[str, Ten
     named.at(0).answer("word 5")  # what is remembered for views is not saved
     named.save(tmp_path / "scene" / "f.scoup")
     loaded = LanguageField.load(tmp_path / "scene" / "f.scoup")  # the Gaussians are in the file
-    other = field.at(0).answer(field.question("word 5", encoder=table))
+    other = field.at(0).answer(field.with_encoder(table).question("word 5"))
     assert_same_answer(loaded.at(0).answer("word 5"), other)
-    assert loaded.text_encoder() is loaded.text_encoder()
+    assert loaded.encoder is loaded.encoder
     part = LanguageField.load(tmp_path / "scene" / "f.scoup")[:40]
     assert part.at(0).answer("word 5").view == queried.camera.name
     loaded.save(tmp_path / "saved.scoup")
@@ -139,7 +139,7 @@ def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
     queried: Queried, table: dict[str, Tensor], tmp_path: Path
 ) -> None:
     field = queried.field
-    field.text_encoder(table)
+    field = field.with_encoder(table)
     mask = torch.zeros(len(field), dtype=torch.bool)
     mask[::2] = True
     part = field[mask]
@@ -148,7 +148,7 @@ def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
     places = mask.nonzero()[:, 0]
     for same in (mask.numpy(), places, places.int().numpy(), places.tolist()):
         assert field[same].code_weights.equal(part.code_weights)
-    vectors = table["word 3"][None], field.text_encoder().canonical()
+    vectors = table["word 3"][None], field.encoder.canonical()
     whole = field.gaussian_relevancy(*vectors)
     # Some processors round the last numbers of a vector differently, and where they end depends on the count.
     torch.testing.assert_close(part.gaussian_relevancy(*vectors), whole[..., mask], rtol=1e-6, atol=1e-6)
@@ -156,7 +156,7 @@ def test_a_part_of_a_field_is_queried_alone_and_saved_with_its_gaussians(
     part.save(tmp_path / "part.scoup")
     loaded = LanguageField.load(tmp_path / "part.scoup")
     assert loaded.gaussians.fingerprint() == part.fingerprint
-    loaded.text_encoder(table)
+    loaded = loaded.with_encoder(table)
     assert_same_answer(loaded.at(0).answer("word 3"), part.at(0).answer("word 3"))
     for bad in (mask[1:], torch.tensor([len(field)]), torch.tensor([-1]), torch.ones(3), mask[None]):
         with pytest.raises(InputError, match="Gaussians"):
@@ -228,11 +228,11 @@ def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor])
         assert place.level == level
         own = field.gaussian_relevancy(texts.queries[:1], texts.canonical)[number, 0]
         assert torch.equal(place.relevancy(), own)
-        asked = field.question(texts.queries, level=np.int64(number), encoder=table)  # pyright: ignore
+        asked = field.with_encoder(table).question(texts.queries, level=np.int64(number))  # pyright: ignore
         assert asked.level == number
     best = answer_scene(field, texts)[0]
     assert torch.equal(
         best.mask, answer_scene(field, replace(texts, level=field.level_index(best.level)))[0].mask
     )
     with pytest.raises(InputError, match="no level"):
-        field.question(texts.queries, level="x", encoder=TextEncoder.open(table))
+        field.with_encoder(TextEncoder.open(table)).question(texts.queries, level="x")

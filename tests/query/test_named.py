@@ -14,8 +14,8 @@ import torch
 from cli_support import run
 from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder, everyday_vocabulary
+from scoup.query.language_field import LanguageField
 from scoup.query.matching import Choice, compare_things
 from scoup.query.named import AGREES, FIELD_POWER, TOGETHER, Named, joined
 from scoup.query.presence import LIKELY
@@ -110,10 +110,10 @@ def test_presence_is_that_of_the_photographs() -> None:
 
 def test_a_text_near_to_a_name_is_answered_by_it() -> None:
     field = planted_room()
-    words = {word: field.text_encoder().encode([word])[0] for word in field.text_encoder().names or ()}
+    words = {word: field.encoder.encode([word])[0] for word in field.encoder.names or ()}
     words["luminaire"] = torch.nn.functional.normalize(words["lamp"] + 0.02 * words["ball"], dim=0)
     named = named_room({"Luminaire": {BALL: 0.5}})  # whatever its capitals
-    named.text_encoder(words)
+    named = named.with_encoder(words)
     assert named.answer("luminaire").things == (BALL,)
     assert named.answer("lamp").things == (BALL,)
     assert named.answer("laptop").things == (LAPTOP,)
@@ -130,8 +130,8 @@ def test_names_come_first_in_catalogues_and_lists() -> None:
 
 def test_a_name_that_a_model_gave_is_tried_once() -> None:
     field = named_room({"Lamp": {LAMP: 0.5}, "lamps": {BALL: 0.5}, "ufo": {BALL: 0.5}})
-    assert naming_question(field).texts == everyday_vocabulary(field.text_encoder())
-    field.text_encoder(TextEncoder("", 32, lambda phrases: torch.ones(len(phrases), 32)))
+    assert naming_question(field).texts == everyday_vocabulary(field.encoder)
+    field = field.with_encoder(TextEncoder("", 32, lambda phrases: torch.ones(len(phrases), 32)))
     texts = naming_question(field).texts
     assert [texts.count(text) for text in ("lamp", "Lamp", "lamps", "ufo")] == [1, 0, 1, 1]
 
@@ -196,7 +196,7 @@ def test_the_verb_keeps_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     field = planted_room()
     path, words = tmp_path / "room.scoup", tmp_path / "words.npz"
     field.save(path, weight_bits=8)
-    encoder = field.text_encoder()
+    encoder = field.encoder
     names = list(encoder.names or ())
     np.savez(words, names=np.array(names), vectors=encoder.encode(names).numpy())
     monkeypatch.setattr("scoup.query.refine.open_concepts", lambda name, device: Finder(field, BALL))
@@ -212,7 +212,7 @@ def test_the_verb_keeps_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert code == 0, error
     kept = LanguageField.load(path)
     torch.testing.assert_close(kept.code_weights, field.code_weights)
-    kept.text_encoder(words)
+    kept = kept.with_encoder(words)
     assert kept.answer("lamp").things == (BALL,)
     code, out, error = run(*("mug" if word == "lamp" else word for word in query), "--out", tmp_path / "d")
     assert code == 0, error

@@ -13,10 +13,10 @@ import torch
 from children import finished
 from query.conftest import without_things
 from scoup import raster
-from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query.answer import Answer
 from scoup.query.field_view import INSIDE
+from scoup.query.language_field import LanguageField
 from scoup.query.matching import SAME
 from scoup.query.question import Question
 from scoup.query.view_answer import ViewAnswer, main_parts
@@ -142,7 +142,7 @@ def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequen
             one = field.question(words[number], always=True)
             for alone in (answer, field.answer(one), field.select(one)):
                 assert view.show([alone])[0].mask.equal(seen[number].mask)
-            assert answer.in_view(camera).mask.equal(seen[number].mask)
+            assert field.at(camera).show([answer])[0].mask.equal(seen[number].mask)
     if table is not None:
         check_catalog(field, answers)
 
@@ -151,7 +151,9 @@ def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequen
 def demo() -> tuple[LanguageField, list[str]]:
     scene = make_demo_scene(0, 4000, 96, 72, 6, 0)
     field = build(scene.gaussians, scene.building, scene.regions, SETTINGS)
-    field.text_encoder(dict(zip(scene.words.texts, torch.from_numpy(scene.words.vectors), strict=True)))
+    field = field.with_encoder(
+        dict(zip(scene.words.texts, torch.from_numpy(scene.words.vectors), strict=True))
+    )
     names = {name for level in field.levels for name in scene.parts.names(level)}
     words = [word for word in scene.words.texts if word in names]
     others = [word for word in scene.words.texts if word not in names]
@@ -172,7 +174,7 @@ def photographed(folder: Path) -> LanguageField:
 
 def desk(data: Path, _: Path) -> tuple[LanguageField, list[str]]:
     field = photographed(data / "desk")
-    field.text_encoder(data / "desk" / "desk_words.npz")
+    field = field.with_encoder(data / "desk" / "desk_words.npz")
     return field, ["kettle", "laptop computer", "penguin"]
 
 
@@ -183,14 +185,14 @@ def kitchen(data: Path, out: Path) -> tuple[LanguageField, list[str]]:
     cameras = load_cameras(folder, downscale=4)
     regions = load_regions(out, cameras)
     field = build(load_gaussians(folder / "scene" / "model.splat"), cameras, regions, SETTINGS)
-    field.text_encoder(data / "clip" / "text_vit_b16_laion2b.npz")
+    field = field.with_encoder(data / "clip" / "text_vit_b16_laion2b.npz")
     return field, sorted({name for frame in read_labels(folder / "label") for name in frame.labels})
 
 
 def real(name: str) -> Callable[[Path, Path], tuple[LanguageField, list[str]]]:
     def made(data: Path, _: Path) -> tuple[LanguageField, list[str]]:
         field = photographed(data / "real" / name)
-        field.text_encoder(data / "desk" / "desk_words.npz")
+        field = field.with_encoder(data / "desk" / "desk_words.npz")
         return field, list(json.loads((data / "real" / name / "words.json").read_text()))
 
     return made
@@ -210,7 +212,7 @@ def test_a_real_scene(data_folder: Path, tmp_path: Path, name: str) -> None:
     if not (data_folder / name).is_dir():
         pytest.skip(f"no {name} in {data_folder}")
     field, words = REAL[name](data_folder, tmp_path)
-    known = field.text_encoder().names
+    known = field.encoder.names
     absent = [word for word in known if word not in words][:: max(1, len(known) // 12)]
     assert field.cameras is not None
     check_everything(field, [*words, *absent], field.cameras.scaled(0.25)[:: len(field.cameras) // 3])

@@ -14,10 +14,10 @@ import torch
 
 from query.conftest import WORDS, random_vectors
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.query.answer import Answer
+from scoup.query.language_field import LanguageField
 
 COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}
 

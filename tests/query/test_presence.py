@@ -14,9 +14,9 @@ from torch import Tensor
 from query.conftest import Queried, random_vectors
 from query.planted_room import Box, planted_room
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
 from scoup.query.answer_scene import answer_scene
+from scoup.query.language_field import LanguageField
 from scoup.query.matching import compare_things
 from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, TextScore, other_words, presence_threshold
 from scoup.query.question import Question

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room, with_whole
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.field.language_field import LanguageField
 from scoup.query.ask import apart
+from scoup.query.language_field import LanguageField
 from scoup.query.phrases import parse_phrase
 from scoup.query.relations import resolve
 from support import examples

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room
-from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.boxes import FARTHEST, PointSets
 from scoup.query.catalog_files import draw_things, viewing_cameras
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING, TENSORS, ThingTable

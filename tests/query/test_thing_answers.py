@@ -15,9 +15,9 @@ from torch import Tensor
 
 from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
-from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
+from scoup.query.language_field import LanguageField
 from scoup.query.matching import (
     AGREEMENT,
     FEW_REGIONS,

@@ -38,7 +38,7 @@ def shown() -> dict[str, Any]:
     words = unit(torch.randn(30, 16, generator=torch.Generator().manual_seed(0)))
     names = ["object", "things", "stuff", "texture", *(f"word {number}" for number in range(26))]
     encoder = TextEncoder.open(dict(zip(names, words, strict=True)))
-    answer = field.at(0).answer(field.question("word 3", encoder=encoder, always=True))
+    answer = field.at(0).answer(field.with_encoder(encoder).question("word 3", always=True))
     return dict(zip(TITLES, (gaussians, cameras, regions, encoder, field, answer), strict=True))
 
 

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base.counts import spread
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap
 from scoup.scene.things import NO_THING, ThingTable

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, save_gaussians
+from scoup.query.language_field import LanguageField
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING

@@ -129,7 +129,7 @@ def test_the_teddy_bear_of_a_table_lies_at_one_place(data_folder: Path) -> None:
     gaussians, cameras = load_gaussians(scene / "point_cloud.splat"), load_cameras(scene)
     field = build(gaussians, cameras, load_regions(scene / "language_features", cameras), check_fit=False)
     words = data_folder / "desk" / "desk_words.npz"
-    bear = field.things(field.question("teddy bear", encoder=words, always=True))[0]
+    bear = field.things(field.with_encoder(words).question("teddy bear", always=True))[0]
     away = (gaussians.means[bear.gaussians].double() - bear.position).norm(dim=1)
     assert float(away.max()) < 2 * bear.size
     share = sum(field.info.provenance["strays"].values()) / field.thing_table.owners.numel()  # pyright: ignore

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo

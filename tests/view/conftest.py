@@ -10,7 +10,7 @@ import pytest
 from benchmarks.chromium import chromium
 from browser_support import Visit, need_browser, opened, saved_field, visiting
 
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera
 from scoup.view.export import export_page
 from scoup.view.viewed_field import ViewedField
@@ -42,7 +42,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def viewed(saved: Path) -> ViewedField:
-    return ViewedField(LanguageField.load(saved), str(saved.with_name("words.npz")))
+    return ViewedField(LanguageField.load(saved).with_encoder(str(saved.with_name("words.npz"))))
 
 
 @pytest.fixture(scope="module")

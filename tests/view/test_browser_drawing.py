@@ -26,8 +26,8 @@ from browser_support import (
 from view_samples import unpacked
 
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
 from scoup.pictures.colors import Picture
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.view import parts
 from scoup.view.export import export_page
@@ -50,7 +50,7 @@ def in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def whole(browser: Browser) -> Picture:
     """The kettle in a page that got the scene in one piece."""
-    viewed = ViewedField(things_field(), table())
+    viewed = ViewedField(things_field().with_encoder(table()))
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         assert visit.state()["gaussians"] == len(viewed.field)
         visit.ask("kettle")
@@ -71,7 +71,7 @@ def whole_scene(visit: Visit, whole: Picture, count: int) -> None:
 def test_a_large_scene_is_seen_coarsely_first(
     browser: Browser, whole: Picture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    viewed = ViewedField(things_field(), table())
+    viewed = ViewedField(things_field().with_encoder(table()))
     assert viewed.n_parts > 1
     held, busy = threading.Event(), [True]
     part = viewed.part
@@ -102,7 +102,7 @@ def test_the_part_that_is_seen_comes_first(browser: Browser) -> None:
     main = torch.zeros(400, 3, dtype=torch.int64)
     for side, wanted in ((0.5, ["0-of-2", "1-of-2"]), (30.5, ["1-of-2", "0-of-2"])):
         camera = Camera.look_at((side, -4, 0.5), (side, 0, 0.5), "near.png", 400, 300, 400)
-        viewed = ViewedField(coded(gaussians, main, generator, Cameras([camera])), table())
+        viewed = ViewedField(coded(gaussians, main, generator, Cameras([camera])).with_encoder(table()))
         with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
             visit.page.evaluate("window.scoupViewer.whole")
             asked = [address.rsplit("/", 1)[1] for address in visit.requests if "/part/" in address]
@@ -111,7 +111,7 @@ def test_the_part_that_is_seen_comes_first(browser: Browser) -> None:
 
 @pytest.mark.usefixtures("in_parts")
 def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    viewed = ViewedField(things_field(), table())
+    viewed = ViewedField(things_field().with_encoder(table()))
 
     def damaged(number: int, whole: bool) -> bytes:
         raise InputError("scene.scoup: damaged")
@@ -129,7 +129,7 @@ def test_a_part_that_cannot_be_had_is_said(browser: Browser, monkeypatch: pytest
 def test_an_exported_page_loads_its_parts_one_by_one(
     browser: Browser, whole: Picture, tmp_path: Path
 ) -> None:
-    viewed = ViewedField(things_field(), table())
+    viewed = ViewedField(things_field().with_encoder(table()))
     export_page(viewed, tmp_path / "page", split=True)
     with visiting(browser, (tmp_path / "page" / "index.html").as_uri(), offline=True) as visit:
         whole_scene(visit, whole, len(viewed.field))
@@ -164,12 +164,15 @@ def asked_whole(visit: Visit) -> list[str]:
 def test_what_is_near_is_shown_whole(browser: Browser) -> None:
     """Of merged parts, as many as there is room for, and others where the camera goes."""
     field, pictures = four_places(), {}
-    with opened(ViewedField(field, table())) as viewer, visiting(browser, viewer.address) as visit:
+    with (
+        opened(ViewedField(field.with_encoder(table()))) as viewer,
+        visiting(browser, viewer.address) as visit,
+    ):
         visit.page.evaluate("window.scoupViewer.whole")
         for name in ("first.png", "last.png"):
             fly(visit, name)
             pictures[name] = visit.picture()
-    viewed = ViewedField(field, table(), most=300)
+    viewed = ViewedField(field.with_encoder(table()), most=300)
     merged = [len(unpacked(viewed.part(number))[0]["opacities"]) for number in range(4)]
     assert max(merged) <= 75
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
@@ -184,7 +187,7 @@ def test_what_is_near_is_shown_whole(browser: Browser) -> None:
 
 @pytest.mark.usefixtures("in_parts")
 def test_what_cannot_be_had_whole_stays_merged(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    viewed = ViewedField(four_places(), table(), most=300)
+    viewed = ViewedField(four_places().with_encoder(table()), most=300)
     part = viewed.part
     merged = sum(len(unpacked(part(number))[0]["opacities"]) for number in range(4))
 
@@ -212,7 +215,7 @@ def test_haze_and_needles_are_cleaned_from_the_selection(browser: Browser) -> No
     gaussians.scales[1:A_THING:2] = torch.tensor([0.12, 0.01, 0.01])  # and needles
     gaussians.scales[A_THING : 2 * A_THING] = torch.tensor([0.06, 0.06, 0.004])  # the mug's are flat
     with (
-        opened(ViewedField(field.with_gaussians(gaussians), table())) as viewer,
+        opened(ViewedField(field.with_gaussians(gaussians).with_encoder(table()))) as viewer,
         visiting(browser, viewer.address) as visit,
     ):
         for text, stays in (("kettle", False), ("mug", True)):
@@ -251,7 +254,7 @@ def test_slow_browsers_draw_fewer_gaussians_and_pixels_while_the_camera_moves(
     browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(parts, "COARSE_GAUSSIANS", 60)
-    viewed = ViewedField(things_field(), table())
+    viewed = ViewedField(things_field().with_encoder(table()))
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         visit.page.evaluate("window.scoupViewer.whole")
         visit.ask("kettle")
@@ -306,7 +309,7 @@ def test_relevancy_on_the_browsers_gpu_is_that_of_the_library(browser: Browser, 
     field = coded(gaussians, main, generator, Cameras([camera]), k, n_others)
     field.code_weights = torch.rand(field.code_weights.shape, generator=generator).to(torch.float16)
     field.code_weights[::7, 1] = 0  # without a code
-    viewed = ViewedField(field, table())
+    viewed = ViewedField(field.with_encoder(table()))
     points = torch.cat([means, torch.ones(count, 1)], 1).double() @ (camera.viewmat[:3].T @ camera.K.T)
     columns, rows = (points[:, :2] / points[:, 2:]).floor().int().numpy().T
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:

@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example page beside the page it shows, and another site that sends the same messages."""
     out = tmp_path_factory.mktemp("element")
     shutil.copytree(ELEMENT, out, dirs_exist_ok=True)
-    export_page(ViewedField(field_of_instances(), table()), out / "scene.scoup.html")
+    export_page(ViewedField(field_of_instances().with_encoder(table())), out / "scene.scoup.html")
     (out / "other.html").write_text(
         f"<script>setInterval(() => parent.postMessage({json.dumps(FORGED)}, '*'), 20)</script>"
     )

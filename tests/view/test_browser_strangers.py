@@ -27,7 +27,7 @@ pytest.importorskip("uvicorn")
 
 @pytest.fixture(scope="module")
 def viewed() -> ViewedField:
-    return ViewedField(things_field(), table())
+    return ViewedField(things_field().with_encoder(table()))
 
 
 @contextmanager

@@ -65,7 +65,7 @@ LEVELS = {None: "automatic", 0: "s (fine)", 1: "m (medium)", 2: "l (coarse)"}
 
 @pytest.fixture(scope="module")
 def viewed() -> ViewedField:
-    return ViewedField(field_of_instances(), table())
+    return ViewedField(field_of_instances().with_encoder(table()))
 
 
 @pytest.fixture
@@ -135,7 +135,7 @@ def test_phrases_light_up_things(browser: Browser) -> None:
     owners[:30, 0] = 2  # of the kettle, to the thing that is named "book" at the finest level only
     embeddings[[0, 5, 8]] = torch.stack(fillers[:3]).half()
     field.thing_table = replace(things, owners=owners, embeddings=embeddings)
-    viewed = ViewedField(field, table())
+    viewed = ViewedField(field.with_encoder(table()))
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         for text, count in (("mug right of the kettle", 60), ("kettle and not book", 60)):
             visit.ask(text)

@@ -282,7 +282,7 @@ def test_what_is_copied_does_what_is_seen(
 def test_the_page_goes_on_when_its_server_is_back_with_its_field(
     browser: Browser, viewed: ViewedField, same: bool
 ):
-    other = ViewedField(things_field(), table())
+    other = ViewedField(things_field().with_encoder(table()))
     other.field.codebook[0, 0] = other.field.codebook[0, 1]  # the same splat, other codes
     assert other.identity != viewed.identity
     first = opened(viewed)

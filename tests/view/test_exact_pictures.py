@@ -34,7 +34,7 @@ def camera(viewed: ViewedField) -> Camera:
 def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> None:
     rgb = raster.render_colors(viewed.gaussians, camera)
     assert np.array_equal(viewed.picture(camera), as_picture(rgb))
-    answer = viewed.field.at(camera).answer(viewed.field.question("thing 3", encoder=table()))
+    answer = viewed.field.at(camera).answer(viewed.field.with_encoder(table()).question("thing 3"))
     heat, mask = (viewed.picture(camera, mode, ["thing 3"], [BLUE], 0.6) for mode in ("heat", "mask"))
     assert np.array_equal(heat, heat_overlay(answer.heat, rgb, opacity=0.6))
     assert np.array_equal(mask, texts_overlay([answer.heat], [answer.mask], rgb, [BLUE], 0.6))
@@ -44,7 +44,7 @@ def test_pictures_are_those_of_query(viewed: ViewedField, camera: Camera) -> Non
 def test_several_texts_have_a_colour_each(viewed: ViewedField, camera: Camera) -> None:
     texts, colors = ["thing 3", "thing 5", "thing 1"], [BLUE, ORANGE, (90.0, 220.0, 115.0)]
     rgb = raster.render_colors(viewed.gaussians, camera)
-    answers = viewed.field.at(camera).answer(viewed.field.question(texts, encoder=table()))
+    answers = viewed.field.at(camera).answer(viewed.field.with_encoder(table()).question(texts))
     heats, masks = [answer.heat for answer in answers], [answer.mask for answer in answers]
     for mode in ("heat", "mask"):
         shown = viewed.picture(camera, mode, texts, colors, 0.8)
@@ -55,7 +55,9 @@ def test_several_texts_have_a_colour_each(viewed: ViewedField, camera: Camera) -
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField, camera: Camera, level: int) -> None:
-    answer = viewed.field.at(camera).answer(viewed.field.question("thing 3", encoder=table(), level=level))
+    answer = viewed.field.at(camera).answer(
+        viewed.field.with_encoder(table()).question("thing 3", level=level)
+    )
     assert answer.level == viewed.field.levels[level]
     rgb = raster.render_colors(viewed.gaussians, camera)
     asked = {"texts": ["thing 3"], "colors": [BLUE], "level": level}
@@ -156,7 +158,7 @@ def test_a_click_reads_the_name_of_what_it_hits() -> None:
     field.codebook[:, 0], field.codebook[:, 1] = unit(names["thing 4"]), unit(names["thing 9"])
     field.code_indices[:] = torch.tensor([0, 1], dtype=torch.uint8)[:, None, None]
     field.code_weights[:] = 1.0
-    viewed = ViewedField(field, names)
+    viewed = ViewedField(field.with_encoder(names))
     gaussians = field.gaussians
     camera = Camera.look_at(
         gaussians.means[0].double() + torch.tensor([0, 0, -0.3]),

@@ -162,7 +162,7 @@ def test_the_folders_of_this_machine_are_not_told(tmp_path: Path) -> None:
     field = random_field()
     field.info = replace(field.info, embedding_model=str(tmp_path / "clip"), words=tmp_path / "words.npz")
     field.save(tmp_path / "secret folder.scoup")
-    viewed = ViewedField(field, table())
+    viewed = ViewedField(field.with_encoder(table()))
     export_page(viewed, tmp_path / "scene.html")
     text = (tmp_path / "scene.html").read_text()
     assert str(tmp_path) not in text

@@ -14,8 +14,8 @@ from view_samples import PAGE
 
 from cli_support import run, run_json
 from query.planted_room import ABSENT, FRONT, ROOM, Box, planted_room
-from scoup.field.language_field import LanguageField
 from scoup.models.word_table import save_table
+from scoup.query.language_field import LanguageField
 from scoup.view.guard import Guard
 from scoup.view.scene_tools import SceneTools
 from scoup.view.server import application
@@ -75,7 +75,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A saved field of the room, with its word table."""
     folder = tmp_path_factory.mktemp("room")
     field = planted_room((*ROOM, Box("salt and pepper", (1.5, -0.5, 1.1), (0.2, 0.2, 0.2))))
-    encoder = field.text_encoder()
+    encoder = field.encoder
     assert encoder.names is not None
     save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
     field.info = replace(field.info, embedding_model="some/model", words=folder / "words.npz")

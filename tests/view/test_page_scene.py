@@ -63,7 +63,7 @@ def test_codes_and_scores_give_the_relevancy_of_the_field() -> None:
 def test_owners_are_those_of_the_gaussians_shown() -> None:
     field = field_with_things(60)
     assert field.thing_table is not None
-    viewed = ViewedField(field, table(), most=40)
+    viewed = ViewedField(field.with_encoder(table()), most=40)
     tensors, metadata = unpacked(viewed.scene())
     assert metadata["n_things"] == len(field.thing_table)
     middle = field.thing_table.owners[:, 1]
@@ -75,11 +75,11 @@ def test_owners_are_those_of_the_gaussians_shown() -> None:
     tensors, metadata = unpacked(plain.scene())
     assert "owners" not in tensors
     assert "n_things" not in metadata
-    other = ViewedField(field_with_things(60), table())
+    other = ViewedField(field_with_things(60).with_encoder(table()))
     assert other.identity == viewed.identity != viewed_field(count=60).identity
     assert other.field.thing_table is not None
     other.field.thing_table.owners[0, 0] = 1 - other.field.thing_table.owners[0, 0].clamp(0, 1)
-    assert ViewedField(other.field, table()).identity != viewed.identity
+    assert ViewedField(other.field.with_encoder(table())).identity != viewed.identity
 
 
 @settings(max_examples=examples(20), deadline=None)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from view_samples import field_with_things, random_field, splat_of, table, unpacked
 
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.view import parts
 from scoup.view.decimation import cover, drawable
 from scoup.view.parts import Parts
@@ -106,7 +106,7 @@ def clustered() -> LanguageField:
 
 
 def test_coarse_gaussians_answer_as_all_do() -> None:
-    viewed = ViewedField(clustered(), table())
+    viewed = ViewedField(clustered().with_encoder(table()))
     first, metadata = unpacked(viewed.scene())
     assert len(metadata["parts"]) == viewed.n_parts == 4
     assert sum(metadata["parts"]) == len(first["opacities"]) <= 60
@@ -135,7 +135,7 @@ def test_coarse_gaussians_answer_as_all_do() -> None:
 
 def test_files_of_parts_have_their_own_ranges_things_and_equal_bytes() -> None:
     field = field_with_things(400)
-    viewed, again = ViewedField(field, table()), ViewedField(field, table())
+    viewed, again = ViewedField(field.with_encoder(table())), ViewedField(field.with_encoder(table()))
     assert viewed.scene() == again.scene()
     assert field.thing_table is not None
     cut = Parts(viewed.gaussians, viewed.most, field.thing_table.owners[:, 1])
@@ -157,9 +157,9 @@ def test_files_of_parts_have_their_own_ranges_things_and_equal_bytes() -> None:
 
 
 def test_a_small_scene_has_no_parts() -> None:
-    viewed = ViewedField(random_field(120), table())
+    viewed = ViewedField(random_field(120).with_encoder(table()))
     tensors, metadata = unpacked(viewed.scene())
     assert viewed.n_parts == 0
     assert "parts" not in metadata
     assert len(tensors["opacities"]) == 120
-    assert ViewedField(random_field(121), table()).n_parts == 2
+    assert ViewedField(random_field(121).with_encoder(table())).n_parts == 2

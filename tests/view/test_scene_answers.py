@@ -14,10 +14,10 @@ import torch
 from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
 
 from scoup.base.errors import InputError, UnknownNameError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import everyday_vocabulary
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
+from scoup.query.language_field import LanguageField
 from scoup.query.votes import level_thresholds
 from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
@@ -62,7 +62,7 @@ def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: View
 @pytest.fixture(scope="module")
 def of_things() -> ViewedField:
     """A field with things, which contains some words and not others."""
-    return ViewedField(field_with_things(), table())
+    return ViewedField(field_with_things().with_encoder(table()))
 
 
 def members(viewed: ViewedField, things: list[int] | None) -> torch.Tensor:
@@ -93,7 +93,7 @@ def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> Non
 @pytest.mark.parametrize("make", [field_with_things, lambda: random_field(300)], ids=["things", "votes"])
 def test_ways_to_ask_do_not_contradict_each_other(make: Callable[[], LanguageField]) -> None:
     field = make()
-    viewed, tools = ViewedField(field, table()), SceneTools({"f": field})
+    viewed, tools = ViewedField(field.with_encoder(table())), SceneTools({"f": field})
     answers, certainties = field.answer(list(WORDS)), set()
     page = viewed.answers(WORDS)
     for answer, on_page, exported in zip(answers, page, exported_verdicts(field, page), strict=True):
@@ -145,13 +145,13 @@ def test_without_things_the_votes_answer_at_every_level(viewed: ViewedField) -> 
     assert field.thing_table is not None
     none = {name: getattr(field.thing_table, name)[:0] for name in TENSORS[1:]}
     field.thing_table = ThingTable(torch.full_like(field.thing_table.owners, NO_THING), **none)
-    answer = ViewedField(field, table()).answers(["thing 1"])[0]
+    answer = ViewedField(field.with_encoder(table())).answers(["thing 1"])[0]
     assert (answer.chosen_things, answer.things) == (None, [None, None])
     assert not {"things", "runner_up"} & set(unpacked(words_data(field, [answer]))[0])
 
 
 def test_words_name_the_same_things() -> None:
-    viewed = ViewedField(field_with_things(), table())
+    viewed = ViewedField(field_with_things().with_encoder(table()))
     answers = viewed.answers(WORDS)
     tensors = unpacked(words_data(viewed.field, answers))[0]
     counts, numbers = tensors["thing_counts"], iter(tensors["things"].tolist())
@@ -213,11 +213,11 @@ def test_the_vocabulary_is_the_table_without_its_phrases_or_a_list(
     assert vocabulary is not None
     assert vocabulary.texts == WORDS
     assert viewed.is_closed()
-    own = ViewedField(random_field(), table(), ["thing 4", "thing 2"]).vocabulary()
+    own = ViewedField(random_field().with_encoder(table()), ["thing 4", "thing 2"]).vocabulary()
     assert own is not None
     assert own.texts == ("thing 4", "thing 2")
     with pytest.raises(UnknownNameError):
-        ViewedField(random_field(), table(), ["nothing"]).vocabulary()
+        ViewedField(random_field().with_encoder(table()), ["nothing"]).vocabulary()
     assert "kettle" in everyday_vocabulary(_Model())  # pyright: ignore[reportArgumentType]
     listed = tmp_path / "list.txt"
     listed.write_text(" a  b\n\nc\na b\n")
@@ -251,7 +251,7 @@ def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
     np.testing.assert_allclose(tensors["thresholds"][row], one.thresholds.numpy())
     np.testing.assert_allclose(tensors["spans"][row], one.spans.numpy(), atol=1e-6)
     few = {name: vector for name, vector in table().items() if name not in WORDS[3:]}
-    unjudged = ViewedField(random_field(), few)
+    unjudged = ViewedField(random_field().with_encoder(few))
     assert unjudged.metadata()["present_from"] is None
     stored = unpacked(words_data(unjudged.field, unjudged.answers(["thing 0"])))[0]
     assert math.isnan(stored["score"][0])
@@ -260,6 +260,6 @@ def test_words_hold_the_same_answers(viewed: ViewedField) -> None:
 
 def test_an_encoder_of_another_size_is_refused_only_if_it_was_given() -> None:
     with pytest.raises(InputError, match=f"{DIM + 1}"):
-        ViewedField(random_field(), table(DIM + 1))
+        ViewedField(random_field().with_encoder(table(DIM + 1)))
     with pytest.raises(InputError, match="at least 1 Gaussian"):
-        ViewedField(random_field(), table(), most=0)
+        ViewedField(random_field().with_encoder(table()), most=0)

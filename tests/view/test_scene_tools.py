@@ -20,8 +20,8 @@ from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import Archive
 from scoup.base.errors import InputError, ScoupError
 from scoup.field.facts import read_facts
-from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians
+from scoup.query.language_field import LanguageField
 from scoup.query.question import naming_question
 from scoup.query.relations import overlaps
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools

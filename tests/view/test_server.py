@@ -91,7 +91,7 @@ def test_a_large_scene_comes_in_parts(in_parts: ViewedField) -> None:
 
 def test_merged_parts_are_sent_whole_too(in_parts: ViewedField, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = in_parts
-    merged = ViewedField(whole.field, table(), most=40)
+    merged = ViewedField(whole.field.with_encoder(table()), most=40)
     assert "most" not in unpacked(whole.scene())[1]
     assert "most" not in unpacked(merged.scene(exported=True))[1]
     assert unpacked(merged.scene())[1]["most"] == 40
@@ -164,7 +164,7 @@ def test_pictures_points_and_selections(client: TestClient, viewed: ViewedField)
 
 
 def test_names_in_any_script_are_saved_with_their_things(tmp_path: Path) -> None:
-    client, path = client_of(ViewedField(field_with_things(), table())), tmp_path / "a.ply"
+    client, path = client_of(ViewedField(field_with_things().with_encoder(table()))), tmp_path / "a.ply"
     names = {1: "tasse à café", 3: "杯子"}
     things = [{"number": number, "name": name} for number, name in names.items()]
     path.write_bytes(client.post("/api/select", json={"things": things}).content)

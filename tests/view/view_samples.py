@@ -12,8 +12,8 @@ import torch
 from safetensors.numpy import load
 from torch import Tensor
 
-from scoup.field.language_field import LanguageField
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
@@ -88,7 +88,7 @@ def table(dim: int = DIM) -> dict[str, Tensor]:
 def viewed_field(**options: Any) -> ViewedField:
     most = options.pop("most", 1000)
     words = options.pop("words", None)
-    return ViewedField(random_field(**options), table(), words, most)
+    return ViewedField(random_field(**options).with_encoder(table()), words, most)
 
 
 def unpacked(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

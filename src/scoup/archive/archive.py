@@ -47,10 +47,10 @@ from scoup.base.errors import (
 from scoup.base.locks import WAIT, locked
 from scoup.base.records import rounded_vector
 from scoup.field.container import place_of, relative_place
-from scoup.field.language_field import Encoder, LanguageField
 from scoup.io.images import open_image, rgb_image
-from scoup.models.text import TextEncoder
+from scoup.models.text import Encoder, TextEncoder
 from scoup.query.boxes import OrientedBox
+from scoup.query.language_field import LanguageField
 from scoup.query.matching import compare_things
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import encode_texts, warn_of_another_model

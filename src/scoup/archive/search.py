@@ -15,14 +15,14 @@ from torch import Tensor
 from scoup.archive.read_scans import ScanBlock
 from scoup.archive.scan_files import Scan, ScanRecord
 from scoup.base.errors import InputError, MissingFileError
-from scoup.field.language_field import LanguageField
 from scoup.models.text import TextEncoder
 from scoup.query import matching
 from scoup.query.answer_scene import compared_others
-from scoup.query.ask import things
+from scoup.query.ask import things_of_question
 from scoup.query.expression import Expression, parse_expression
+from scoup.query.language_field import LanguageField
 from scoup.query.matching import ComparedTable, compared_words, hub_cosines
-from scoup.query.named import Named, choose, instances_of, joined_presence, named_texts
+from scoup.query.named import Named, choose, joined_presence, named_texts
 from scoup.query.phrases import texts_of
 from scoup.query.presence import TextScore, is_present, presence_threshold
 from scoup.query.question import Question, make_question, near_names, text_vectors
@@ -68,9 +68,8 @@ class Search:
             raise InputError(
                 f"{text}: does not name what is looked for; ask a single field for everything there"
             )
-        vectors = text_vectors(encoder, expression.texts, source)
+        vectors = text_vectors(encoder, expression.texts)
         least = presence_threshold(len(vectors.everyday), source, present_from)
-        expression = expression.as_count() if counted else expression
         question = Question.from_vectors(vectors.with_everyday(), present_from=least)
         words = compared_words(question)
         others = compared_others(question)
@@ -198,11 +197,9 @@ class AskedScan:
             if choice is None:
                 yield []
                 continue
-            named, size = self.named[number], int(self.known.counts[choice.things].sum())
+            size = int(self.known.counts[choice.things].sum())
             score = self.scores[number](choice.fit)
             things = choice.things
-            if self.search.expression.counted:
-                things = instances_of(self.known, self.fits[:, number], choice, named)
             yield things.tolist() if is_present(score, size, least) else []
 
     def _of_field(self) -> list[tuple[int, str]]:
@@ -214,8 +211,8 @@ class AskedScan:
                 problem = f"the field of scan {record.name} has changed: {record.field_path}"
                 raise UnaskedScanError(f"{problem}; add it again")
             least = search.question.present_from
-            question = make_question(field, search.expression, search.encoder, least is None, least)
-            found = things(field, question)
+            question = make_question(field, search.encoder, search.expression, least is None, least)
+            found = things_of_question(field, question)
         except MissingFileError as error:
             part = "field" if error.path == record.field_path else "splat"
             problem = f"the {part} of scan {record.name} is gone: {error.path}"

@@ -15,7 +15,7 @@ _MADE_BY = {
     "Cameras": "scoup.load_cameras(path)",
     "Camera": "scoup.load_cameras(path)[0], or [NAME]",
     "Regions": "scoup.load_regions(folder, cameras)",
-    "LanguageField": "scoup.LanguageField.load(path), or scoup.build",
+    "Field": "scoup.LanguageField.load(path), or scoup.build",
     "RegionSums": "scoup.region_sums(gaussians, cameras, regions)",
     "TextEncoder": "scoup.TextEncoder.open(model_or_table)",
 }

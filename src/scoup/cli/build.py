@@ -20,7 +20,7 @@ from scoup.cli.console import Console, command, kept
 from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups, arg
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
+    from scoup.field import Field
     from scoup.scene.cameras import Cameras
     from scoup.scene.gaussians import Gaussians
     from scoup.scene.names import Detections
@@ -139,13 +139,13 @@ class Build(BuildOptions, ViewOptions):
         scene = {"scene": self.scene, "gaussians": self.gaussians, "images": self.images}
         return Extract(**scene, device=self.device, **models).make(console)
 
-    def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> LanguageField:
+    def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> Field:
         """Build with progress; what an interruption leaves is reported."""
-        from scoup.field.language_field import LanguageField
+        from scoup.field import Field
         from scoup.uplift.build import build
 
         self._report_resumed(console, sums, len(loaded.regions))
-        codebook = None if self.codebook is None else LanguageField.load(self.codebook)
+        codebook = None if self.codebook is None else Field.load(self.codebook)
         try:
             with console.progress() as progress:
                 return build(
@@ -262,7 +262,7 @@ class Build(BuildOptions, ViewOptions):
             console.say(f"{sums.path}: contains {counted(len(sums), 'view')} already")
 
 
-def _suggestion(field: LanguageField, out: Path) -> str:
+def _suggestion(field: Field, out: Path) -> str:
     """What to do with a field: texts are asked only where it names what encodes them."""
     from scoup.models.text import COLORS
 

@@ -15,7 +15,7 @@ from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, Wr
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
+    from scoup.field import Field
     from scoup.scene.cameras import Cameras
     from scoup.scene.regions import Regions
     from scoup.uplift.region_sums import RegionSums
@@ -120,7 +120,7 @@ def check_field_output(out: Path, overwrite: bool) -> None:
 
 def report_field(
     console: Console,
-    field: LanguageField,
+    field: Field,
     out: Path,
     sums: RegionSums | None,
     device: str,

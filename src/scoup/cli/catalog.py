@@ -29,15 +29,13 @@ class MakeCatalog(NamingOptions, FrameOptions):
     def run(self, console: Console) -> None:
         """Name, relate and write."""
         from scoup.query.catalog_files import catalog_files, save_catalog
-        from scoup.query.question import naming_question
         from scoup.view.vocabulary import read_words
 
         check_metres(self.metres_per_unit)
         out = self.output_folder(self.out, "catalog")
         field = self.open_field()
-        field.text_encoder(self.text)
-        question = naming_question(field, read_words(self.words))
-        field.text_encoder().close()  # models are large
+        question = field.naming_question(read_words(self.words))
+        field.encoder.close()  # models are large
         catalog = field.catalog(question, self.open_frame(field))
         cameras = list(field.cameras or ())
         files = catalog_files(catalog, cameras)

@@ -50,12 +50,10 @@ class CompareCaptures(NamingOptions):
         second = replace(self, field=self.new, gaussians=self.new_gaussians)
         out = second.output_folder(self.out, "changes")
         transform = None if self.transform is None else read_similarity(self.transform)
-        old, new = self.open_field(), second.open_field("--new-gaussians")
-        words = read_words(self.words)
-        old.text_encoder(self.text)
-        new.keep_encoder_of(old)
-        found = compare(old, new, words, transform)
-        old.text_encoder().close()
+        old = self.open_field()
+        new = second.open_field("--new-gaussians").with_encoder(old.encoder)
+        found = compare(old, new, read_words(self.words), transform)
+        old.encoder.close()
         with staged(out, [RECORD, PAGE], self.overwrite) as hidden, console.progress() as progress:
             save_comparison(old, new, found, hidden, self.metres_per_unit, progress)
         for change in found.changes:

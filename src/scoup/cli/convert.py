@@ -15,7 +15,7 @@ from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon, arg
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
+    from scoup.field import Field
     from scoup.io.regions.langsplat_autoencoder import Decoder
 
 _ARRAYS = (".npy", ".pt")  # of features
@@ -191,7 +191,7 @@ class Convert(WritesCommon):
             return {"embedding_model": self.model}
         return {"words": self.model}
 
-    def _save(self, console: Console, field: LanguageField, embed_geometry: bool) -> None:
+    def _save(self, console: Console, field: Field, embed_geometry: bool) -> None:
         field.save(self.target, self.overwrite, embed_geometry=embed_geometry)
         cosines = field.info.provenance.get("mean_cosine", {})
         levels = [

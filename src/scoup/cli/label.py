@@ -17,9 +17,9 @@ from scoup.cli.options import Names, OptionalPath, OptionGroups, arg
 from scoup.cli.query_options import AnswerOptions, CameraOptions, check_texts
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
     from scoup.query.answer import Answer
     from scoup.query.labels import GaussianLabels
+    from scoup.query.language_field import LanguageField
     from scoup.scene.cameras import Camera
 
 Output = Literal["sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet"]
@@ -102,13 +102,15 @@ def _report(
     console: Console, labels: GaussianLabels, answers: Sequence[Answer], out: Path, files: list[str]
 ) -> None:
     """Report the Gaussians of each word, and the files."""
+    from scoup.query.answer import ExpressionAnswer
     from scoup.query.place import numbered_things
 
     record, of_name = labels.to_dict(), {answer.text: answer for answer in answers}
     for one in record["classes"]:
         answer = of_name[one["name"]]
         things = f", {numbered_things(one['things'])}" if one["things"] else ""
-        seen = f", as seen from {answer.seen_from}" if answer.seen_from else ""
+        seen_from = answer.seen_from if isinstance(answer, ExpressionAnswer) else ""
+        seen = f", as seen from {seen_from}" if seen_from else ""
         found = f"{counted(one['gaussians'], 'Gaussian')}{things}{seen}"
         console.say(f"{one['name']}: {found if one['present'] else answer.remark()}")
     console.say(f"none of these: {counted(record['none']['gaussians'], 'Gaussian')}")

@@ -26,7 +26,7 @@ from scoup.cli.query_options import check_metres
 from scoup.cli.stop import Terminated
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
+    from scoup.query.language_field import LanguageField
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,14 +104,14 @@ class ServeAgents(Common):
 
     def _open_fields(self, words: tuple[str, ...]) -> dict[str, LanguageField]:
         """Open the fields by name; what is missing is said now, not to the model."""
-        from scoup.field.language_field import LanguageField
+        from scoup.query.language_field import LanguageField
         from scoup.query.question import literal
 
         fields = {}
         for path in self.fields:
-            field = LanguageField.load(path).to(self.device)
-            field.text_encoder(self.text)
+            field = LanguageField.load(path, words=self.text).to(self.device)
             len(field.gaussians)
+            field.encoder.names  # noqa: B018 - opened now
             if words:
                 field.question(literal(words))
             fields[path.stem] = field

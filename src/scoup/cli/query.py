@@ -32,9 +32,9 @@ from scoup.cli.query_options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
     from scoup.query.answer_files import AnswerFiles
     from scoup.query.field_view import FieldView
+    from scoup.query.language_field import LanguageField
     from scoup.query.place import Place
     from scoup.query.question import Question, Several
     from scoup.query.refine import Refined
@@ -56,7 +56,7 @@ class Query(AnswerOptions, CameraOptions):
 
     option_groups: ClassVar[OptionGroups] = {
         "answer": "level",
-        "model with words": "refine keep",
+        "model with words": "refine",
         "output": "out pictures npz coco metres_per_unit longest_side",
         "video": "video frames frames_per_second",
     }
@@ -68,11 +68,9 @@ class Query(AnswerOptions, CameraOptions):
     level: OptionalText = None
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     refine: OptionalText = None
-    """First look for the texts in photographs with a model: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
+    """Look for the texts in photographs with a model, too: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
     sam3, a folder or hub id of such a model, or onnx:FOLDER. The photographs are those of --scene, else those beside
     the splat; cameras without one are rendered."""
-    keep: Flag = False
-    """Write what --refine found into FIELD as names of its things: later questions with these texts need no model."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
@@ -105,6 +103,7 @@ class Query(AnswerOptions, CameraOptions):
         field = self.open_field()
         cameras = self.open_cameras(field)
         refined = self._refine(console, field)
+        field = field if refined is None else refined.field
         question = self.question(field, self.texts, level=self.level)
         files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
         names = [RECORD, *files.names, *self._video_names()]
@@ -143,22 +142,16 @@ class Query(AnswerOptions, CameraOptions):
 
     def _refine(self, console: Console, field: LanguageField) -> Refined | None:
         """Name things with a model, where one is given."""
-        from scoup.field.artefact import save_names
         from scoup.io import load_cameras
         from scoup.query.refine import refine
 
         if self.refine is None:
-            if self.keep:
-                raise InputError("--keep writes what --refine MODEL finds; pass a model, too")
             return None
         cameras = None
         if self.scene is not None:
             cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
-        field.text_encoder(self.text)
-        refined = refine(field, field.question(list(self.texts)).texts, self.refine, cameras)
+        refined = refine(field, self.texts, self.refine, cameras)
         console.say(refined.describe())
-        if self.keep and field.thing_table is not None and field.thing_table.names is not None:
-            save_names(self.field, field.thing_table.names)
         return refined
 
     def _metres_per_unit(self, place: Place) -> float | None:

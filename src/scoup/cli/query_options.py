@@ -25,9 +25,9 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
     from scoup.query.expression import Expression
     from scoup.query.frame import Frame
+    from scoup.query.language_field import LanguageField
     from scoup.query.question import Question, Several
     from scoup.scene.cameras import Camera, Cameras
 
@@ -57,8 +57,8 @@ class FieldOptions(WritesCommon):
             MissingFileError, FileFormatError: the field or its geometry is missing or damaged.
             GeometryMismatchError: the geometry is not the one the field was built on.
         """
-        from scoup.field.language_field import LanguageField
         from scoup.io import load_gaussians
+        from scoup.query.language_field import LanguageField
 
         field = LanguageField.load(self.field)
         if self.gaussians is not None:
@@ -165,14 +165,19 @@ class TextOptions(FieldOptions):
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
+    def open_field(self, splat_option: str = "--gaussians") -> LanguageField:
+        """The field, with the text encoder of the options."""
+        field = super().open_field(splat_option)
+        return field if self.text is None else field.with_encoder(self.text)
+
     def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
         """The question that ``field.question`` makes of texts and options.
 
         Raises:
             InputError, UnknownNameError: as there; or neither the options nor the field name a model or table.
         """
-        question = field.question(texts, encoder=self.text, **options)
-        field.text_encoder().close()  # models are large
+        question = field.question(texts, **options)
+        field.encoder.close()  # models are large
         return question
 
 

@@ -15,9 +15,9 @@ from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, ch
 from scoup.cli.query_options import FRAME_RATES, CameraOptions, TextOptions
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
     from scoup.pictures.colors import Picture
     from scoup.query.drawing import Draw
+    from scoup.query.language_field import LanguageField
     from scoup.scene.cameras import Camera
 
 ANIMATIONS = (".webp", ".gif")

@@ -23,8 +23,8 @@ from scoup.cli.options import (
 from scoup.cli.query_options import AnswerOptions, CameraOptions, check_metres, check_texts
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
-    from scoup.query.answer import Answer
+    from scoup.query.answer import ExpressionAnswer
+    from scoup.query.language_field import LanguageField
     from scoup.query.place import Place
     from scoup.scene.gaussians import Gaussians
 
@@ -83,7 +83,7 @@ class Select(AnswerOptions, CameraOptions):
         shape = Reshaping(self.largest, self.shrink, self.grow, self.within)
         self._check_options()
         field = self.open_field()
-        expression = parse_expression(self.texts, field.text_encoder(self.text).names)
+        expression = parse_expression(self.texts, field.encoder.names)
         self._check_out(field)
         question = self.question(field, expression, level=self.level)
         whole = field.select(question, shape)
@@ -129,7 +129,7 @@ class Select(AnswerOptions, CameraOptions):
             if source and self.out.exists() and source.exists() and self.out.samefile(source):
                 raise InputError(f"{self.out}: is the {what}; use another name with --out")
 
-    def _check_found(self, answer: Answer, before: int) -> None:
+    def _check_found(self, answer: ExpressionAnswer, before: int) -> None:
         """Refuse to write nothing, or the scene as it was; ``before`` Gaussians answer without the options of shape.
 
         Raises:
@@ -149,7 +149,7 @@ class Select(AnswerOptions, CameraOptions):
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )
 
-    def _write(self, field: LanguageField, whole: Answer) -> int:
+    def _write(self, field: LanguageField, whole: ExpressionAnswer) -> int:
         """Write the scene that is left, and the picture; returns the number of Gaussians written."""
         from scoup.io import save_gaussians, write_ply_table
         from scoup.query.edits import STATE, SplatTable, edited
@@ -174,7 +174,7 @@ class Select(AnswerOptions, CameraOptions):
             save_gaussians(left.to("cpu"), self.out, self.overwrite)
         return len(left)
 
-    def _draw(self, field: LanguageField, whole: Answer, left: Gaussians) -> None:
+    def _draw(self, field: LanguageField, whole: ExpressionAnswer, left: Gaussians) -> None:
         """Write the picture, if it is wanted."""
         from scoup.io import save_png
         from scoup.query.edits import best_camera, edit_picture
@@ -184,7 +184,7 @@ class Select(AnswerOptions, CameraOptions):
         camera = best_camera(field, whole.mask, self.open_cameras(field, "all"))
         save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
 
-    def _report(self, console: Console, whole: Answer, written: int, place: Place) -> None:
+    def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
         """Report the selection, its place and the files."""
         counts = {part.text: int(part.mask.sum()) for part in whole.parts}
         for part in whole.parts:

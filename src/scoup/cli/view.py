@@ -77,7 +77,7 @@ class View(TextOptions):
         from scoup.view.vocabulary import read_words
 
         page_files()  # before anything that takes long
-        viewed = ViewedField(self.open_field(), self.text, read_words(self.words), self.most)
+        viewed = ViewedField(self.open_field(), read_words(self.words), self.most)
         if viewed.words_problem is not None:
             console.warn(f"no text can be asked: {viewed.words_problem}")
         else:

@@ -121,15 +121,6 @@ def read_field(path: Path) -> FieldParts:
     )
 
 
-def save_names(path: Path, names: NameTable) -> None:
-    """Put names of things into a file in place of those that it contains; everything else stays."""
-    parts = read_field(path)
-    if parts.things is None:
-        raise InputError(f"{path}: contains no things to name")
-    bits = 8 if read_content(path).arrays["code_weights"].dtype == "uint8" else 16
-    write_field(replace(parts, things=replace(parts.things, names=names)), path, True, bits)
-
-
 def tensor_checksum(tensor: Tensor) -> str:
     """Return ``array_checksum`` of a tensor on the CPU."""
     return array_checksum(tensor.contiguous().numpy())

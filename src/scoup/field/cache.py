@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any, TypeAlias, TypeVar
 
 from torch import Tensor
@@ -99,9 +100,11 @@ class Cache:
 
 
 def size_of(value: Any) -> int:
-    """Return the bytes of a value: its ``nbytes``, or those of the items of a list or tuple."""
+    """Return the bytes of a value: its ``nbytes``, or those of the items of a list or tuple, or of its attributes."""
     if isinstance(value, (list, tuple)):
         return sum(map(size_of, value))
+    if is_dataclass(value) and not hasattr(value, "nbytes"):
+        return sum(size_of(getattr(value, each.name)) for each in fields(value))
     return len(value) if isinstance(value, bytes) else getattr(value, "nbytes", 0)
 
 

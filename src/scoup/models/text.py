@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -36,6 +36,10 @@ LONGEST = 1000  # characters of a phrase; models read a few hundred at most
 _SHOWN = 50  # names in the picture of a notebook
 
 
+Encoder: TypeAlias = "TextEncoder | Mapping[str, Tensor | ArrayLike] | str | Path"
+"""What turns texts into vectors: an encoder, a dict of name -> vector, a word table's file, or a model id."""
+
+
 class TextEncoder:
     """Turns phrases into unit vectors, with ``TextEncoder.open``; usable as a context manager.
 
@@ -46,6 +50,7 @@ class TextEncoder:
             that embedded its regions.
         dim: D, the size of a vector.
         names: those in a table or dict; None for a model, which takes any phrase.
+        source: what it was opened from, for messages.
 
     Example:
         >>> encoder = scoup.TextEncoder.open("scene/words.npz")
@@ -59,6 +64,7 @@ class TextEncoder:
         self.name = name
         self.dim = dim
         self.names = names
+        self.source = name or "the word table"
         self._forms = None if names is None else {name.strip().casefold() for name in names}
         self._encode = encode
         self._made_by: tuple[Callable[..., TextEncoder], tuple[Any, ...]] | None = None
@@ -131,19 +137,19 @@ class TextEncoder:
             return cls._of_table(WordTable.of(model_or_table))
         text = str(model_or_table)
         if is_table(text):
-            return cls._of_table(load_table(text))
+            return cls._of_table(load_table(text), text)
         if text == COLORS:
             raise ScoupError(NO_WORDS_FOR_COLORS)
         refuse_other_file(text)
         encode, identity = open_text_model(text, revision, device)
         probe = _encoded(encode, [PROBE])
         opened = cls(text, int(probe.shape[1]), encode)
-        opened._model = identity, probe
+        opened._model, opened.source = (identity, probe), text
         opened._made_by = TextEncoder.open, (text, revision, device)
         return opened
 
     @classmethod
-    def _of_table(cls, table: WordTable) -> TextEncoder:
+    def _of_table(cls, table: WordTable, source: str = "") -> TextEncoder:
         vectors = torch.from_numpy(table.vectors)
         exact = {name: row for row, name in reversed(list(enumerate(table.names)))}
         folded = {name.strip().casefold(): row for row, name in reversed(list(enumerate(table.names)))}
@@ -160,7 +166,7 @@ class TextEncoder:
             return vectors[rows]
 
         opened = cls(table.model, vectors.shape[1], encode, table.names)
-        opened._made_by = TextEncoder._of_table, (table,)
+        opened._made_by, opened.source = (TextEncoder._of_table, (table, source)), source or opened.source
         return opened
 
     def encode(self, phrases: Sequence[str]) -> Tensor:

@@ -8,135 +8,143 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from scoup.field.language_field import LanguageField
-from scoup.query.answer import Answer
+from scoup.field import Field
+from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.answer_scene import answer_scene
-from scoup.query.expression import Expression
+from scoup.query.expression import Expression, Operation
+from scoup.query.frame import scene_frame
 from scoup.query.phrases import Phrase, texts_of
-from scoup.query.presence import LEAST_GAUSSIANS
-from scoup.query.question import Question, Several, as_question
+from scoup.query.question import Question
 from scoup.query.relations import overlaps, resolve
 from scoup.query.thing_names import find_objects, named_things
-from scoup.query.things import Thing, all_things, scored_things, text_fits, things_of_answer
+from scoup.query.things import Thing, best_part, things_of_answer
 
 
-def answer(field: LanguageField, question: Question[Any] | str | Several) -> Any:
-    """Return the answers to texts, or the answer to one; ``field.answer`` documents it."""
-    asked = as_question(field, question)
-    return asked.shaped(answers_of(field, asked))
-
-
-def answers_of(field: LanguageField, question: Question[Any]) -> list[Answer]:
+def answers_of(field: Field, question: Question[Any]) -> list[Answer]:
     """Return the answer to each text, phrase or expression from the cache of the field, as a copy for the caller."""
     return copy.deepcopy(field.kept((Answer, question), lambda: made_answers(field, question)))
 
 
-def made_answers(field: LanguageField, question: Question[Any]) -> list[Answer]:
+def made_answers(field: Field, question: Question[Any]) -> list[Answer]:
     """Return ``answers_of`` without the cache."""
     answers = answer_scene(field, question)
     if not question.asked:
         return answers
-    return [_joined(field, question, said, expression, answers) for said, expression in question.asked]
-
-
-def one_answer(field: LanguageField, question: Question[Any]) -> Answer:
-    """Return the answer to all texts, phrases and expressions of a question together, any of which may answer.
-
-    Its ``parts`` are the answers to the texts.
-    """
-    nodes = [expression.root for _, expression in question.asked] or list(question.texts)
-    expression = Expression.of(nodes, any(each.counted for _, each in question.asked))
-    answers = answer_scene(field, question) if question.asked else answers_of(field, question)
-    whole = _joined(field, question, str(expression), expression, answers)
-    return replace(whole, parts=whole.parts or (whole,))
-
-
-def things(field: LanguageField, question: Question[Any] | str | Several | None) -> list[Thing]:
-    """Return all things, or those that a question singles out; ``field.things`` documents it."""
-    if question is None:
-        return copy.deepcopy(all_things(field))
-    answers = answers_of(field, as_question(field, question))
-    return _once(thing for each in answers for thing in things_of_answer(field, each))
-
-
-def _joined(
-    field: LanguageField,
-    question: Question[Any],
-    said: str,
-    expression: Expression,
-    answers: Sequence[Answer],
-) -> Answer:
-    """Return the answer to an expression from those to its texts.
-
-    Level, score, runner-up and threshold are those of the wanted text with the largest score.
-    """
     of_text = {answer.text: answer for answer in answers}
-    parts = tuple(of_text[text] for text in expression.texts)
-    if expression.root == parts[0].text and not expression.counted:
-        return parts[0]
-    by_things = parts[0].threshold is None
-    frame = (question.frame or field.frame()) if expression.phrases else None
-    of_leaf: dict[Any, list[Thing]] = {leaf: [] for leaf in expression.leaves()}
-    of_texts: dict[str, list[Thing]] = {}
-    if by_things or expression.counted or frame is not None:
-        of_texts = {part.text: things_of_answer(field, part, expression.counted) for part in parts}
-        of_texts[""] = (
-            find_objects(field, named_things(field, question.everything)) if question.everything else []
+    return [
+        of_text[tree.root] if isinstance(tree.root, str) else evaluated(field, question, said, tree, of_text)
+        for said, tree in question.asked
+    ]
+
+
+def one_answer(field: Field, question: Question[Any]) -> ExpressionAnswer:
+    """Return the answer to all texts, phrases and expressions of a question together, any of which may answer."""
+    tree = Expression.of([tree.root for _, tree in question.asked] or list(question.texts))
+    answers = answer_scene(field, question) if question.asked else answers_of(field, question)
+    return evaluated(field, question, str(tree), tree, {answer.text: answer for answer in answers})
+
+
+def things_of_question(field: Field, question: Question[Any]) -> list[Thing]:
+    """Return the things that a question singles out, each once, best first."""
+    return _once(thing for each in answers_of(field, question) for thing in things_of_answer(field, each))
+
+
+@dataclass(frozen=True, eq=False)
+class _Selected:
+    """What a part of an expression selects."""
+
+    mask: Tensor  # [N] boolean
+    things: tuple[Thing, ...] = ()  # that may answer
+    excluded: tuple[Thing, ...] = ()  # under "not"
+
+    def negated(self) -> _Selected:
+        return _Selected(~self.mask, self.excluded, self.things)
+
+    @staticmethod
+    def joined(operator: str, one: _Selected, other: _Selected) -> _Selected:
+        return _Selected(
+            one.mask & other.mask if operator == "and" else one.mask | other.mask,
+            one.things + other.things,
+            one.excluded + other.excluded,
         )
-        for leaf in of_leaf:  # parts are of other levels
-            own = of_texts if question.level is not None else apart(field, leaf, of_texts, of_text)
-            of_leaf[leaf] = resolve(field, leaf, own, frame)
-    masks = {text: part.mask for text, part in of_text.items()}
-    for leaf, mine in of_leaf.items():
-        if expression.counted or not isinstance(leaf, str):
-            masks[str(leaf)] = torch.zeros(len(field), dtype=torch.bool)
-            for thing in mine:
-                masks[str(leaf)][thing.gaussians] = True
-    mask, wanted = expression.combine(masks), expression.leaves(True)
-    found = of_leaf.get(expression.root, [])
+
+
+def evaluated(
+    field: Field, question: Question[Any], said: str, tree: Expression, answers: Mapping[str, Answer]
+) -> ExpressionAnswer:
+    """Return the answer to an expression from those to its texts: its leaves become things, its operators join them.
+
+    Args:
+        field: that was asked.
+        question: of the texts.
+        said: the expression as it was asked.
+        tree: the expression.
+        answers: by their texts.
+    """
+    frame = (question.frame or scene_frame(field)) if tree.phrases else None
+    parts = [answers[text] for text in tree.texts]
+    ranked = sorted(
+        (answers[text] for text in tree.wanted), key=lambda each: (each.presence, each.score or 0.0), reverse=True
+    )  # fmt: skip
+    best, by_things, wanted = ranked[0], parts[0].threshold is None, tree.leaves(True)
+    of_texts = _things_of_texts(field, question, parts) if by_things or frame is not None else {}
+
+    def of_leaf(leaf: str | Phrase) -> _Selected:
+        things: list[Thing] = []
+        if of_texts:
+            # At a level of choice, parts are of other levels.
+            own = of_texts if question.level is not None else apart(field, question, leaf, of_texts)
+            things = resolve(field, leaf, own, frame)
+        mask = answers[leaf].mask if isinstance(leaf, str) else _union(things, len(field))
+        return _Selected(mask, tuple(things))
+
+    selected = tree.fold(of_leaf, _Selected.negated, _Selected.joined)
+    mask, found = selected.mask, [] if isinstance(tree.root, Operation) else list(selected.things)
     if by_things:
-        mine = [thing for leaf in wanted for thing in of_leaf[leaf]] if wanted else of_texts[""]
-        found = [thing for thing in _once(mine) if 2 * int(mask[thing.gaussians].sum()) > thing.n_gaussians]
-    without = [thing.number for leaf in expression.leaves(False) for thing in of_leaf[leaf]]
-    needed = {text for leaf in wanted for text in texts_of(leaf)}
-    ranked = [of_text[text] for text in expression.wanted]
-    ranked.sort(key=lambda each: (each.presence, each.score or 0.0), reverse=True)
-    present = ranked[0].presence
-    if not expression.is_plain:
-        present = bool(found) if by_things and wanted else bool(mask.any())
-        mask = mask if present else torch.zeros_like(mask)
-    numbers = tuple(thing.number for thing in found if thing.number is not None)
-    judged = {} if wanted else {"score": None, "runner_up": None}  # by a text that is not wanted
-    return replace(
-        ranked[0],
+        candidates = _once(selected.things if wanted else of_texts[""])
+        found = [thing for thing in candidates if 2 * int(mask[thing.gaussians].sum()) > thing.n_gaussians]
+    presence = best.presence
+    if not tree.is_plain:
+        presence = bool(found) if by_things and wanted else bool(mask.any())
+    numbers = {thing.number: thing.score for thing in found if thing.number is not None}
+    without = {thing.number for thing in selected.excluded if thing.number is not None}
+    return ExpressionAnswer(
         text=said,
-        mask=mask,
-        level=found[0].level if found and frame is not None else ranked[0].level,
-        presence=present,
-        things=numbers,
-        instances=numbers,
-        wanted=expression.wanted,
-        excluded=tuple(text for text in expression.texts if text not in needed),
-        without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
-        parts=parts,
-        asked=tuple(one for each in ranked for one in each.asked),
-        seen_from=frame.seen_from if frame and any(each.is_seen for each in expression.phrases) else "",
+        mask=mask if presence or tree.is_plain else torch.zeros_like(mask),
+        level=found[0].level if found and frame is not None else best.level,
+        score=best.score if wanted else None,  # nobody asked for what stands under "not" alone
+        asked=best.asked,
+        presence=presence,
+        things=tuple(numbers),
+        scores=tuple(numbers.values()),
+        runner_up=best.runner_up if wanted else None,
+        threshold=best.threshold,
+        tree=tree,
+        parts=tuple(parts),
         found=tuple(found),
-        **judged,
+        without=tuple(sorted(without - numbers.keys())),
+        seen_from=frame.seen_from if frame and any(each.is_seen for each in tree.phrases) else "",
     )
 
 
+def _things_of_texts(
+    field: Field, question: Question[Any], answers: Sequence[Answer]
+) -> dict[str, list[Thing]]:
+    """Return the things that answer each text, and of "" all objects, where they are asked for."""
+    everything = question.everything
+    objects = [] if everything is None else find_objects(field, named_things(field, everything))
+    return {"": objects, **{answer.text: things_of_answer(field, answer) for answer in answers}}
+
+
 def apart(
-    field: LanguageField,
-    leaf: str | Phrase,
-    of_texts: Mapping[str, list[Thing]],
-    answers: Mapping[str, Answer],
+    field: Field, question: Question[Any], leaf: str | Phrase, of_texts: Mapping[str, list[Thing]]
 ) -> Mapping[str, list[Thing]]:
     """Return the things of each text, of which none answers two texts of a phrase, as a plate with a doughnut may.
 
@@ -148,14 +156,14 @@ def apart(
         for pair in product(*(of_texts[text] for text in texts)):
             if not _nested(field, *pair):
                 continue
-            parts = [_best_part(field, answers[text], thing) for text, thing in zip(texts, pair, strict=True)]
+            parts = [best_part(field, question, text, thing) for text, thing in zip(texts, pair, strict=True)]
             if not overlaps(*parts):
                 for text, thing, part in zip(texts, pair, parts, strict=True):
                     found[text] = [part if each.number == thing.number else each for each in found[text]]
     return found
 
 
-def _nested(field: LanguageField, one: Thing, other: Thing) -> bool:
+def _nested(field: Field, one: Thing, other: Thing) -> bool:
     """Return whether one of two things is the other, or a part of it."""
     table = field.thing_table
     if table is None or one.number is None or other.number is None:
@@ -163,13 +171,12 @@ def _nested(field: LanguageField, one: Thing, other: Thing) -> bool:
     return bool(table.parts(one.number)[other.number] or table.parts(other.number)[one.number])
 
 
-def _best_part(field: LanguageField, answer: Answer, thing: Thing) -> Thing:
-    """Return the part of a thing that fits the text of an answer best, or the thing itself."""
-    known, fits = text_fits(field, answer)
-    assert thing.number is not None
-    inside = known.things.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
-    best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
-    return thing if best == thing.number else next(iter(scored_things(field, answer, [best])), thing)
+def _union(things: Iterable[Thing], count: int) -> Tensor:
+    """Return the Gaussians of things, [count] boolean."""
+    mask = torch.zeros(count, dtype=torch.bool)
+    for thing in things:
+        mask[thing.gaussians] = True
+    return mask
 
 
 def _once(things: Iterable[Thing]) -> list[Thing]:

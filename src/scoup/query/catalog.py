@@ -10,9 +10,9 @@ import numpy as np
 
 from scoup.base.errors import InputError
 from scoup.base.html import card
-from scoup.field.language_field import LanguageField
-from scoup.query.frame import Frame
-from scoup.query.question import Question, Several, as_question, literal
+from scoup.field import Field
+from scoup.query.frame import Frame, scene_frame
+from scoup.query.question import Question
 from scoup.query.relations import relations
 from scoup.query.thing_names import find_objects, named_things, thing_names
 from scoup.query.things import Thing
@@ -65,16 +65,13 @@ class Catalog:
         }
 
 
-def make_catalog(
-    field: LanguageField, words: Question[Any] | str | Several, frame: Frame | None = None
-) -> Catalog:
-    """Return every thing of a field, named by several words; ``field.catalog`` documents it."""
-    question, table = as_question(field, literal(words)), field.thing_table
-    if table is None:
+def make_catalog(field: Field, question: Question[Any], frame: Frame | None = None) -> Catalog:
+    """Return every thing of a field, named by several words; ``LanguageField.catalog`` documents it."""
+    if field.thing_table is None:
         raise InputError(
             f"{field.path or 'this field'}: contains no things; build it again with things, from its photographs"
         )
-    frame = field.frame() if frame is None else frame
+    frame = scene_frame(field) if frame is None else frame
     names, named = thing_names(field, question), named_things(field, question)
     texts = tuple(names[number].texts if (number := thing.number or 0) in names else () for thing in named)
     objects = tuple(thing.number or 0 for thing in find_objects(field, named))

@@ -18,7 +18,7 @@ from scoup.base.atomic import write_text
 from scoup.base.errors import InputError
 from scoup.base.html import page, shown
 from scoup.base.progress import Progress, no_progress
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog import Catalog, catalog_rows
@@ -41,7 +41,7 @@ def catalog_files(catalog: Catalog, cameras: Sequence[Camera]) -> list[str]:
 
 
 def save_catalog(
-    field: LanguageField,
+    field: Field,
     catalog: Catalog,
     folder: Path,
     cameras: Sequence[Camera] = (),
@@ -88,7 +88,7 @@ def _picture_name(thing: Thing) -> str:
 
 
 def draw_things(
-    field: LanguageField, things: Sequence[Thing], cameras: Sequence[Camera]
+    field: Field, things: Sequence[Thing], cameras: Sequence[Camera]
 ) -> Iterator[tuple[Thing, Picture]]:
     """Yield each thing that can be seen, with its picture: in the camera that sees it largest, else in a view of its
     own."""
@@ -98,7 +98,7 @@ def draw_things(
     for thing, own in seen:
         for camera in own:
             if view is None or view.camera is not camera:
-                view = field.at(camera)
+                view = FieldView(field, camera)
                 colors = as_picture(view.renders.colors().cpu())
             mask = thing_mask(view, thing)
             if (window := crop_window(mask)) is not None:

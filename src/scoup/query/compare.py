@@ -21,10 +21,10 @@ import torch
 from numpy.typing import NDArray
 
 from scoup.base.errors import InputError, ScoupWarning
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.field.renders import render_depth
 from scoup.query.boxes import PointSets
-from scoup.query.question import naming_question
+from scoup.query.language_field import LanguageField
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
 from scoup.scene.things import NO_THING
@@ -126,7 +126,7 @@ class Comparison:
 class _Capture:
     """A capture, whose things are looked for in the other one."""
 
-    field: LanguageField
+    field: Field
     things: list[Thing]  # with their names
     to_other: Array  # [4, 4]
 
@@ -187,7 +187,7 @@ def compare(
 
     Args:
         old, new: with things and cameras, and embeddings of one model.
-        words: that name the things (``naming_question``).
+        words: that name the things (``LanguageField.naming_question``).
         transform: [4, 4] similarity from the frame of ``new`` to that of ``old``; None: they are the same.
 
     Raises:
@@ -195,7 +195,7 @@ def compare(
     """
     _check(old, new)
     matrix = np.eye(4) if transform is None else transform
-    named = [named_things(field, naming_question(field, words)) for field in (old, new)]
+    named = [named_things(field, field.naming_question(words)) for field in (old, new)]
     both = _Capture(old, named[0], np.linalg.inv(matrix)), _Capture(new, named[1], matrix)
     _check_frames(*both)
     centre = np.concatenate([each.embeddings for each in both]).mean(0)
@@ -214,11 +214,11 @@ def compare(
     return Comparison(tuple(changes), counts, matrix)
 
 
-def _name(field: LanguageField) -> str:
+def _name(field: Field) -> str:
     return str(field.path or "this field")
 
 
-def _check(old: LanguageField, new: LanguageField) -> None:
+def _check(old: Field, new: Field) -> None:
     for field in (old, new):
         lacks = "things" if field.thing_table is None else "cameras, which say what it saw"
         if field.thing_table is None or not field.cameras:

@@ -13,7 +13,7 @@ from scoup.base.atomic import write_text
 from scoup.base.counts import counted
 from scoup.base.html import shown
 from scoup.base.progress import Progress, no_progress
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import (
@@ -27,6 +27,7 @@ from scoup.query.catalog_files import (
     viewing_cameras,
 )
 from scoup.query.compare import KINDS, Array, Change, Comparison, scale_of
+from scoup.query.field_view import FieldView
 from scoup.scene.cameras import Camera
 
 RECORD = "compare.json"
@@ -38,8 +39,8 @@ TITLES: dict[str, str] = {
 
 
 def save_comparison(
-    old: LanguageField,
-    new: LanguageField,
+    old: Field,
+    new: Field,
     comparison: Comparison,
     folder: Path,
     metres_per_unit: float | None = None,
@@ -100,7 +101,7 @@ def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float |
 
 
 def _pictures(
-    old: LanguageField, new: LanguageField, change: Change, comparison: Comparison
+    old: Field, new: Field, change: Change, comparison: Comparison
 ) -> Iterator[tuple[str, Picture]]:
     """Yield the object before and after; where it is not there, its place from the same camera."""
     transform = comparison.transform
@@ -109,14 +110,14 @@ def _pictures(
         if thing is None:
             continue
         for camera in viewing_cameras(thing, list(field.cameras or ())):
-            view = field.at(camera)
+            view = FieldView(field, camera)
             mask = thing_mask(view, thing)
             window = crop_window(mask)
             if window is None:
                 continue
             yield SIDES[place], cropped(as_picture(view.renders.colors().cpu()), window, mask)
             if change.kind != "moved":
-                again = other.at(_moved_camera(camera, to_other))
+                again = FieldView(other, _moved_camera(camera, to_other))
                 yield SIDES[1 - place], cropped(as_picture(again.renders.colors().cpu()), window)
             break
 

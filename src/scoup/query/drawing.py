@@ -15,7 +15,7 @@ from scoup import raster
 from scoup.base.counts import listed
 from scoup.base.errors import InputError
 from scoup.base.html import PREVIEW, card
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.pictures import (
     as_picture,
     captioned,
@@ -60,7 +60,7 @@ def color_drawing(plain: bool = False) -> Draw:
     return draw
 
 
-def relevancy_drawing(field: LanguageField, question: Question, plain: bool = False) -> Draw:
+def relevancy_drawing(field: Field, question: Question, plain: bool = False) -> Draw:
     """Return what draws a heat map of the relevancy to the first text of a question, at the level of its mask."""
     answers = answers_of(field, question)
 
@@ -88,7 +88,7 @@ class _CodeColors:
     leading: dict[str, tuple[int, int, int]]  # atoms that lead the codes of most Gaussians, and their colours
 
 
-def code_drawing(field: LanguageField, level: str | int, plain: bool = False) -> Draw:
+def code_drawing(field: Field, level: str | int, plain: bool = False) -> Draw:
     """Return what draws the codes of one level as colours: the same code has the same colour in every view.
 
     The legend lists the atoms that lead the codes of most Gaussians, each with the mean colour of these.
@@ -110,7 +110,7 @@ def code_drawing(field: LanguageField, level: str | int, plain: bool = False) ->
     return draw
 
 
-def _code_colors(field: LanguageField, row: int) -> _CodeColors:
+def _code_colors(field: Field, row: int) -> _CodeColors:
     placed = placed_atoms(field.codebook[row].cpu())
     indices, weights = field.code_indices[:, row].cpu(), field.code_weights[:, row].float().cpu()
     gaussians = SparseCodes(indices, weights, field.n_atoms).to_dense() @ placed  # [N, axes]
@@ -127,9 +127,7 @@ def _code_colors(field: LanguageField, row: int) -> _CodeColors:
     return _CodeColors(gaussians, basis, leading)
 
 
-def moving_cameras(
-    field: LanguageField, place: Place, cameras: Cameras, motion: Motion, count: int
-) -> Cameras:
+def moving_cameras(field: Field, place: Place, cameras: Cameras, motion: Motion, count: int) -> Cameras:
     """Return the cameras of a video with ``count`` frames.
 
     "path" leads through the cameras; "turntable" goes around the thing at ``place``, from the camera that sees most of
@@ -160,24 +158,24 @@ def moving_cameras(
     return turntable(closer, place.position, up, count)
 
 
-def heat_frames(field: LanguageField, place: Place, cameras: Cameras) -> Iterator[Picture]:
+def heat_frames(field: Field, place: Place, cameras: Cameras) -> Iterator[Picture]:
     """Yield heat maps of an answer at its level and with one scale of colours, [H, W, 3] uint8 each."""
     answer = place.answer
-    asked, level = answer.asked[0].question, answer.asked[0].level
-    known = field.gaussian_relevancy(asked.queries, asked.canonical)[level, 0][
+    asked, level = answer.asked, answer.asked.level
+    known = field.gaussian_relevancy(asked.query, asked.canonical)[level, 0][
         field.coded_levels()[level]
     ].cpu()
     span = (float(known.median()), float(known.max())) if len(known) else (0.0, 1.0)
     low = span[0]
     remark = f"level {answer.level}, {answer.remark()}"
     for camera in cameras:
-        view = field.at(camera)
-        heat = view.relevancy(asked.queries, asked.canonical)[level, 0].cpu()
+        view = FieldView(field, camera)
+        heat = view.relevancy(asked.query, asked.canonical)[level, 0].cpu()
         rgb = view.renders.colors().cpu()
         yield captioned(heat_overlay(torch.nan_to_num(heat, low), rgb, span), answer.text, remark)
 
 
-def field_card(field: LanguageField) -> str:
+def field_card(field: Field) -> str:
     """Return the HTML of the codes in one view and of the field's facts."""
     names = () if field.cameras is None else field.cameras.names
     facts = {
@@ -190,12 +188,12 @@ def field_card(field: LanguageField) -> str:
     return card(f"Language field of {len(field):,} Gaussians", facts, _preview(field))
 
 
-def _preview(field: LanguageField) -> Picture | None:
+def _preview(field: Field) -> Picture | None:
     """The codes of the middle level in the first camera; None without a camera or geometry."""
     if field.cameras is None or not len(field.cameras) or not len(field):
         return None
     try:
-        view = field.at(0, min(1.0, PREVIEW[0] / field.cameras[0].width))
+        view = FieldView(field, 0, min(1.0, PREVIEW[0] / field.cameras[0].width))
     except InputError:  # the geometry was moved; show the facts alone
         return None
     return code_drawing(field, len(field.levels) // 2, plain=True)(view)

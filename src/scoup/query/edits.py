@@ -14,11 +14,12 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.counts import counted, spread
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.io import PlyTable, gaussians_from_table, read_ply_table, splat_source
 from scoup.io.splats.ply import table_from_gaussians
 from scoup.pictures import as_picture, contact_sheet, mask_overlay
 from scoup.pictures.colors import Picture
+from scoup.query.field_view import FieldView
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0, Gaussians
 
@@ -70,9 +71,9 @@ def _shaded(rgb: Tensor, color: tuple[float, float, float]) -> Tensor:
     return (rgb.new_tensor(color) * share).clamp(0, 1)
 
 
-def edit_picture(field: LanguageField, after: Gaussians, mask: Tensor, camera: Camera, title: str) -> Picture:
+def edit_picture(field: Field, after: Gaussians, mask: Tensor, camera: Camera, title: str) -> Picture:
     """Draw before, selection [N] boolean and after beside each other, [H, W, 3] uint8."""
-    view = field.at(camera)
+    view = FieldView(field, camera)
     before = view.renders.colors().cpu()
     inside = view.shares(mask)[0].cpu() > COVERED
     later = torch.zeros(camera.height, camera.width, 3)
@@ -83,14 +84,14 @@ def edit_picture(field: LanguageField, after: Gaussians, mask: Tensor, camera: C
     return contact_sheet(tiles, ("before", "selected", "after"), 3, 1500, heading)
 
 
-def best_camera(field: LanguageField, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
+def best_camera(field: Field, mask: Tensor, cameras: Sequence[Camera]) -> Camera:
     """Return the camera in which a selection [N] takes the largest share, of at most ``MOST_TRIED``, evenly spread."""
     if not cameras:
         raise InputError("no camera to draw a picture with; pass at least one")
     shares: list[tuple[float, Camera]] = []
     for camera in spread(cameras, MOST_TRIED):
         scale = min(1.0, TRIED_SIDE / max(camera.width, camera.height))
-        shares.append((float(field.at(camera, scale).shares(mask)[0].mean()), camera))
+        shares.append((float(FieldView(field, camera, scale).shares(mask)[0].mean()), camera))
     return max(shares, key=lambda pair: pair[0])[1]
 
 
@@ -102,7 +103,7 @@ class SplatTable:
     is_gaussian: Tensor  # [M] boolean, true N times; false for rows that are not finite
 
     @classmethod
-    def of(cls, field: LanguageField, geometry: Path | None = None) -> SplatTable:
+    def of(cls, field: Field, geometry: Path | None = None) -> SplatTable:
         """Read the PLY the field was built on, or make rows of its Gaussians if it was built on another file.
 
         Args:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
-from typing import TypeAlias
-
-from torch import Tensor
+from typing import TypeAlias, TypeVar
 
 from scoup.base.errors import InputError
 from scoup.query.phrases import (
@@ -16,7 +14,6 @@ from scoup.query.phrases import (
     RESERVED,
     Phrase,
     begins_with_relation,
-    counted_text,
     parse_phrase,
     protected,
     quoted,
@@ -26,6 +23,7 @@ from scoup.query.phrases import (
 _TOKEN = re.compile(r'"([^"]*)"|([()])|([^\s()"]+)')
 _GRAMMAR = 'write texts joined by and, or, not, + and -, for example "mug and not handle"'
 _DEEPEST = 50  # operators within operators
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -47,13 +45,11 @@ class Expression:
     """Texts joined by operators. One of a text alone keeps the text as it is."""
 
     root: Node
-    counted: bool = False
-    """It asks how many: the things that are one instance each answer."""
 
     @classmethod
-    def of(cls, nodes: Sequence[Node], counted: bool = False) -> Expression:
+    def of(cls, nodes: Sequence[Node]) -> Expression:
         """Combine texts, phrases and operations with `or`."""
-        return cls(nodes[0] if len(nodes) == 1 else Operation("or", tuple(nodes)), counted)
+        return cls(nodes[0] if len(nodes) == 1 else Operation("or", tuple(nodes)))
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -86,16 +82,38 @@ class Expression:
         signed = _signed(self.root, True)
         return tuple(dict.fromkeys(leaf for leaf, sign in signed if wanted in (None, sign)))
 
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """The texts that stand under "not" only."""
+        needed = {text for leaf in self.leaves(True) for text in texts_of(leaf)}
+        return tuple(text for text in self.texts if text not in needed)
+
     def __str__(self) -> str:
-        return f"how many {_text_of(self.root)}" if self.counted else _text_of(self.root)
+        return _text_of(self.root)
 
-    def as_count(self) -> Expression:
-        """Return the expression that asks how many: "and" joins what is counted, but for what is under "not"."""
-        return self if self.counted else Expression(_summed(self.root), True)
+    def fold(
+        self,
+        leaf: Callable[[str | Phrase], Value],
+        negate: Callable[[Value], Value],
+        join: Callable[[str, Value, Value], Value],
+    ) -> Value:
+        """Return the value of the tree, from its leaves up.
 
-    def combine(self, masks: Mapping[str, Tensor]) -> Tensor:
-        """Combine boolean masks of its texts and phrases (by their ``str``), of one shape."""
-        return _combined(self.root, masks)
+        Args:
+            leaf: of a text or phrase.
+            negate: of "not".
+            join: of "and" or "or", with the values of two parts.
+        """
+
+        def value(node: Node) -> Value:
+            if not isinstance(node, Operation):
+                return leaf(node)
+            values = [value(part) for part in node.parts]
+            if node.operator == "not":
+                return negate(values[0])
+            return reduce(lambda one, other: join(node.operator, one, other), values)
+
+        return value(self.root)
 
 
 def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = None) -> Expression:
@@ -106,8 +124,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
     ``'"salt and pepper"'``. Texts without an operator are combined with ``or``. A text with a relation or an order,
     such as "mug left of the laptop" or "largest mug", is a phrase over things (``scoup.query.phrases``), unless it
     stands in double quotes. One that begins with a relation after an operator, as in "mug on the table and near the
-    laptop", is about the text before. "how many mugs" counts; "how many mugs and cups" counts both, and a relation of
-    the last is one of all. A question mark at the end is left out.
+    laptop", is about the text before. A question mark at the end is left out.
 
     Args:
         words: texts, operators, or expressions; or one of them.
@@ -121,7 +138,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
         ('mug', 'handle', 'plate')
     """
     given = [words] if isinstance(words, str) else list(words)
-    (known, kept_whole), counted = _names(tuple(names or ())), False
+    known, kept_whole = _names(tuple(names or ()))
     tokens: list[str] = []
     for word in given:
         text = word.strip()
@@ -132,10 +149,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
         elif text.lower() in OPERATORS:
             part = [text.lower()]
         else:
-            text = text.removesuffix("?")
-            counted = counted or counted_text(text) is not None
-            text = counted_text(text) or text
-            pieces = text.split('"')
+            pieces = text.removesuffix("?").split('"')
             pieces[::2] = [kept_whole.sub(r'"\g<0>"', piece) for piece in pieces[::2]]
             part = ["(", *_tokens('"'.join(pieces)), ")"]
         if tokens and tokens[-1] == ")" and part[0] == "(":
@@ -145,7 +159,7 @@ def parse_expression(words: Iterable[str] | str, names: Iterable[str] | None = N
     root = reader.union()
     if reader.rest:
         raise reader.unexpected()
-    return Expression(root).as_count() if counted else Expression(root)
+    return Expression(root)
 
 
 @lru_cache(maxsize=4)
@@ -155,27 +169,6 @@ def _names(names: tuple[str, ...]) -> tuple[frozenset[str], re.Pattern[str]]:
     forms = sorted((r"\s+".join(words) for words in parts if len(words) > 1), key=len, reverse=True)
     pattern = rf"(?<![^\s(])(?:{'|'.join(forms)})(?![^\s),;.])" if forms else r"(?!)"
     return frozenset(name.casefold() for name in names), re.compile(pattern, re.IGNORECASE)
-
-
-def _summed(node: Node) -> Node:
-    """Return what is counted: in a count, "and" joins things to be counted, but for those under "not"."""
-    if not isinstance(node, Operation) or node.operator == "not" or node.of_one:
-        return node
-    parts = tuple(_summed(part) for part in node.parts)
-    excluded = tuple(part for part in parts if isinstance(part, Operation) and part.operator == "not")
-    wanted = tuple(part for part in parts if part not in excluded)
-    if node.operator == "or" or len(wanted) < 2:
-        return Operation(node.operator, parts)
-    *nouns, last = wanted
-    if (
-        isinstance(last, Phrase)
-        and last.relation
-        and not last.order
-        and all(isinstance(each, str) for each in nouns)
-    ):
-        wanted = (*(replace(last, text=str(noun)) for noun in nouns), last)
-    either = Operation("or", wanted)
-    return Operation("and", (either, *excluded)) if excluded else either
 
 
 def _tokens(text: str) -> list[str]:
@@ -306,15 +299,6 @@ def _operators(node: Node) -> list[str]:
     if not isinstance(node, Operation):
         return []
     return [node.operator, *(operator for part in node.parts for operator in _operators(part))]
-
-
-def _combined(node: Node, masks: Mapping[str, Tensor]) -> Tensor:
-    if not isinstance(node, Operation):
-        return masks[str(node)]
-    combined = [_combined(part, masks) for part in node.parts]
-    if node.operator == "not":
-        return ~combined[0]
-    return reduce(Tensor.logical_and if node.operator == "and" else Tensor.logical_or, combined)
 
 
 def _text_of(node: Node, outer: str = "") -> str:

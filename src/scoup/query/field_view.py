@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, overload
 
 import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.field import Field
 from scoup.field.cache import Cache, state_of
-from scoup.field.language_field import LanguageField
 from scoup.field.relevancy import PixelCosines, pixel_relevancy
 from scoup.field.renders import Vectors, checked_vectors, render_codes
-from scoup.query.answer import Answer, AskedText
-from scoup.query.ask import answers_of
-from scoup.query.question import Question, Several, as_question
+from scoup.query.answer import Answer, ExpressionAnswer
+from scoup.query.question import AskedText
 from scoup.query.view_answer import ViewAnswer, ViewRenders, main_parts, mask_box, most_relevant_pixel
 from scoup.scene.cameras import Camera
 
@@ -27,8 +25,8 @@ BYTES_PER_PIXEL = 8
 
 
 class FieldView:
-    """A field as one camera sees it, from ``field.at(camera)``. The first question takes longest: further ones reuse
-    its projection, norms and the cosines of the canonical phrases, and differ by rounding, about 1e-6.
+    """A field as one camera sees it. The first answer that it shows takes longest: further ones reuse its projection,
+    norms and the cosines of the canonical phrases, and differ by rounding, about 1e-6.
 
     Attributes:
         camera: of the view.
@@ -37,12 +35,12 @@ class FieldView:
 
     Example:
         >>> view = field.at("view_00.png", scale=0.5)
-        >>> {view.answer(text).mask.shape for text in ("kettle", "wooden table")}
-        {torch.Size([15, 20])}
+        >>> [seen.mask.shape for seen in view.show(field.answer(["kettle", "wooden table"]))]
+        [torch.Size([15, 20]), torch.Size([15, 20])]
     """
 
     def __init__(
-        self, field: LanguageField, camera: Camera | str | int, scale: float = 1.0, backend: str | None = None
+        self, field: Field, camera: Camera | str | int, scale: float = 1.0, backend: str | None = None
     ) -> None:
         self.field, self.camera = field, field.camera(camera)
         if scale != 1.0:
@@ -51,23 +49,13 @@ class FieldView:
         n_pixels = self.camera.width * self.camera.height
         self.cache = Cache((1 << 20) + BYTES_PER_PIXEL * n_pixels * len(field.levels))
 
-    @overload
-    def answer(self, question: str | Question[str]) -> ViewAnswer: ...
-    @overload
-    def answer(self, question: Several | Question[Several]) -> list[ViewAnswer]: ...
-    def answer(self, question: str | Several | Question[Any]) -> ViewAnswer | list[ViewAnswer]:
-        """Return ``field.answer`` as this view shows it: mask, heat map, box, point."""
-        asked = as_question(self.field, question)
-        return asked.shaped(self.show(answers_of(self.field, asked)))
-
     def show(self, answers: Sequence[Answer]) -> list[ViewAnswer]:
         """Draw answers of the field. Nothing is decided again."""
         masks = self.masks(answers)
-        asked = [one for answer in answers for one in answer.asked]
-        heats = iter(self._heats(asked))
+        heats = iter(self._heats([asked for answer in answers for asked in answer.heats]))
         views = []
         for answer, mask in zip(answers, masks, strict=True):
-            heat = torch.stack([next(heats) for _ in answer.asked]).amax(0)
+            heat = torch.stack([next(heats) for _ in answer.heats]).amax(0)
             parts, largest = main_parts(mask)
             point = most_relevant_pixel(heat, largest)
             views.append(
@@ -128,24 +116,22 @@ class FieldView:
     def _heats(self, asked: Sequence[AskedText]) -> list[Tensor]:
         """Return the relevancy [H, W] of each text at its level, on the CPU; texts of one question in one pass."""
         heats: list[Tensor] = [torch.empty(0)] * len(asked)
-        for canonical in {id(one.question.canonical): one.question.canonical for one in asked}.values():
-            numbers = [number for number, one in enumerate(asked) if one.question.canonical is canonical]
-            maps = self.relevancy(
-                torch.cat([asked[number].question.queries for number in numbers]), canonical
-            )
+        for canonical in {id(one.canonical): one.canonical for one in asked}.values():
+            numbers = [number for number, one in enumerate(asked) if one.canonical is canonical]
+            maps = self.relevancy(torch.cat([asked[number].query for number in numbers]), canonical)
             for place, number in enumerate(numbers):
                 # A copy, so that the other levels can be freed.
                 heats[number] = maps[asked[number].level, place].clone().cpu()
         return heats
 
 
-def counting_gaussians(field: LanguageField, answer: Answer) -> Tensor:
+def counting_gaussians(field: Field, answer: Answer) -> Tensor:
     """Return the Gaussians [N] boolean whose contributions an answer must exceed half of.
 
     They are those that belong to any thing of its level, or where the votes answer, that have a code there.
     """
     counting = answer.mask.clone()
-    for part in answer.parts or (answer,):  # of an expression
+    for part in answer.parts if isinstance(answer, ExpressionAnswer) else (answer,):
         level = field.level_index(part.level)
         if field.thing_table is None or part.threshold is not None:
             counting |= field.coded_levels()[level].cpu()

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.records import rounded_vector
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.scene.cameras import Camera
 from scoup.scene.up import checked_direction, estimate_up
 
@@ -53,15 +53,21 @@ class Frame:
 
 
 def scene_frame(
-    field: LanguageField, camera: Camera | str | int | None = None, up: Sequence[float] | None = None
+    field: Field, camera: Camera | str | int | None = None, up: Sequence[float] | None = None
 ) -> Frame:
-    """Return the directions that relations mean; ``field.frame`` calls this.
+    """Return the directions that relations mean; ``LanguageField.frame`` documents it.
 
     Args:
         field: that is asked.
         camera: from which left, right, front and back are meant; by default the field's camera that sees the most.
         up: world direction; by default estimated from the field's cameras.
     """
+    if camera is None and up is None:
+        return field.kept((Frame, field.cameras), lambda: _made_frame(field, None, None))
+    return _made_frame(field, camera, up)
+
+
+def _made_frame(field: Field, camera: Camera | str | int | None, up: Sequence[float] | None) -> Frame:
     cameras = list(field.cameras or ())
     direction = estimate_up(cameras) if up is None else checked_direction(up)
     if up is not None:
@@ -84,7 +90,7 @@ def scene_frame(
     return Frame(torch.stack([right, direction, away]), viewer.name if viewer else "", source)
 
 
-def _widest(field: LanguageField, cameras: Sequence[Camera]) -> Camera | None:
+def _widest(field: Field, cameras: Sequence[Camera]) -> Camera | None:
     """The camera with the largest share of the Gaussians in its image; of several the first."""
     if not cameras:
         return None

@@ -15,7 +15,7 @@ from scoup.base.atomic import atomic_file, write_text
 from scoup.base.counts import spread
 from scoup.base.file_names import unique_slugs
 from scoup.base.progress import Progress, no_progress
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
 from scoup.io.coco import CocoAnnotations
 from scoup.io.splats.usd import UsdThing, write_usd
@@ -23,6 +23,7 @@ from scoup.pictures import label_colors, region_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.boxes import PointSets
 from scoup.query.edits import SplatTable, edited
+from scoup.query.field_view import FieldView
 from scoup.query.labels import MOST_VIEWS, NONE, NONE_NAME, GaussianLabels, label_map, label_sheet
 from scoup.query.votes import true_rows
 from scoup.scene.cameras import Camera
@@ -59,7 +60,7 @@ def label_files(words: Sequence[str], outputs: Sequence[str], views: Sequence[st
 
 
 def save_labels(
-    field: LanguageField,
+    field: Field,
     labels: GaussianLabels,
     folder: Path,
     outputs: Sequence[str],
@@ -100,7 +101,7 @@ def save_labels(
 
 
 def save_label_views(
-    field: LanguageField,
+    field: Field,
     labels: GaussianLabels,
     cameras: Mapping[str, Camera],
     folder: Path,
@@ -124,7 +125,7 @@ def save_label_views(
     coco, sheet, blind = CocoAnnotations(labels.names), dict[str, Picture](), []
     for done, name in enumerate(wanted, start=1):
         camera = cameras[name]
-        view = field.at(camera)
+        view = FieldView(field, camera)
         if not view.is_visible():
             blind.append(camera)
         numbers = label_map(view, labels)
@@ -142,7 +143,7 @@ def save_label_views(
     return blind
 
 
-def usd_things(field: LanguageField, labels: GaussianLabels) -> list[UsdThing]:
+def usd_things(field: Field, labels: GaussianLabels) -> list[UsdThing]:
     """Return the things of each word with their boxes; its Gaussians of none are one more, numbered beyond all."""
     beyond = 0 if field.thing_table is None else len(field.thing_table)
     pairs = torch.stack([labels.ids, labels.instances], 1)

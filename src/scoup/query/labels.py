@@ -12,13 +12,11 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.pictures import contact_sheet, stacked, swatch_legend
 from scoup.pictures.colors import Picture, label_colors
 from scoup.query.answer import Answer
-from scoup.query.ask import answers_of
 from scoup.query.field_view import FieldView
-from scoup.query.question import Question, Several, as_question
 from scoup.scene.things import NO_THING
 
 NONE = -1
@@ -101,18 +99,14 @@ class GaussianLabels:
         return {"gaussians": len(self.ids), "classes": classes, "none": none}
 
 
-def label(field: LanguageField, question: Question[Any] | str | Several) -> GaussianLabels:
-    """Return the word that fits each Gaussian best, or "none"; ``field.label`` documents it.
+def labels_of(field: Field, answers: Sequence[Answer]) -> GaussianLabels:
+    """Return the word that fits each Gaussian best, or "none", from the answers to the words; repeated words count
+    once.
 
-    A word applies to the Gaussians that ``answer_scene`` returns for it. Of several words for one Gaussian, the one
-    answered by the finest level counts, for the name of a part says more than that of its whole; of words of one level
-    the one with the largest score.
+    A word applies to the Gaussians that answer it. Of several words for one Gaussian, the one answered by the finest
+    level counts, for the name of a part says more than that of its whole; of words of one level the one with the
+    largest score.
     """
-    return labels_of(field, answers_of(field, as_question(field, question)))
-
-
-def labels_of(field: LanguageField, answers: Sequence[Answer]) -> GaussianLabels:
-    """Return ``label`` from the answers to the words; repeated words count once."""
     of_name: dict[str, Answer] = {}
     for answer in answers:
         of_name.setdefault(answer.text, answer)

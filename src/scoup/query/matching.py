@@ -15,11 +15,6 @@ Such a set is judged by four things:
 * sets of other levels with the same Gaussians count for it: what several levels found is more often what people name.
 
 The set is chosen once, in the scene. Ours; measured in docs/answers.md.
-
-Instances of one name fit it alike and look alike. Things that answer are not those to count: they are too many where
-parts or neighbours answer as well, and too few where only some instances do. So both are asked of every thing of the
-answer's level. Finer things are not counted: under a thing that fits, those that fit alike are parts of one object more
-often than several objects. Measured in docs/things.md.
 """
 
 from __future__ import annotations
@@ -32,7 +27,7 @@ from itertools import combinations
 import torch
 from torch import Tensor
 
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.query.question import TextVectors
 from scoup.scene.things import NO_THING, ThingTable
 
@@ -52,12 +47,6 @@ SAME = 0.5
 """Two sets have the same Gaussians from this intersection over union. A thing with at least this share of its Gaussians
 in a set, or that share of the set in it, is no rival."""
 TEXTS_AT_A_TIME = 16
-FIT_SHARE = 0.17
-"""An instance fits at most so much less than the best thing, as a share of the best fit's distance from the median."""
-LEAST_LIKENESS = 0.65
-"""Least cosine of an instance's embedding with that of the best thing, both less the mean embedding of all things."""
-SAME_LOOK = 0.99
-"""Embeddings of a larger cosine are of one look, whatever the mean is."""
 RIVAL, AGREEMENT = 2.0, 0.25
 """Weights of the choice (docs/answers.md#constants): of the lead of things elsewhere over the mean fit of a set, and of
 the score of a set of another level with the same Gaussians."""
@@ -175,7 +164,7 @@ def compared_words(texts: TextVectors) -> Tensor:
     return (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
 
 
-def compare_things(field: LanguageField, texts: TextVectors) -> ComparedTable | None:
+def compare_things(field: Field, texts: TextVectors) -> ComparedTable | None:
     """Return the things of a field, compared with ``compared_words``; None for a field without things."""
     if field.thing_table is None or not len(field.thing_table):
         return None
@@ -276,26 +265,3 @@ def _choose(
         things = chosen_sets.order[query, : place + 1]
         choices.append(Choice(things, float(fits[query, things].max()), None if rival < 0 else rival))
     return choices
-
-
-def find_instances(known: ComparedTable, fits: Tensor, chosen: Tensor) -> Tensor:
-    """Return the things [I] int64 of the level of an answer that are one instance each, best first, I >= 1.
-
-    Args:
-        known: T things of the scene.
-        fits: [T] of the text.
-        chosen: [M] int64, the things that answer, M >= 1.
-    """
-    levels, embeddings = known.things.levels.long().cpu(), known.embeddings
-    usable = fits[known.usable]
-    best = torch.where(known.usable, fits, -torch.inf).argmax()
-    looks = torch.nn.functional.normalize(embeddings - embeddings[known.usable].mean(0), dim=1)
-    near = known.usable & (
-        fits[best] - fits <= FIT_SHARE * (fits[best] - usable.quantile(0.5)).clamp(min=1e-3)
-    )
-    # Where all things are nearly the same, what they differ by is noise.
-    alike = (looks @ looks[best] >= LEAST_LIKENESS) | (embeddings @ embeddings[best] >= SAME_LOOK)
-    instances = (near & alike & (levels == levels[chosen[0]])).nonzero()[:, 0]
-    if not len(instances):
-        return chosen[:1]
-    return instances[fits[instances].argsort(descending=True, stable=True)]

@@ -16,8 +16,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from scoup.field.language_field import LanguageField
-from scoup.query.matching import Choice, ComparedTable, choose_things, find_instances
+from scoup.field import Field
+from scoup.query.matching import Choice, ComparedTable, choose_things
 from scoup.query.presence import LIKELY
 from scoup.query.question import Question
 from scoup.scene.names import NameTable
@@ -26,7 +26,7 @@ from scoup.scene.things import ThingTable
 AGREES = 0.85
 """Both agree if a thing of the field's answer has at least this share of the largest vote."""
 TOGETHER = 0.45
-"""Things with at least this share of the largest vote answer together, and are instances."""
+"""Things with at least this share of the largest vote answer together."""
 FIELD_POWER = 1 / 3
 """Of the field's odds of presence; they are 1 to 99 at least and 99 to 1 at most."""
 NAMES = 3
@@ -128,22 +128,8 @@ def _chosen(choice: Choice, things: Tensor, fits: Tensor) -> Choice:
     return replace(choice, things=things, fit=float(fits[things].max()), runner_up=lost[0] if lost else rival)
 
 
-def instances_of(known: ComparedTable, fits: Tensor, choice: Choice, named: Named | None) -> Tensor:
-    """Return the things [I] int64 of the level of an answer to a text that are one instance each, best first.
-
-    By the votes where the model is sure of the text and has seen it at this level, else by the fits [T].
-    """
-    levels, mine = known.things.levels.cpu(), torch.zeros(1)
-    if named is not None and named.is_sure:
-        mine = torch.where(known.usable & (levels == levels[choice.things[0]]), named.votes, 0.0)
-    if mine.max() == 0:
-        return find_instances(known, fits, choice.things)
-    instances = (mine >= TOGETHER * mine.max()).nonzero()[:, 0]
-    return instances[mine[instances].argsort(descending=True, stable=True)]
-
-
 def voted_names(
-    field: LanguageField, texts: Collection[str] | None = None
+    field: Field, texts: Collection[str] | None = None
 ) -> dict[int, tuple[tuple[str, ...], float]]:
     """Return the names that a model gave to each thing that it is sure of, best first, and the score of the first.
 

@@ -37,11 +37,8 @@ _UNKNOWN = frozenset(
         "toward towards",
     )
 )
-_COUNTING = re.compile(
-    r"\s*(?:how many|number of|count of|count)\s+(.*?)(?:\s+are there)?\s*\??\s*", re.IGNORECASE
-)
 _FORMS = [form for forms in RELATIONS.values() for form in forms]
-_UNFINISHED = frozenset(["how many", "number of", "count of", *_FORMS])
+_UNFINISHED = frozenset(_FORMS)
 """Texts that lack the thing that they are about."""
 _BEGINNINGS = tuple(f"{form} " for form in _FORMS if " " in form)
 """So do texts that begin with these; one word may be a part of a name, as in "on switch"."""
@@ -121,12 +118,6 @@ def texts_of(target: Target) -> tuple[str, ...]:
     return (target,) if isinstance(target, str) else target.texts
 
 
-def counted_text(text: str) -> str | None:
-    """Return what is to be counted in "how many cups?": "cups"; None if the text does not ask for a number."""
-    match = _COUNTING.fullmatch(text)
-    return match[1] if match else None
-
-
 def begins_with_relation(text: str) -> bool:
     """Return whether a text, such as "near the window", lacks the thing that has the relation."""
     words = text.lower().split()
@@ -151,7 +142,7 @@ def quoted(text: str) -> str:
         set(text.lower().split()) & set(OPERATORS) or set(text) & set('"()') or text.endswith(("?", *_STOPS))
     )
     try:
-        is_text = is_text and counted_text(f"{text} x") is None and parse_phrase(text) == text
+        is_text = is_text and parse_phrase(text) == text
         is_text = is_text and not begins_with_relation(text)
     except InputError:
         is_text = False

@@ -11,11 +11,9 @@ from torch import Tensor
 from scoup.base.counts import verb
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.query.answer import Answer
-from scoup.query.ask import answers_of
 from scoup.query.boxes import OrientedBox
-from scoup.query.question import Question, Several, as_question
 from scoup.query.things import Thing, metres_record, things_of_answer
 
 
@@ -79,14 +77,6 @@ def numbered_things(numbers: Sequence[int]) -> str:
     return f"{verb(len(numbers), 'thing', 'things')} {', '.join(map(str, numbers))}"
 
 
-def location(field: LanguageField, question: Question[Any] | str | Several | Answer) -> Any:
-    """Return the places of texts, or the place of one or of an answer; ``field.location`` documents it."""
-    if isinstance(question, Answer):
-        return place_of(field, question)
-    asked = as_question(field, question)
-    return asked.shaped([place_of(field, answer) for answer in answers_of(field, asked)])
-
-
-def place_of(field: LanguageField, answer: Answer) -> Place:
-    """Return the place of an answer of ``answer_scene``."""
+def place_of(field: Field, answer: Answer) -> Place:
+    """Return the place of an answer."""
     return Place(answer, next(iter(things_of_answer(field, answer)), None))

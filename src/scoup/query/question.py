@@ -15,7 +15,7 @@ from torch import Tensor
 from scoup.base.brief import brief
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
-from scoup.field.language_field import Encoder, LanguageField
+from scoup.field import Field
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.expression import Expression, parse_expression
@@ -37,6 +37,16 @@ NEAR = 0.95
 """Least cosine with a name of a thing of a text that counts as the same."""
 # Words that do not tell models apart.
 _PUBLISHERS = {"open", "clip", "laion", "openai", "google", "hf", "hub"}
+
+
+@dataclass(frozen=True, eq=False)
+class AskedText:
+    """A text in the space of embeddings, and the level whose relevancy to it is shown as heat."""
+
+    query: Tensor  # [1, D]
+    canonical: Tensor  # [P, D]
+    level: int
+    present_from: float | None  # of the question
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +129,11 @@ class Question(TextVectors, Generic[Asked]):
         """Return the only one of what was found for each text if the question was one text."""
         return found[0] if self.is_single else found
 
+    def vectors_of(self, number: int, level: int) -> AskedText:
+        """Return one of its texts as vectors, at the level that answers it."""
+        query = self.queries[number : number + 1].clone()
+        return AskedText(query, self.canonical, level, self.present_from)
+
     def one(self, number: int, **options: Any) -> Question[Asked]:
         """Return the question of one of its texts, with some attributes replaced."""
         return self.some(slice(number, number + 1), **options)
@@ -130,30 +145,30 @@ class Question(TextVectors, Generic[Asked]):
 
 
 def make_question(
-    field: LanguageField,
+    field: Field,
+    encoder: TextEncoder,
     texts: Any,
-    encoder: Encoder | None = None,
     always: bool = False,
     present_from: float | None = None,
     threshold: float | None = None,
     level: str | int | None = None,
     frame: Frame | None = None,
 ) -> Question[Any]:
-    """Make a question; ``field.question`` documents it."""
-    source, is_single = field.text_encoder(encoder), isinstance(texts, (str, Expression))
+    """Make a question; ``LanguageField.question`` documents it."""
+    is_single = isinstance(texts, (str, Expression))
     given = (texts,) if is_single else tuple(texts) if isinstance(texts, (list, tuple)) else ()
     if not all(isinstance(each, (str, Expression)) for each in given):
         given = ()  # vectors, or what cannot be asked
 
     def made() -> Question[Any]:
         asked = tuple(
-            (str(each), each if isinstance(each, Expression) else parse_expression([each], source.names))
+            (str(each), each if isinstance(each, Expression) else parse_expression([each], encoder.names))
             for each in given
         )
-        alone = [each.root for _, each in asked if isinstance(each.root, str) and not each.counted]
+        alone = [each.root for _, each in asked if isinstance(each.root, str)]
         every = [*dict.fromkeys(text for _, each in asked for text in each.texts)]
         words = alone if len(alone) == len(asked) else every
-        vectors = _vectors(field, words or texts)
+        vectors = _vectors(field, encoder, words or texts)
         wants_everything = any(each.wants_everything for _, each in asked)
         return Question.from_vectors(
             vectors.with_everyday(),
@@ -163,24 +178,21 @@ def make_question(
             ),
             is_single=is_single,
             asked=() if words is alone else asked,
-            everything=naming_question(field) if wants_everything else None,
+            everything=naming_question(field, encoder) if wants_everything else None,
             frame=frame,
             level=None if level is None else field.level_index(level),
-            near=_near_names(field, vectors),
-            model=source.name or field.embedding_model,
+            near=_near_names(field, encoder, vectors),
+            model=encoder.name or field.embedding_model,
         )
 
     if not 0 < len(given) <= MOST_TEXTS:
         return made()
-    return field.kept(
-        (Question, given, is_single, source, always, present_from, threshold, level, frame), made
-    )
+    return field.kept((Question, given, is_single, always, present_from, threshold, level, frame), made)
 
 
-def naming_question(field: LanguageField, words: Sequence[str] = ()) -> Question[Any]:
+def naming_question(field: Field, encoder: TextEncoder, words: Sequence[str] = ()) -> Question[Any]:
     """Return the question of the words that name things, each as it is; by default all names of the field's word table,
     or everyday words and the names that a model gave to its things."""
-    encoder = field.text_encoder()
 
     def made() -> Question[Any]:
         given = None if field.thing_table is None else field.thing_table.names
@@ -188,9 +200,9 @@ def naming_question(field: LanguageField, words: Sequence[str] = ()) -> Question
         if not words and given is not None and encoder.names is None:  # a table has no more than its names
             folded = {word.casefold() for word in every}
             every = (*every, *(text for text in given.texts if text.casefold() not in folded))
-        return make_question(field, literal([*dict.fromkeys(every)]))
+        return make_question(field, encoder, literal([*dict.fromkeys(every)]))
 
-    return field.kept((naming_question, tuple(words), encoder), made)
+    return field.kept((naming_question, tuple(words)), made)
 
 
 def literal(texts: Any) -> Any:
@@ -200,16 +212,8 @@ def literal(texts: Any) -> Any:
     return [Expression(text) if isinstance(text, str) else text for text in texts]
 
 
-def as_question(field: LanguageField, question: Question[Any] | str | Several) -> Question[Any]:
-    """Return a question, or the question that texts alone are; warn of a question of another field's model."""
-    if not isinstance(question, Question):
-        return make_question(field, question)
-    warn_of_another_model(question.model, field.embedding_model, question.source)
-    return question
-
-
-def _near_names(field: LanguageField, vectors: TextVectors) -> tuple[str | None, ...]:
-    names, encoder = None if field.thing_table is None else field.thing_table.names, field.text_encoder()
+def _near_names(field: Field, encoder: TextEncoder, vectors: TextVectors) -> tuple[str | None, ...]:
+    names = None if field.thing_table is None else field.thing_table.names
     if names is None:
         return ()
 
@@ -249,15 +253,14 @@ def near_names(
     )
 
 
-def _vectors(field: LanguageField, texts: Any) -> TextVectors:
-    encoder, source = field.text_encoder(), field.encoder_name
+def _vectors(field: Field, encoder: TextEncoder, texts: Any) -> TextVectors:
     if isinstance(texts, (list, tuple)) and all(isinstance(text, str) for text in texts):
         if not texts:
             raise InputError('pass at least one text, for example "kettle"')
-        return encode_texts(encoder, field, texts, source)
+        return encode_texts(encoder, field, texts)
     queries = query_vectors(_as_vectors(texts), field.dim)
     names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
-    return replace(encode_texts(encoder, field, [], source), texts=names, queries=queries)
+    return replace(encode_texts(encoder, field, []), texts=names, queries=queries)
 
 
 def _as_vectors(texts: str | Several) -> Tensor:
@@ -272,43 +275,40 @@ def _as_vectors(texts: str | Several) -> Tensor:
     return vectors
 
 
-def encode_texts(
-    encoder: TextEncoder, field: LanguageField, texts: Sequence[str], source: str | None = None
-) -> TextVectors:
+def encode_texts(encoder: TextEncoder, field: Field, texts: Sequence[str]) -> TextVectors:
     """Encode texts to query a field with, the canonical phrases, and everyday words.
 
     Args:
         encoder: of the model whose embeddings the field contains.
         field: to be queried.
         texts: Q phrases.
-        source: name of the encoder in messages; by default its model.
 
     Warns:
         ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
     """
-    source = source or encoder.name or "the word table"
+    source = encoder.source
     if encoder.dim != field.dim:
         raise InputError(
             f"{source}: has vectors of {counted(encoder.dim, 'dimension')}, but the field contains embeddings of "
             f"{field.dim}; " + _where_words_are(field, encoder)
         )
     warn_of_another_model(encoder.name, field.embedding_model, source)
-    return text_vectors(encoder, texts, source)
+    return text_vectors(encoder, texts)
 
 
-def text_vectors(encoder: TextEncoder, texts: Sequence[str], source: str) -> TextVectors:
+def text_vectors(encoder: TextEncoder, texts: Sequence[str]) -> TextVectors:
     """Return ``encode_texts`` for whatever is asked."""
     queries = encoder.encode(texts)
     try:
         canonical = encoder.canonical()
     except UnknownNameError as error:
-        canonical = _mean_phrase(encoder, source, error)
-    return TextVectors(tuple(texts), queries, canonical, encoder.everyday(), source)
+        canonical = _mean_phrase(encoder, error)
+    return TextVectors(tuple(texts), queries, canonical, encoder.everyday(), encoder.source)
 
 
-def _mean_phrase(encoder: TextEncoder, source: str, error: UnknownNameError) -> Tensor:
+def _mean_phrase(encoder: TextEncoder, error: UnknownNameError) -> Tensor:
     """The unit mean [1, D] of a table's names, for canonical phrases that the table lacks."""
-    words = encoder.everyday()
+    words, source = encoder.everyday(), encoder.source
     phrases = ", ".join(CANONICAL_PHRASES)
     if len(words) < LEAST_WORDS:
         raise InputError(
@@ -341,7 +341,7 @@ def _words_of(model: str) -> set[str]:
     return set(re.findall(r"[a-z]+[0-9]+[a-z]*|[a-z]+|[0-9]+", model.lower())) - _PUBLISHERS
 
 
-def _where_words_are(field: LanguageField, other: TextEncoder) -> str:
+def _where_words_are(field: Field, other: TextEncoder) -> str:
     """The remedy for vectors of another size than the field's embeddings, from the encoder ``other``."""
     named = field.embedding_model
     if named == COLORS:

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.io import load_image
 from scoup.io.camera_images import attach_images
 from scoup.models.concepts import ConceptModel, open_concepts
-from scoup.query.expression import Expression
+from scoup.query.field_view import FieldView
+from scoup.query.language_field import LanguageField
 from scoup.query.matching import compare_things
-from scoup.query.question import literal, make_question
+from scoup.query.question import literal
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.names import Detections
 from scoup.uplift.naming import name_things
@@ -35,10 +36,12 @@ LARGE = 0.05
 """A thing whose radius is this share of a picture's longest side is seen as well as any larger one."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Refined:
-    """A refinement: how many photographs, and rendered views in their place, were looked at, and for how long."""
+    """A field with the names that a model gave to its things, and how many photographs, and rendered views in their
+    place, the model looked at, for how long."""
 
+    field: LanguageField
     texts: tuple[str, ...]
     views: tuple[str, ...]
     rendered: int
@@ -46,7 +49,8 @@ class Refined:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        return {**vars(self), "seconds": round(self.seconds, 2)}
+        facts = {"texts": self.texts, "views": self.views, "rendered": self.rendered}
+        return {**facts, "seconds": round(self.seconds, 2)}
 
     def describe(self) -> str:
         """Return it in words, for people."""
@@ -62,14 +66,13 @@ def refine(
     model: ConceptModel | str,
     cameras: Cameras | None = None,
 ) -> Refined:
-    """Look for texts in photographs of a field with a model, and name the things of the field that it finds.
+    """Look for texts in photographs of a field with a model, and name the things that it finds.
 
-    From now on the field answers these texts by the model's votes and its own embeddings (``scoup.query.named``); a
-    saved field keeps the names.
+    The field of the result answers these texts by the model's votes and its own embeddings (``scoup.query.named``).
 
     Args:
-        field: with things; its ``thing_table`` gets names.
-        texts: to look for.
+        field: with things; it is not changed.
+        texts: to look for, or phrases with them.
         model: or its name (``scoup.models.concepts.CONCEPTS``).
         cameras: with their photographs; by default the field's own. A camera without one is rendered.
 
@@ -77,8 +80,7 @@ def refine(
         InputError: the field has no things or no cameras.
     """
     started = time.perf_counter()
-    words = (texts,) if isinstance(texts, str) else tuple(texts)
-    table = field.thing_table
+    words, table = field.question(texts if isinstance(texts, str) else list(texts)).texts, field.thing_table
     if table is None or not len(table):
         raise InputError(
             f"{field.path or 'this field'}: contains no things to name; build it again with things"
@@ -92,19 +94,16 @@ def refine(
         rendered += image is None
         views.append((camera, model.detect(_render(field, camera) if image is None else image, words)))
     names = name_things(field.gaussians, table, views, words, field.raster_preset)
-    field.thing_table = replace(table, names=names if table.names is None else table.names.joined(names))
+    named = field.changed(
+        field.gaussians,
+        thing_table=replace(table, names=names if table.names is None else table.names.joined(names)),
+    )
+    named.path = field.path
     looked_at = tuple(camera.name for camera, _ in views)
-    return Refined(words, looked_at, rendered, time.perf_counter() - started)
+    return Refined(named, words, looked_at, rendered, time.perf_counter() - started)
 
 
-def refine_texts(field: LanguageField, texts: Any, model: ConceptModel | str) -> Refined:
-    """Refine the texts of a question (``field.question``)."""
-    if not isinstance(texts, (str, Expression, list, tuple)):
-        raise InputError("a model with words looks for texts, not for vectors; omit `refine`")
-    return refine(field, make_question(field, texts).texts, model)
-
-
-def photographed_cameras(field: LanguageField) -> Cameras:
+def photographed_cameras(field: Field) -> Cameras:
     """Return the cameras of a field with their photographs, as far as they are known or beside its splat."""
     cameras = field.cameras
     if cameras is None or not len(cameras):
@@ -120,7 +119,7 @@ def choose_views(
     field: LanguageField, texts: Sequence[str], cameras: Cameras, most: int = MOST_VIEWS
 ) -> list[Camera]:
     """Return up to ``most`` cameras in which things that may answer texts are seen best, in order of their names."""
-    question = make_question(field, literal(list(texts)))
+    question = field.question(literal(list(texts)))
     known = compare_things(field, question)
     assert known is not None
     fits = known.fits(question.queries)[known.usable]
@@ -139,7 +138,7 @@ def choose_views(
     return [cameras[number] for number in sorted(chosen)]
 
 
-def _apparent_sizes(field: LanguageField, cameras: Cameras) -> Tensor:
+def _apparent_sizes(field: Field, cameras: Cameras) -> Tensor:
     """Return how well each of T things is seen by each camera, [V, T] 0..1, whatever may be in between."""
     table = field.thing_table
     assert table is not None
@@ -163,6 +162,6 @@ def _photograph(camera: Camera) -> NDArray[np.uint8] | None:
     return load_image(camera).numpy()
 
 
-def _render(field: LanguageField, camera: Camera) -> NDArray[np.uint8]:
-    colors = field.at(camera).renders.colors().cpu()
+def _render(field: Field, camera: Camera) -> NDArray[np.uint8]:
+    colors = FieldView(field, camera).renders.colors().cpu()
     return (colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.query.boxes import PointSets
 from scoup.query.frame import Frame
 from scoup.query.things import Thing
@@ -50,7 +50,7 @@ class Shapes:
     spans: Array  # [T, 3, 2]
 
     @classmethod
-    def of(cls, field: LanguageField, things: Sequence[Thing], frame: Frame) -> Shapes:
+    def of(cls, field: Field, things: Sequence[Thing], frame: Frame) -> Shapes:
         points = PointSets.of(field.gaussians, [thing.gaussians for thing in things])
         points = replace(points, means=points.means @ frame.axes.numpy().T)
         return cls(things, points, points.spans())

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from scoup.field.language_field import LanguageField
-from scoup.query.frame import Frame
+from scoup.field import Field
+from scoup.query.frame import Frame, scene_frame
 from scoup.query.phrases import Phrase, Target, texts_of
 from scoup.query.relation_rules import AWAY, CONDITIONS, CONTACT, RIGHT, UP, Shapes
 from scoup.query.things import Thing, all_things
@@ -24,7 +24,7 @@ _ENDS = {
 
 
 def resolve(
-    field: LanguageField, target: Target, of_texts: Mapping[str, Sequence[Thing]], frame: Frame | None
+    field: Field, target: Target, of_texts: Mapping[str, Sequence[Thing]], frame: Frame | None
 ) -> list[Thing]:
     """Return the things that a text or phrase singles out, in the order of ``of_texts`` or of the phrase.
 
@@ -47,7 +47,7 @@ def resolve(
 
 
 def _related(
-    field: LanguageField, relation: str, things: list[Thing], anchors: Sequence[list[Thing]], frame: Frame
+    field: Field, relation: str, things: list[Thing], anchors: Sequence[list[Thing]], frame: Frame
 ) -> list[Thing]:
     if not things or not all(anchors):
         return []
@@ -88,7 +88,7 @@ def _same(one: Thing, other: Thing) -> bool:
     return one is other or (one.number is not None and one.number == other.number)
 
 
-def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: Frame) -> list[Thing]:
+def _ordered(field: Field, phrase: Phrase, things: list[Thing], frame: Frame) -> list[Thing]:
     """The one thing of an order and rank; all without an order."""
     if not phrase.order or not things:
         return things
@@ -102,16 +102,14 @@ def _ordered(field: LanguageField, phrase: Phrase, things: list[Thing], frame: F
     return [things[order[phrase.rank - 1]]] if phrase.rank <= len(things) else []
 
 
-def relations(field: LanguageField, frame: Frame | None = None) -> list[tuple[int, str, int]]:
-    """Return how the things of a field stand to each other; ``field.relations`` documents it."""
-    frame, every = frame or field.frame(), all_things(field)
+def relations(field: Field, frame: Frame | None = None) -> list[tuple[int, str, int]]:
+    """Return how the things of a field stand to each other; ``LanguageField.relations`` documents it."""
+    frame, every = frame or scene_frame(field), all_things(field)
     levels = [[thing for thing in every if thing.level == level] for level in field.levels]
     return [pair for of_level in levels for pair in related_pairs(field, of_level, frame)]
 
 
-def related_pairs(
-    field: LanguageField, things: Sequence[Thing], frame: Frame
-) -> Iterator[tuple[int, str, int]]:
+def related_pairs(field: Field, things: Sequence[Thing], frame: Frame) -> Iterator[tuple[int, str, int]]:
     """Yield which things are inside or on which others: (number, "inside" or "on", number of the other)."""
     shapes = Shapes.of(field, things, frame)
     low, high = shapes.spans[..., 0], shapes.spans[..., 1]

@@ -13,10 +13,10 @@ from torch import Tensor
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
-from scoup.query.answer import Answer
+from scoup.field import Field
+from scoup.query.answer import ExpressionAnswer, answer_relevancy
 from scoup.query.ask import one_answer
-from scoup.query.question import Question, Several, as_question
+from scoup.query.question import Question
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS, connected_parts, nearest_points
 
@@ -55,25 +55,19 @@ class Reshaping:
             raise InputError(f"within must be a distance of 0 or more, got {self.within}")
 
 
-def select(
-    field: LanguageField, question: Question[Any] | str | Several, reshaping: Reshaping | None = None
-) -> Answer:
-    """Return one answer to an expression; ``field.select`` documents it."""
+def select(field: Field, question: Question[Any], reshaping: Reshaping | None = None) -> ExpressionAnswer:
+    """Return one answer to all that a question asks for; ``LanguageField.select`` documents it."""
     wanted = reshaping or Reshaping()
     check_arguments("select", reshaping=(wanted, Reshaping))
-    if not isinstance(question, (Question, str, list, tuple)):
-        raise InputError(
-            f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
-        )
-    asked = as_question(field, question)
 
-    def made() -> Answer:
+    def made() -> ExpressionAnswer:
+        whole = one_answer(field, question)
         if wanted == Reshaping():
-            return one_answer(field, asked)
-        whole = select(field, asked)
-        return replace(whole, mask=reshaped(field.gaussians, whole.mask, whole.relevancy(), wanted))
+            return whole
+        mask = reshaped(field.gaussians, whole.mask, answer_relevancy(field, whole), wanted)
+        return replace(whole, mask=mask)
 
-    return copy.deepcopy(field.kept((select, asked, wanted), made))
+    return copy.deepcopy(field.kept((select, question, wanted), made))
 
 
 def reshaped(gaussians: Gaussians, mask: Tensor, relevancy: Tensor, wanted: Reshaping) -> Tensor:

@@ -15,7 +15,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.query.answer_scene import each_answer, text_scores
 from scoup.query.matching import SAME, ComparedTable, compare_things, compared_words, shared_gaussians
 from scoup.query.named import NAMES, less_common, voted_names
@@ -40,7 +40,7 @@ class ThingName(NamedTuple):
     """Of the best, for this thing (``Answer.score``)."""
 
 
-def thing_names(field: LanguageField, question: Question[Any]) -> dict[int, ThingName]:
+def thing_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     """Return the names of the things that have one, by their numbers; those that a model gave come first.
 
     Args:
@@ -50,7 +50,7 @@ def thing_names(field: LanguageField, question: Question[Any]) -> dict[int, Thin
     return field.kept((thing_names, question), lambda: _made_names(field, question))
 
 
-def _made_names(field: LanguageField, question: Question[Any]) -> dict[int, ThingName]:
+def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     known = compare_things(field, question)
     if known is None:
         return {}
@@ -86,7 +86,7 @@ def _alike(known: ComparedTable, named: Collection[int]) -> dict[int, int]:
     return {thing: one for thing, (_, one) in best.items()}
 
 
-def named_things(field: LanguageField, words: Question[Any] | None) -> list[Thing]:
+def named_things(field: Field, words: Question[Any] | None) -> list[Thing]:
     """Return all things with their best names as ``text`` and the scores of these, or "" and None.
 
     Catalogue, page, agents and comparisons name things by this.
@@ -103,7 +103,7 @@ def named_things(field: LanguageField, words: Question[Any] | None) -> list[Thin
     return [replace(thing, text=name.texts[0], score=name.score) for thing, name in best]
 
 
-def find_objects(field: LanguageField, things: Sequence[Thing]) -> list[Thing]:
+def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
     """Return the named things that are one object each.
 
     A thing without a parent at the next level is a part of one at a coarser level that has half of its Gaussians.

@@ -14,13 +14,14 @@ from torch import Tensor
 
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
-from scoup.field.language_field import LanguageField
-from scoup.query.answer import Answer
+from scoup.field import Field
+from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.answer_scene import text_scores
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.matching import ComparedTable, compare_things
+from scoup.query.matching import compare_things
 from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS
+from scoup.query.question import Question
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
 from scoup.scene.neighbours import connected_parts
@@ -69,11 +70,6 @@ class Thing:
         return len(self.gaussians)
 
     @property
-    def nbytes(self) -> int:
-        """Bytes of its list of Gaussians."""
-        return self.gaussians.nbytes
-
-    @property
     def size(self) -> float:
         """Diagonal of its box in world units."""
         return float(self.box.extent.norm())
@@ -116,7 +112,7 @@ class Thing:
         }
 
 
-def all_things(field: LanguageField) -> list[Thing]:
+def all_things(field: Field) -> list[Thing]:
     """Return every instance of a field with at least ``LEAST_GAUSSIANS`` Gaussians, finer levels first, from its cache.
 
     Empty for a field without things.
@@ -136,41 +132,44 @@ def all_things(field: LanguageField) -> list[Thing]:
     return field.kept(Thing, made)
 
 
-def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False) -> list[Thing]:
-    """Return the things of an answer of ``answer_scene``, best first; none where the text is not present.
+def things_of_answer(field: Field, answer: Answer) -> list[Thing]:
+    """Return the things of an answer, best first; none where the text is not present.
 
-    Where the votes answer, and of an expression, they are the parts of the selection that are connected in space, those
-    that weigh most first. To be ``counted``, things are those that are one instance each.
+    Where the votes answer, they are the parts of the selection that are connected in space, those that weigh most
+    first.
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
-    if answer.found or (answer.threshold is None and any(part.text != answer.text for part in answer.parts)):
+    if isinstance(answer, ExpressionAnswer) and (answer.found or answer.threshold is None):
         return list(answer.found)
-    if not answer.things or len(answer.asked) != 1:
+    if not answer.things:
         return _connected_things(field, answer)
-    return scored_things(field, answer, answer.instances if counted else answer.things)
-
-
-def text_fits(field: LanguageField, answer: Answer) -> tuple[ComparedTable, list[float]]:
-    """Return the things of a field, and how well each fits the text of an answer."""
-    question = answer.asked[0].question
-    known = compare_things(field, question)
-    assert known is not None
-    fits = field.kept((text_fits, question), lambda: known.fits(question.queries)[:, 0])
-    return known, fits.tolist()
-
-
-def scored_things(field: LanguageField, answer: Answer, numbers: Sequence[int]) -> list[Thing]:
-    """Return things by their numbers, with the text of an answer and their scores for it."""
-    (known, fits), question = text_fits(field, answer), answer.asked[0].question
-    (score,) = text_scores(question, known.best_fits, named_texts(field.thing_table, question))
+    scores = dict(zip(answer.things, answer.scores, strict=True))
     return [
-        replace(thing, text=answer.text, score=score(fits[thing.number or 0], thing.number))
-        for thing in things_of_table(field, numbers)
+        replace(thing, text=answer.text, score=scores[thing.number or 0])
+        for thing in things_of_table(field, answer.things)
     ]
 
 
-def things_of_table(field: LanguageField, numbers: Sequence[int]) -> list[Thing]:
+def best_part(field: Field, question: Question[Any], text: str, thing: Thing) -> Thing:
+    """Return the part of a thing that fits a text of a question best, or the thing itself."""
+    one = question.one(question.texts.index(text))
+    known = compare_things(field, one)
+    assert known is not None
+    assert thing.number is not None
+    fits = known.fits(one.queries)[:, 0].tolist()
+    inside = known.things.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
+    best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
+    if best == thing.number:
+        return thing
+    (score,) = text_scores(one, known.best_fits, named_texts(field.thing_table, one))
+    found = [
+        replace(part, text=text, score=score(fits[best], best)) for part in things_of_table(field, [best])
+    ]
+    return found[0] if found else thing
+
+
+def things_of_table(field: Field, numbers: Sequence[int]) -> list[Thing]:
     """Return the instances of a field with some numbers, but for those without a usable Gaussian."""
     table = field.thing_table
     assert table is not None
@@ -198,7 +197,7 @@ def things_of_table(field: LanguageField, numbers: Sequence[int]) -> list[Thing]
     ]
 
 
-def _parts(field: LanguageField, members: Sequence[Tensor], level: str) -> list[Thing | None]:
+def _parts(field: Field, members: Sequence[Tensor], level: str) -> list[Thing | None]:
     """Parts of a selection from the Gaussians of each; None for those without a usable Gaussian."""
     points = PointSets.of(field.gaussians, members)
     shapes = zip(points.medians(), points.boxes(estimate_up(field.cameras or ())), members, strict=True)
@@ -208,7 +207,7 @@ def _parts(field: LanguageField, members: Sequence[Tensor], level: str) -> list[
     ]
 
 
-def _connected_things(field: LanguageField, answer: Answer) -> list[Thing]:
+def _connected_things(field: Field, answer: Answer) -> list[Thing]:
     """The connected parts of a selection, those that weigh most first; a Gaussian weighs opacity times relevancy."""
     rows = true_rows(answer.mask)
     gaussians = field.gaussians.select(rows.to(field.gaussians.device)).to("cpu")
@@ -216,7 +215,7 @@ def _connected_things(field: LanguageField, answer: Answer) -> list[Thing]:
     rows, means = rows[usable], gaussians.means[usable].double().numpy()
     if not len(rows):
         return []
-    relevancy = answer.relevancy()[rows].double()
+    relevancy = answer_relevancy(field, answer)[rows].double()
     parts = rough_parts(means)
     weights = np.bincount(parts, (gaussians.opacities[usable].double().clamp(0, 1) * relevancy).numpy())
     sizes = np.bincount(parts)

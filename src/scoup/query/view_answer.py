@@ -15,7 +15,7 @@ from scoup.base.errors import InputError
 from scoup.base.html import card
 from scoup.base.native import native_core
 from scoup.base.records import rounded_vector
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.field.renders import render_depth
 from scoup.pictures import as_picture, heat_map, mask_overlay
 from scoup.query.answer import Answer
@@ -34,7 +34,7 @@ AVERAGED = 7
 class ViewRenders:
     """Colours and depth of one view, rendered when first asked for. The projection is not kept alive."""
 
-    def __init__(self, field: LanguageField, camera: Camera, projection: Projection) -> None:
+    def __init__(self, field: Field, camera: Camera, projection: Projection) -> None:
         self.field, self.camera = field, camera
         self._projection = weakref.ref(projection)
         self._depth: Tensor | None = None

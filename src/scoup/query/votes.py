@@ -21,7 +21,7 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.native import native_core
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.field.relevancy import FieldCodes, GaussianCosines
 from scoup.query.question import Question
 from scoup.scene.codes import rows_of
@@ -66,7 +66,7 @@ def true_rows(mask: Tensor) -> Tensor:
     return torch.from_numpy(np.flatnonzero(mask.numpy()))
 
 
-def select_each(field: LanguageField, question: Question) -> Iterator[Selection]:
+def select_each(field: Field, question: Question) -> Iterator[Selection]:
     """Yield the Gaussians that answer each text by the votes alone.
 
     One level answers each text: with a threshold that with the largest relevancy, as in VALA-3D; otherwise that whose
@@ -127,7 +127,7 @@ class SampledVotes:
         question: its everyday words and canonical phrases are taken.
     """
 
-    def __init__(self, field: LanguageField, question: Question) -> None:
+    def __init__(self, field: Field, question: Question) -> None:
         rows = true_rows(field.coded())
         rows = rows[:: max(1, -(-len(rows) // MOST_SAMPLED))]
         codes = FieldCodes(rows_of(field.code_indices, rows), field.code_weights[rows], field.codebook)

@@ -14,7 +14,7 @@ from scoup.base.errors import ScoupWarning
 from scoup.base.native import release_memory
 from scoup.base.progress import Progress, no_progress
 from scoup.base.scratch import temporary_folder
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
@@ -43,11 +43,11 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     geometry_path: str | Path | None = None,
     backend: str | None = None,
     sums: RegionSums | None = None,
-    codebook: LanguageField | None = None,
+    codebook: Field | None = None,
     concepts: tuple[Sequence[str], Mapping[str, Detections]] | None = None,
     check_fit: bool = True,
     progress: Progress = no_progress,
-) -> LanguageField:
+) -> Field:
     """Build a language field (method.md, stages 1 and 2): learn codes per level, rasterise each view once, vote.
 
     The steps can be called one by one: ``fit_codes``, ``region_sums``, ``find_things``, ``vote``, ``LanguageField``.
@@ -89,7 +89,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
     check_arguments(
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
-    check_arguments("build", codebook=(codebook, (LanguageField, type(None))))
+    check_arguments("build", codebook=(codebook, (Field, type(None))))
     settings, model = build_settings(settings), recorded_model(embedding_model, words)
     if codebook is not None:
         settings = replace(settings, n_atoms=codebook.n_atoms)
@@ -135,7 +135,7 @@ def build(  # noqa: PLR0913  the public face: each keyword is one choice of the 
                 names = name_things(gaussians, thing_table, seen, texts, settings.raster_preset, backend)
                 thing_table = replace(thing_table, names=names)
         table, geometry = (None if path is None else Path(path) for path in (words, geometry_path))
-        field = LanguageField(
+        field = Field(
             gaussian_codes.indices,
             gaussian_codes.weights,
             codes.codebook.to(device),
@@ -171,7 +171,7 @@ def check_scene(
         fit.check_fit(gaussians, views, raster_preset, backend, geometry_path)
 
 
-def _decisive(settings: BuildSettings, codebook: LanguageField | None) -> dict[str, object]:
+def _decisive(settings: BuildSettings, codebook: Field | None) -> dict[str, object]:
     """Return everything that decides the result but the inputs, as JSON values."""
     if codebook is None:
         return asdict(settings)

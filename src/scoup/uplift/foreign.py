@@ -19,7 +19,7 @@ from scoup.base.version import VERSION
 from scoup.coding import fit_codes
 from scoup.coding.codebook import encode
 from scoup.coding.report import decoded_cosines
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.npy import open_npy
 from scoup.io.regions.langsplat_autoencoder import Decoder
@@ -78,7 +78,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     seed: int = 0,
     raster_preset: str = "inria",
     progress: Progress = no_progress,
-) -> LanguageField:
+) -> Field:
     """Make a field of one feature per Gaussian, from any system: sparse codes of the features, without a vote.
 
     A codebook per level is learned from some of the rows (``fit_codes``), and all rows are coded by it. Only directions
@@ -119,7 +119,7 @@ def field_from_features(  # noqa: PLR0913  the public face: each keyword is one 
     indices, weights = (
         torch.stack([getattr(part, name) for part in parts], 1) for name in ("indices", "weights")
     )
-    return LanguageField(indices, weights, torch.stack(books), info, gaussians)
+    return Field(indices, weights, torch.stack(books), info, gaussians)
 
 
 def field_from_langsplat(  # noqa: PLR0913  the public face: each keyword is one choice of the user
@@ -133,7 +133,7 @@ def field_from_langsplat(  # noqa: PLR0913  the public face: each keyword is one
     n_atoms: int = 128,
     seed: int = 0,
     progress: Progress = no_progress,
-) -> LanguageField:
+) -> Field:
     """Make a field of checkpoints of LangSplat, LangSplatV2 or relatives.
 
     LangSplatV2's have a codebook, and codes: the softmax of the logits, cut to its K largest entries and scaled to sum
@@ -172,7 +172,7 @@ def field_from_langsplat(  # noqa: PLR0913  the public face: each keyword is one
     encoder = recorded_model(embedding_model, words), words
     info = _info(names, encoder, first, "inria", "LangSplatV2", provenance)
     indices, weights = (torch.stack(parts, 1) for parts in zip(*codes, strict=True))
-    return LanguageField(indices, weights, torch.stack([book.flatten(0, 1) for book in books]), info, first)
+    return Field(indices, weights, torch.stack([book.flatten(0, 1) for book in books]), info, first)
 
 
 def _decoded_features(path: Path, levels: Sequence[np.ndarray], decode: Decoder | None) -> np.ndarray:

@@ -27,7 +27,7 @@ from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import Rows
 
 if TYPE_CHECKING:
-    from scoup.field.language_field import LanguageField
+    from scoup.field import Field
 
 CODEBOOK_OF_FIELD = "codebook of a field"
 """In place of a solver's name in reports."""
@@ -100,9 +100,7 @@ def learn_region_codes(
     return RegionCodes(torch.stack(atoms), codes, embeddings.rows, reports)
 
 
-def code_regions(
-    embeddings: RegionEmbeddings, field: LanguageField, k: int, device: torch.device
-) -> RegionCodes:
+def code_regions(embeddings: RegionEmbeddings, field: Field, k: int, device: torch.device) -> RegionCodes:
     """Code the regions of every level with the codebook of a field.
 
     Raises:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
+from scoup.field.field import Field, Own
 from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING
@@ -19,9 +19,7 @@ from scoup.scene.things import NO_THING
 NEAREST = 4  # Gaussians of the field that are tried for each Gaussian of the splat
 
 
-def transfer(
-    field: LanguageField, gaussians: Gaussians, *, geometry_path: str | Path | None = None
-) -> LanguageField:
+def transfer(field: Own, gaussians: Gaussians, *, geometry_path: str | Path | None = None) -> Own:
     """Return the field of another splat in the same frame: deleted from, added to, reordered, or rounded by a format.
 
     Each Gaussian gets the codes and things of the nearest Gaussian of the field that it lies in: its centre is no
@@ -42,7 +40,7 @@ def transfer(
         >>> len(scoup.transfer(field, edited))
         100
     """
-    check_arguments("transfer", field=(field, LanguageField), gaussians=(gaussians, Gaussians))
+    check_arguments("transfer", field=(field, Field), gaussians=(gaussians, Gaussians))
     device = field.codebook.device
     gaussians = gaussians.to(device)
     source = source_rows(field.gaussians, gaussians).to(device)
@@ -56,21 +54,14 @@ def transfer(
     if things is not None:
         things = replace(things, owners=_carry_over(things.owners, source, NO_THING))
     record = {"from": field.fingerprint, "coded": n_coded, "not_coded": len(gaussians) - n_coded}
-    provenance = {**field.info.provenance, "transferred": record}
-    made = LanguageField(
-        _carry_over(field.code_indices, source),
-        _carry_over(field.code_weights, source),
-        field.codebook,
-        replace(
-            field.info, fingerprint=gaussians.fingerprint(), n_gaussians=len(gaussians), provenance=provenance
-        ),
+    return field.moved_to(
+        gaussians,
+        {"transferred": record},
+        code_indices=_carry_over(field.code_indices, source),
+        code_weights=_carry_over(field.code_weights, source),
         geometry_path=None if geometry_path is None else Path(geometry_path),
-        cameras=field.cameras,
         thing_table=things,
-    ).to(device)
-    made.keep_encoder_of(field)
-    made.attach(gaussians, known=True)
-    return made
+    )
 
 
 def source_rows(before: Gaussians, after: Gaussians) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.field.relevancy import relevancy
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
@@ -128,7 +128,7 @@ def what_is_at(
 
 
 def _position(
-    field: LanguageField, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
+    field: Field, camera: Camera, pixel: tuple[int, int], gaussians: Tensor, weights: Tensor
 ) -> Tensor:
     """Return [3] float64: the point of the pixel's ray at the median depth of the weight."""
     means = field.gaussians.means[gaussians.to(field.gaussians.device)].double().cpu()
@@ -149,7 +149,7 @@ def _nearest_words(embedding: Tensor, words: TextVectors) -> list[dict[str, Any]
     return [{"text": words.texts[row], "relevancy": round(float(values[row]), 4)} for row in best]
 
 
-def _mean_embedding(field: LanguageField, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
+def _mean_embedding(field: Field, level: int, gaussians: Tensor, weights: Tensor) -> Tensor:
     """Return the sum of the decoded codes of Gaussians [M] by weights [M] at one level, [D] on the CPU."""
     # On the CPU: sums by index on a GPU are not the same twice.
     indices = signed(field.code_indices)[:, level].index_select(0, gaussians)

@@ -190,7 +190,7 @@ def _problem(parameters: Mapping[str, inspect.Parameter], error: Mapping[str, An
 def _without_folders(message: str, tools: SceneTools) -> str:
     """Take out of a message in which folders of this machine files are."""
     for field in tools.fields.values():  # whose folders may have spaces in their names
-        for place in (field.path, field.geometry_path, field.encoder_name):
+        for place in (field.path, field.geometry_path, field.encoder.source):
             if place:
                 message = message.replace(str(place), Path(place).name)
     return re.sub(r"(?<![\w.:/])/(?:[\w.@+~-]+/)+", "", message)

@@ -10,7 +10,8 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
+from scoup.query.answer import ExpressionAnswer
 from scoup.query.ask import answers_of, made_answers
 from scoup.query.question import Question
 from scoup.query.votes import level_thresholds
@@ -53,7 +54,7 @@ class PageAnswer:
         }
 
 
-def scene_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
+def scene_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
     """Yield the answer to each text or phrase, in their order.
 
     Args:
@@ -66,11 +67,14 @@ def scene_answers(field: LanguageField, question: Question) -> Iterator[PageAnsw
         yield from _some_answers(field, some)
 
 
-def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnswer]:
+def _some_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
     coded, answers = field.coded_levels().cpu(), answers_of(field, question)
     by_things = answers[0].threshold is None
     if by_things:  # the page draws things, so an expression is present where there are some
-        answers = [replace(each, presence=bool(each.things)) if each.parts else each for each in answers]
+        answers = [
+            replace(each, presence=bool(each.things)) if isinstance(each, ExpressionAnswer) else each
+            for each in answers
+        ]
     if question.asked and not by_things:
         raise InputError(
             f"{question.asked[0][0]}: this field has no things, so pages answer single texts only"
@@ -80,17 +84,16 @@ def _some_answers(field: LanguageField, question: Question) -> Iterator[PageAnsw
         for level in (None, *range(len(field.levels)))
     ]
     for answer, of_any, *others in zip(answers, *of_levels, strict=True):
-        asked, record = answer.asked[0], answer.to_dict()
-        queries, canonical = asked.question.queries, asked.question.canonical
-        relevancy = field.gaussian_relevancy(queries, canonical)[:, 0].cpu()
-        chosen = answer if answer.presence else of_any
+        asked, record = answer.asked, answer.to_dict()
+        relevancy = field.gaussian_relevancy(asked.query, asked.canonical)[:, 0].cpu()
+        chosen, is_text = answer if answer.presence else of_any, not isinstance(answer, ExpressionAnswer)
         yield PageAnswer(
             answer.text,
-            {**{key: record[key] for key in VERDICT}, "remark": answer.remark() if answer.parts else None},
+            {**{key: record[key] for key in VERDICT}, "remark": None if is_text else answer.remark()},
             asked.level,
             list(chosen.things) if by_things else None,
             [list(each.things) if by_things else None for each in others],
-            list(chosen.without),
-            atom_scores(field, queries)[:, :, 0].contiguous(),
+            list(chosen.without) if isinstance(chosen, ExpressionAnswer) else [],
+            atom_scores(field, asked.query)[:, :, 0].contiguous(),
             *level_thresholds(relevancy, coded),
         )

@@ -29,7 +29,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.pictures.colors import code_basis
 from scoup.query.drawing import placed_atoms
 from scoup.scene.cameras import Camera, Cameras
@@ -51,7 +51,7 @@ NO_OWNER = 65535
 
 
 def scene_metadata(
-    field: LanguageField, name: str, words_problem: str | None = None, present_from: float | None = None
+    field: Field, name: str, words_problem: str | None = None, present_from: float | None = None
 ) -> dict[str, Any]:
     """Return the metadata of a field for the page as plain JSON values.
 
@@ -82,7 +82,7 @@ def scene_metadata(
 
 
 def scene_data(
-    field: LanguageField,
+    field: Field,
     shown: PageGaussians,
     canonical: Tensor | None,
     metadata: dict[str, Any],
@@ -105,14 +105,14 @@ def scene_data(
     return packed(tensors, {**metadata, **ranges}, effort)
 
 
-def part_data(field: LanguageField, shown: PageGaussians, effort: int = 6) -> bytes:
+def part_data(field: Field, shown: PageGaussians, effort: int = 6) -> bytes:
     """Return the file of a part of the scene, which the page loads later; arguments as for ``scene_data``."""
     tensors, ranges = _rows(field, shown, UnitCodes.of(field, shown.rows))
     return packed(tensors, {"version": VERSION, **ranges}, effort)
 
 
 def _rows(
-    field: LanguageField, shown: PageGaussians, codes: UnitCodes
+    field: Field, shown: PageGaussians, codes: UnitCodes
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return what a file has per Gaussian, and the ranges of its fractions."""
     largest = float(codes.weights.max()) if codes.weights.numel() else 0.0
@@ -194,7 +194,7 @@ def _splat(gaussians: Gaussians) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     return tensors, ranges
 
 
-def _code_colors(field: LanguageField, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
+def _code_colors(field: Field, codes: UnitCodes) -> dict[str, NDArray[np.float32]]:
     """Return a colour for each atom, [S, 3, L], whose weighted sum and offset [S, 3] is that of a code: like meaning,
     like colour, as in ``scoup.query.drawing.code_drawing``."""
     step = max(1, math.ceil(len(codes) / _CODES_FOR_COLORS))

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 
 from scoup.base.errors import InputError, OutputExistsError, ScoupError, looked_up
-from scoup.field.language_field import LanguageField
 from scoup.io import save_gaussians
 from scoup.models.text import LONGEST
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import thing_mask
+from scoup.query.language_field import LanguageField
 from scoup.query.presence import certainty
-from scoup.query.question import naming_question
 from scoup.query.relations import overlaps, related_pairs
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
@@ -220,7 +219,7 @@ class SceneTools:
         """Return all things by number, the largest first, with their names and the scores of these."""
         field = self._field(scene)
         try:
-            words = naming_question(field, self.words)
+            words = field.naming_question(self.words)
         except ScoupError:  # there is no encoder
             words = None
         things = sorted(named_things(field, words), key=lambda thing: -thing.n_gaussians)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.scene.code_sums import inverse_code_norms
 from scoup.scene.codes import rows_of
 
@@ -29,7 +29,7 @@ class UnitCodes:
     one embedding, and less the more they differ; 0 where there is no code."""
 
     @classmethod
-    def of(cls, field: LanguageField, rows: Tensor | slice = slice(None)) -> UnitCodes:
+    def of(cls, field: Field, rows: Tensor | slice = slice(None)) -> UnitCodes:
         """Return those of a field, or of some rows of it, on the CPU."""
         indices, codebook = rows_of(field.code_indices.cpu(), rows), field.codebook.float().cpu()
         weights = field.code_weights.cpu()[rows].float()
@@ -43,6 +43,6 @@ class UnitCodes:
         return len(self.indices)
 
 
-def atom_scores(field: LanguageField, vectors: Tensor) -> Tensor:
+def atom_scores(field: Field, vectors: Tensor) -> Tensor:
     """Return [S, L, Q] float32 on the CPU: inner products A = C T^T of the codebooks and text vectors [Q, D]."""
     return field.codebook.float().cpu() @ vectors.float().cpu().T

@@ -13,7 +13,6 @@ from typing import Any
 import torch
 
 from scoup.base.errors import InputError, ScoupError
-from scoup.field.language_field import Encoder, LanguageField
 from scoup.io import PlyTable
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
@@ -21,7 +20,8 @@ from scoup.pictures.colors import Picture
 from scoup.query.answer import Answer
 from scoup.query.edits import SplatTable
 from scoup.query.field_view import FieldView
-from scoup.query.question import Question, naming_question
+from scoup.query.language_field import LanguageField
+from scoup.query.question import Question
 from scoup.query.thing_names import named_things
 from scoup.scene.cameras import Camera
 from scoup.view import parts
@@ -45,9 +45,8 @@ class ViewedField:
         table: the table or model that was given for texts, as commands name it; None if none was.
 
     Args:
-        field: to be shown; its geometry must be at hand.
-        encoder: of texts; by default the one that the field names. If that cannot be opened, the field is shown all the
-            same, and ``words_problem`` says why no text can be asked.
+        field: to be shown; its geometry must be at hand. If the encoder that it names cannot be opened, it is shown
+            without, and ``words_problem`` says why no text can be asked.
         words: the vocabulary that a click chooses from; by default everyday words, or the names of the table.
         most: Gaussians that the page shows at most (``decimate``), and as many again of parts that are near.
     """
@@ -55,7 +54,6 @@ class ViewedField:
     def __init__(
         self,
         field: LanguageField,
-        encoder: Encoder | None = None,
         words: Sequence[str] | None = None,
         most: int = MOST_GAUSSIANS,
     ) -> None:
@@ -65,15 +63,14 @@ class ViewedField:
         self.gaussians = field.gaussians  # refused at once if it is not there
         self.most = most
         self.name = "field" if field.path is None else field.path.name
-        self.table = str(encoder) if isinstance(encoder, (str, Path)) else None
+        self.table = str(field.words) if isinstance(field.words, (str, Path)) else None
         self.words_problem: str | None = None
         self._vocabulary: Question | None = None
         self._wanted_words = words
         try:
-            field.text_encoder(encoder)
             self.question(self._probe)
         except ScoupError as error:
-            if encoder is not None:
+            if field.words is not None:
                 raise
             self.words_problem = str(error)
         self._view: FieldView | None = None
@@ -106,12 +103,12 @@ class ViewedField:
     def vocabulary(self) -> Question | None:
         """Return the words that a click chooses from; None if the field has no text encoder."""
         if self._vocabulary is None and self.words_problem is None:
-            self._vocabulary = naming_question(self.field, self._wanted_words or ())
+            self._vocabulary = self.field.naming_question(self._wanted_words or ())
         return self._vocabulary
 
     def is_closed(self) -> bool:
         """Return whether only the names of a table can be asked."""
-        return self.words_problem is None and self.field.text_encoder().names is not None
+        return self.words_problem is None and self.field.encoder.names is not None
 
     def question(self, texts: Sequence[str], always: bool = False, **options: Any) -> Question[list[str]]:
         """Return what ``field.question`` makes of texts and options."""
@@ -233,7 +230,7 @@ class ViewedField:
         """Return the answers to texts; without a level of choice, a threshold leaves the level that answers."""
         if threshold is None or level is not None:
             return self.field.answer(self.question(texts, always, level=level, threshold=threshold))
-        levels = [answer.asked[0].level for answer in self.field.answer(self.question(texts, always))]
+        levels = [answer.asked.level for answer in self.field.answer(self.question(texts, always))]
         return [
             self.field.answer(self.question([text], always, level=best, threshold=threshold))[0]
             for text, best in zip(texts, levels, strict=True)
@@ -284,7 +281,7 @@ class ViewedField:
     @cached_property
     def _probe(self) -> list[str]:
         """A text that can be asked."""
-        names = self.field.text_encoder().names
+        names = self.field.encoder.names
         return [names[0] if names else "object"]
 
 

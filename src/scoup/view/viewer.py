@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from scoup.base.errors import InputError, ScoupError
-from scoup.field.language_field import Encoder, LanguageField
+from scoup.query.language_field import LanguageField
 from scoup.view.decimation import MOST_GAUSSIANS
 from scoup.view.guard import Guard
 from scoup.view.page import page_files
@@ -147,15 +147,28 @@ class Viewer:
 
 def open_viewer(
     field: LanguageField,
-    encoder: Encoder | None = None,
     words: Sequence[str] | None = None,
     most: int = MOST_GAUSSIANS,
     remote: bool = False,
     height: int = 640,
 ) -> Viewer:
-    """A viewer of a field on this machine; arguments as for ``ViewedField`` and ``Viewer``."""
+    """Show a field in the browser, as `scoup view` does; in a notebook return the page itself.
+
+    Args:
+        field: to be shown.
+        words: what a click chooses from; by default everyday words, or the names of the table.
+        most: Gaussians that the page shows at most; neighbours are merged until no more are left.
+        remote: show rendered pictures only, for scenes that are too much for the browser.
+        height: of the page in a notebook, in pixels.
+
+    Returns:
+        A viewer, open until its ``close`` or the end of the process; its ``address`` is that of the page.
+
+    Raises:
+        ScoupError: the page was not built, or a package is missing.
+    """
     check_needed()
-    return Viewer(ViewedField(field, encoder, words, most), remote=remote, height=height)
+    return Viewer(ViewedField(field, words, most), remote=remote, height=height)
 
 
 def check_needed() -> None:

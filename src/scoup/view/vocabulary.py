@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scoup.base.errors import InputError
 from scoup.base.existing import existing_file
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.io.reading import read_text
 from scoup.query.presence import Certainty
 from scoup.view.packing import packed
@@ -33,7 +33,7 @@ def read_words(path: Path | None) -> tuple[str, ...]:
     return words
 
 
-def words_data(field: LanguageField, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
+def words_data(field: Field, answers: Sequence[PageAnswer], effort: int = 9) -> bytes:
     """Return the file of words in an exported page, packed as ``scene_data`` packs the scene; V words.
 
     gram [S, L, L] float16, inner products of atoms. scores [V, S, L] float16, of word and atoms. thresholds [V, S].

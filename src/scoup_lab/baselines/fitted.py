@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.field.relevancy import relevancy
 from scoup.scene.codes import cosines_from_codes
 from scoup.scene.field_info import FieldInfo
@@ -95,7 +95,7 @@ class FittedChannels:
 class FittedField:
     """A ``FittedMethod`` of sparse codes."""
 
-    field: LanguageField  # the codes
+    field: Field  # the codes
     all_kept: bool = False  # whether it has every atom of the codebook: indices then need not be stored
 
     @property
@@ -146,7 +146,7 @@ def fitted_field(
 ) -> FittedField:
     """Return codes [N, S, K] over a codebook [S, L, D], as a field of the scene that the sums are of."""
     info = FieldInfo(sums.levels, "", sums.fingerprint, sums.n_gaussians, sums.raster_preset)
-    return FittedField(LanguageField(indices, weights, codebook, info, thing_table=things), all_kept)
+    return FittedField(Field(indices, weights, codebook, info, thing_table=things), all_kept)
 
 
 def _of_images(

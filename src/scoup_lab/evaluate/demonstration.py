@@ -11,10 +11,9 @@ from statistics import mean
 import torch
 
 from scoup.base.progress import Progress, no_progress
-from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, load_regions
+from scoup.query.language_field import LanguageField, build
 from scoup.query.question import Question, TextVectors
-from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.evaluate.metrics import any_inside, iou

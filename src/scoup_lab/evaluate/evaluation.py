@@ -11,8 +11,8 @@ from typing import Any, Generic, TypeVar
 from scoup.base.atomic import reserved_output
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
-from scoup.field.language_field import LanguageField
 from scoup.io import load_gaussians, load_regions, splat_source
+from scoup.query.language_field import LanguageField
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings

@@ -10,8 +10,8 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base.progress import Progress, no_progress
-from scoup.field.language_field import LanguageField
 from scoup.io import save_png
+from scoup.query.language_field import LanguageField
 from scoup.query.question import TextVectors
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.data.labels import LabelledFrame

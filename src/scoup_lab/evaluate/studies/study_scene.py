@@ -10,7 +10,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.field.language_field import LanguageField
+from scoup.field import Field
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.models.words import with_everyday
 from scoup.query.question import TextVectors
@@ -139,7 +139,7 @@ def relevancy_of_coded(
         info = replace(field.info, levels=(field.levels[level],), n_gaussians=int(chosen.sum()))
         part = slice(level, level + 1)
         codes = rows_of(field.code_indices[:, part], chosen), field.code_weights[chosen, part]
-        alone = FittedField(LanguageField(*codes, field.codebook[part], info), fitted.all_kept)
+        alone = FittedField(Field(*codes, field.codebook[part], info), fitted.all_kept)
         projection = raster.project(gaussians.select(chosen), camera, field.info.raster_preset)
         levels.append(alone.relevancy(projection, queries, canonical, size))
     return torch.cat(levels)
