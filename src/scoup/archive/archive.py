@@ -53,7 +53,7 @@ from scoup.query.boxes import OrientedBox
 from scoup.query.language_field import LanguageField
 from scoup.query.matching import compare_things
 from scoup.query.presence import LEAST_GAUSSIANS
-from scoup.query.question import encode_texts, warn_of_another_model
+from scoup.query.question import check_encoder, encode_texts, warn_of_another_model
 from scoup.query.things import things_of_table
 
 if TYPE_CHECKING:
@@ -458,7 +458,9 @@ class Archive:
 
     def _scan_of(self, field: LanguageField, record: ScanRecord) -> Scan:
         """Return the things of a field with their places, compared with everyday words."""
-        known = compare_things(field, encode_texts(self.text_encoder(field), field, []))
+        encoder = self.text_encoder(field)
+        check_encoder(field, encoder)
+        known = compare_things(field, encode_texts(encoder, []))
         if known is None:
             raise InputError(f"{field.path}: has no things; build it again")
         places = torch.full((len(known.counts), sum(PLACE.values())), torch.nan, dtype=torch.float64)

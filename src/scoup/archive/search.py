@@ -25,7 +25,7 @@ from scoup.query.matching import ComparedTable, compared_words, hub_cosines
 from scoup.query.named import Named, choose, joined_presence, named_texts
 from scoup.query.phrases import texts_of
 from scoup.query.presence import TextScore, is_present, presence_threshold
-from scoup.query.question import Question, make_question, near_names, text_vectors
+from scoup.query.question import Question, encode_texts, make_question, near_names
 from scoup.scene.names import number_of
 from scoup.scene.things import ThingTable
 
@@ -68,7 +68,7 @@ class Search:
             raise InputError(
                 f"{text}: does not name what is looked for; ask a single field for everything there"
             )
-        vectors = text_vectors(encoder, expression.texts)
+        vectors = encode_texts(encoder, expression.texts)
         least = presence_threshold(len(vectors.everyday), source, present_from)
         question = Question.from_vectors(vectors.with_everyday(), present_from=least)
         words = compared_words(question)

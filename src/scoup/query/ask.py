@@ -29,19 +29,16 @@ from scoup.query.things import Thing, best_part, things_of_answer
 
 def answers_of(field: Field, question: Question[Any]) -> list[Answer]:
     """Return the answer to each text, phrase or expression from the cache of the field, as a copy for the caller."""
-    return copy.deepcopy(field.kept((Answer, question), lambda: made_answers(field, question)))
 
+    def made() -> list[Answer]:
+        answers = answer_scene(field, question)
+        of_text = {answer.text: answer for answer in answers}
+        return answers if not question.asked else [
+            of_text[tree.root] if isinstance(tree.root, str) else evaluated(field, question, said, tree, of_text)
+            for said, tree in question.asked
+        ]  # fmt: skip
 
-def made_answers(field: Field, question: Question[Any]) -> list[Answer]:
-    """Return ``answers_of`` without the cache."""
-    answers = answer_scene(field, question)
-    if not question.asked:
-        return answers
-    of_text = {answer.text: answer for answer in answers}
-    return [
-        of_text[tree.root] if isinstance(tree.root, str) else evaluated(field, question, said, tree, of_text)
-        for said, tree in question.asked
-    ]
+    return copy.deepcopy(field.kept((Answer, question), made))
 
 
 def one_answer(field: Field, question: Question[Any]) -> ExpressionAnswer:

@@ -24,6 +24,7 @@ from scoup.query.place import Place, place_of
 from scoup.query.question import (
     Question,
     Several,
+    check_encoder,
     literal,
     make_question,
     naming_question,
@@ -67,7 +68,7 @@ class LanguageField(Field):
         kinds = (TextEncoder, Mapping, str, Path, type(None))
         check_arguments("LanguageField", words=(words, kinds))
         self.words = words
-        self._encoder = words if isinstance(words, TextEncoder) else None
+        self._encoder, self._is_checked = words if isinstance(words, TextEncoder) else None, False
 
     @classmethod
     def load(
@@ -94,7 +95,7 @@ class LanguageField(Field):
     @classmethod
     def of(cls, field: Field, words: Encoder | None = None) -> LanguageField:
         """Return a field that shares the tensors of another, and answers questions."""
-        made = cls(**field._arguments(), words=words)
+        made = cls(**{**field._arguments(), **({} if words is None else {"words": words})})
         made.path = field.path
         if field.has_geometry:
             made.attach(field.gaussians, known=True)
@@ -137,13 +138,19 @@ class LanguageField(Field):
         """The encoder of texts, opened at its first use and kept.
 
         Raises:
-            InputError: the field names none.
+            InputError: the field names none, or its vectors have another size than the field's embeddings.
             MissingFileError, FileFormatError, ScoupError: it cannot be opened (``TextEncoder.open``).
+
+        Warns:
+            ScoupWarning: encoder and field name different models.
         """
         if self._encoder is None:
             source = self.encoder_source if self.words is None else self.words
             assert not isinstance(source, TextEncoder)
             self._encoder = TextEncoder.open(source, device=self.codebook.device)
+        if not self._is_checked:
+            check_encoder(self, self._encoder)
+            self._is_checked = True
         return self._encoder
 
     def naming_question(self, words: Sequence[str] = ()) -> Question[Any]:

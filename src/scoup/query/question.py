@@ -157,6 +157,8 @@ def make_question(
     """Make a question; ``LanguageField.question`` documents it."""
     is_single = isinstance(texts, (str, Expression))
     given = (texts,) if is_single else tuple(texts) if isinstance(texts, (list, tuple)) else ()
+    if isinstance(texts, (list, tuple)) and not texts:
+        raise InputError('pass at least one text, for example "kettle"')
     if not all(isinstance(each, (str, Expression)) for each in given):
         given = ()  # vectors, or what cannot be asked
 
@@ -168,7 +170,11 @@ def make_question(
         alone = [each.root for _, each in asked if isinstance(each.root, str)]
         every = [*dict.fromkeys(text for _, each in asked for text in each.texts)]
         words = alone if len(alone) == len(asked) else every
-        vectors = _vectors(field, encoder, words or texts)
+        vectors = encode_texts(encoder, words)
+        if not words:
+            queries = query_vectors(_given_vectors(texts), field.dim)
+            names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
+            vectors = replace(vectors, texts=names, queries=queries)
         wants_everything = any(each.wants_everything for _, each in asked)
         return Question.from_vectors(
             vectors.with_everyday(),
@@ -253,17 +259,7 @@ def near_names(
     )
 
 
-def _vectors(field: Field, encoder: TextEncoder, texts: Any) -> TextVectors:
-    if isinstance(texts, (list, tuple)) and all(isinstance(text, str) for text in texts):
-        if not texts:
-            raise InputError('pass at least one text, for example "kettle"')
-        return encode_texts(encoder, field, texts)
-    queries = query_vectors(_as_vectors(texts), field.dim)
-    names = tuple(f"query {number}" for number in range(1, len(queries) + 1))
-    return replace(encode_texts(encoder, field, []), texts=names, queries=queries)
-
-
-def _as_vectors(texts: str | Several) -> Tensor:
+def _given_vectors(texts: Any) -> Tensor:
     try:
         vectors = torch.as_tensor(texts)
     except (TypeError, ValueError, RuntimeError):
@@ -275,29 +271,33 @@ def _as_vectors(texts: str | Several) -> Tensor:
     return vectors
 
 
-def encode_texts(encoder: TextEncoder, field: Field, texts: Sequence[str]) -> TextVectors:
-    """Encode texts to query a field with, the canonical phrases, and everyday words.
+def check_encoder(field: Field, encoder: TextEncoder) -> None:
+    """Check that texts of an encoder can be asked of a field.
+
+    Raises:
+        InputError: its vectors have another size than the field's embeddings.
+
+    Warns:
+        ScoupWarning: encoder and field name different models.
+    """
+    if encoder.dim != field.dim:
+        raise InputError(
+            f"{encoder.source}: has vectors of {counted(encoder.dim, 'dimension')}, but the field contains embeddings "
+            f"of {field.dim}; " + _where_words_are(field, encoder)
+        )
+    warn_of_another_model(encoder.name, field.embedding_model, encoder.source)
+
+
+def encode_texts(encoder: TextEncoder, texts: Sequence[str]) -> TextVectors:
+    """Encode texts to query fields with, the canonical phrases, and everyday words.
 
     Args:
-        encoder: of the model whose embeddings the field contains.
-        field: to be queried.
+        encoder: of the model whose embeddings the fields contain.
         texts: Q phrases.
 
     Warns:
-        ScoupWarning: encoder and field name different models, or the table lacks the canonical phrases.
+        ScoupWarning: the table lacks the canonical phrases.
     """
-    source = encoder.source
-    if encoder.dim != field.dim:
-        raise InputError(
-            f"{source}: has vectors of {counted(encoder.dim, 'dimension')}, but the field contains embeddings of "
-            f"{field.dim}; " + _where_words_are(field, encoder)
-        )
-    warn_of_another_model(encoder.name, field.embedding_model, source)
-    return text_vectors(encoder, texts)
-
-
-def text_vectors(encoder: TextEncoder, texts: Sequence[str]) -> TextVectors:
-    """Return ``encode_texts`` for whatever is asked."""
     queries = encoder.encode(texts)
     try:
         canonical = encoder.canonical()

@@ -12,7 +12,7 @@ from torch import Tensor
 from scoup.base.errors import InputError
 from scoup.field import Field
 from scoup.query.answer import ExpressionAnswer
-from scoup.query.ask import answers_of, made_answers
+from scoup.query.ask import answers_of
 from scoup.query.question import Question
 from scoup.query.votes import level_thresholds
 from scoup.view.unit_codes import atom_scores
@@ -80,7 +80,7 @@ def _some_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
             f"{question.asked[0][0]}: this field has no things, so pages answer single texts only"
         )
     of_levels = [
-        made_answers(field, replace(question, present_from=None, level=level)) if by_things else answers
+        answers_of(field, replace(question, present_from=None, level=level)) if by_things else answers
         for level in (None, *range(len(field.levels)))
     ]
     for answer, of_any, *others in zip(answers, *of_levels, strict=True):
