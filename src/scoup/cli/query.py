@@ -69,7 +69,7 @@ class Query(AnswerOptions, CameraOptions):
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     refine: OptionalText = None
     """First look for the texts in photographs with a model: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
-    sam3, a folder or hub id of such a model, or onnx:FOLDER. The photographs are those of --scene, else those beside
+    sam3, or a folder or hub id of such a model. The photographs are those of --scene, else those beside
     the splat; cameras without one are rendered."""
     keep: Flag = False
     """Write what --refine found into FIELD as names of its things: later questions with these texts need no model."""
