@@ -60,8 +60,7 @@ class Extract(WritesCommon):
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
     out: OptionalPath = None
-    """Folder for the regions, which scoup convert turns into LangSplat's files. Default: SCENE/language_features, where
-    scoup build looks."""
+    """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
     segmenter: OptionalText = None
     """A segmenter of --list, such as sam2.1-tiny; a folder or hub id of a SAM; or felzenszwalb: regions of even colour,
     no model. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
