@@ -19,7 +19,6 @@ from scoup.base.counts import spread
 from scoup.base.errors import InputError
 from scoup.extract import Masks, mask_settings
 from scoup.extract.automatic_masks import automatic_masks
-from scoup.models.onnx_sam import open_onnx_sam
 from scoup.models.sam import EncodedImage, PointModel, open_sam
 from scoup.scene.regions import LEVELS
 from scoup_lab.bench import markdown
@@ -33,7 +32,7 @@ WAYS = {
     "fast, 20 x 20 points": replace(_FAST, points_per_side=20),
 }
 """How MobileSAM is asked, all points first; the preset fast is the default without a GPU."""
-IN_32_BITS, SECOND = "fast, 32 bits", "fast, SAM 2 tiny"
+IN_32_BITS = "fast, 32 bits"
 FOUND = 0.5  # IoU from which a thing has a region, and a region its like
 UNLABELLED = 5  # photographs without labels
 
@@ -49,8 +48,6 @@ class Extraction(Study):
 
     weights: Path
     """MobileSAM's checkpoint."""
-    onnx: Path | None = None
-    """Folder of SAM 2 tiny as ONNX; left out if not given."""
 
     def check(self) -> None:
         if not (data_folder() / "desk").is_dir():
@@ -64,8 +61,6 @@ class Extraction(Study):
         sam = open_sam(str(self.weights), half=True)
         ways: dict[str, tuple[Any, Any]] = {name: (sam, settings) for name, settings in WAYS.items()}
         ways[IN_32_BITS] = (open_sam(str(self.weights)), _FAST)
-        if self.onnx is not None:
-            ways[SECOND] = (open_onnx_sam(f"onnx:{self.onnx}"), _FAST)
         for path in [*(path for path in paths if path.stem in frames), *unlabelled]:
             if all(f"{path.stem}: {name}" in known for name in ways):
                 continue

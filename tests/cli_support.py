@@ -17,8 +17,9 @@ import numpy as np
 import torch
 
 from children import child
+from io_samples import save_langsplat
 from scoup.cli import main
-from scoup.io import save_gaussians, save_png, save_regions, write_colmap
+from scoup.io import save_gaussians, save_png, write_colmap
 from scoup.models.word_table import load_table, save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.raster import render_colors
@@ -48,7 +49,7 @@ def write_scene(folder: Path, count: int = 150, seed: int = 0) -> Path:
     for camera in cameras:
         image = render_colors(gaussians, camera)
         save_png((image * 255).byte(), folder / "images" / camera.name, overwrite=True)
-    save_regions(regions, folder / "language_features")
+    save_langsplat(regions, folder / "language_features")
     names = [*WORDS, *CANONICAL_PHRASES]
     vectors = unit(torch.randn(len(names), 16, generator=torch.Generator().manual_seed(seed)))
     save_table(folder / "words.npz", names, vectors.numpy())

@@ -17,8 +17,9 @@ import numpy as np
 import torch
 
 from cli_support import run
+from io_samples import save_langsplat
 from scoup.archive.archive import Archive
-from scoup.io import load_gaussians, save_gaussians, save_png, save_regions, write_colmap
+from scoup.io import load_gaussians, save_gaussians, save_png, write_colmap
 from scoup.io.regions.convert import convert_regions
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
@@ -39,7 +40,7 @@ def write_scene(folder: Path) -> None:
         black = torch.zeros(camera.height, camera.width, 3, dtype=torch.uint8)
         save_png(black, folder / "images" / camera.name)
     with tempfile.TemporaryDirectory() as plain:
-        save_regions(regions, plain)
+        save_langsplat(regions, Path(plain))
         convert_regions(plain, folder / "language_features")
     names = ["kettle", "mug", "wooden table", *CANONICAL_PHRASES]
     vectors = torch.randn(len(names), 16, generator=torch.Generator().manual_seed(7))

@@ -96,6 +96,20 @@ def stored_view(regions: Regions, name: str, dtype: str = "<f4", photograph: str
     return ViewRegions(name, labels, rows, photograph)
 
 
+def save_langsplat(regions: Regions, folder: Path) -> None:
+    """Write the files of LangSplat: labels are rows of all levels, one after the other; "default" is empty."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in regions.view_names:
+        maps, start = [regions.load(name, level) for level in LEVELS], 0
+        planes = [np.full(maps[0].labels.shape, -1, np.float32)]
+        for item in maps:
+            planes.append(np.where(item.labels >= 0, item.labels.numpy() + start, -1).astype(np.float32))
+            start += len(item.embeddings)
+        stem = Path(name).name.partition(".")[0]
+        np.save(folder / f"{stem}_s.npy", np.stack(planes))
+        np.save(folder / f"{stem}_f.npy", torch.cat([item.embeddings for item in maps]).numpy())
+
+
 def save_images(cameras: Cameras, folder: Path, divisor: int = 1) -> None:
     """A PNG of noise for every camera."""
     from PIL import Image

@@ -197,7 +197,7 @@ MISTAKES: dict[str, list[tuple[str, str]]] = {
         ("none there", "none: there is no such f"),
         (f"{PLY} {PLY} --overwrite", "is the source"),
         ("a.usdz b.ply", ".usdz files are not read"),
-        *((f"{folders} {options}", said) for options in ("", "--to compact", "--overwrite") for folders, said in (
+        *((f"{folders} {options}", said) for options in ("", "--overwrite") for folders, said in (
             ("scene scene", "source and target are one folder; use a new folder, such as scene/language_features_"),
             ("scene/language_features scene",
              "scene: contains other files than region features (README.txt, images, point_cloud"),

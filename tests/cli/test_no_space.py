@@ -211,7 +211,7 @@ WRITERS: dict[str, Callable[[Scene, RegionSums], object]] = {
     "a.splat": lambda scene, _: save_gaussians(scene[0], "a.splat"),
     "colmap/cameras.bin": lambda scene, _: scoup_io.write_colmap(scene[1], "colmap"),
     "transforms.json": lambda scene, _: scoup_io.write_transforms(scene[1], "transforms.json"),
-    "features/view_00_f.npy": lambda scene, _: scoup_io.save_regions(scene[2], "features"),
+    "features/regions.json": lambda scene, _: scoup_io.save_regions(scene[2], "features"),
     "words.npz": lambda *_: save_table("words.npz", ["a", "b"], torch.eye(2)),
     "new.sums": lambda scene, _: region_sums(*scene, path="new.sums"),
     "kept.sums": lambda _, kept: kept.append("another", EMPTY),

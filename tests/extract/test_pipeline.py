@@ -256,7 +256,7 @@ def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypa
         "segmenter": "facebook/sam-vit-huge", "segmenter_revision": "abc",
         "embedder": "some/clip", "embedder_revision": "",
     }  # fmt: skip
-    write_manifest(tmp_path, RegionManifest("compact", "some/clip", record))
+    write_manifest(tmp_path, RegionManifest("some/clip", record))
     settings = MaskSettings()
     registry.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path)
     registry.open_pair("sam-vit-h", "some/clip", settings, ("mine", None), resumed=tmp_path)

@@ -24,6 +24,7 @@ from tests.io_samples import (
     save_checkpoint,
     save_compressed_ply,
     save_images,
+    save_langsplat,
     save_spz,
     some_cameras,
     some_gaussians,
@@ -38,7 +39,6 @@ from scoup.io import (
     as_stored,
     save_gaussians,
     save_png,
-    save_regions,
     write_colmap,
     write_transforms,
 )
@@ -167,10 +167,10 @@ def _write_detections(folder: Path) -> None:
 
 def _write_regions(folder: Path) -> None:
     regions = some_regions(some_cameras(1, *SIZE))
-    save_regions(regions, folder / "features")
+    save_langsplat(regions, folder / "features")
     name, packed = regions.view_names[0], folder / "packed"
     view = stored_view(regions, name, "<f2", "0" * 64)
-    manifest = RegionManifest.of("compact", "a/model", {"least": 0.5}, 16)
+    manifest = RegionManifest.of("a/model", {"least": 0.5}, 16)
     write_manifest(packed, manifest)
     compact.write_view(packed, "view_00", view, manifest.fingerprint)
 

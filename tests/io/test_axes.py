@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from gltf_samples import spz_in_gltf
 from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
@@ -31,6 +32,11 @@ def test_a_half_turn_is_the_rotation(axis: Axis) -> None:
     torch.testing.assert_close(covariances(found), linear @ covariances(gaussians) @ linear)
     np.testing.assert_allclose(found.sh, rotated_sh(gaussians.sh.numpy(), rotation), atol=1e-6)
     assert same_gaussians(turned(found, axis), gaussians)
+
+
+def test_rotations_of_harmonics_form_a_group() -> None:
+    sh, rotation = some_gaussians(4, 3).sh.numpy(), Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    np.testing.assert_allclose(rotated_sh(rotated_sh(sh, rotation), rotation.T), sh, atol=2e-6)
 
 
 @pytest.mark.parametrize("axis", TURNS)

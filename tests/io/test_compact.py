@@ -1,10 +1,11 @@
-"""The compact layout of region features, its manifest, damage to both, and conversion both ways."""
+"""The compact layout of region features, its manifest, damage to both, and conversion of LangSplat's."""
 
 from __future__ import annotations
 
 import json
 import os
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,9 +17,9 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from cli_support import snapshot
-from io_samples import some_cameras, some_regions, stored_view
+from io_samples import save_langsplat, some_cameras, some_regions, stored_view
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
-from scoup.io import convert_regions, load_regions, save_regions
+from scoup.io import convert_regions, load_regions
 from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.store import read_view
@@ -26,7 +27,7 @@ from scoup.io.regions.views import ViewRegions
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import LEVELS
 
-MANIFEST_OF_TESTS = RegionManifest("compact", "some/model", {"segmenter": "random"})
+MANIFEST_OF_TESTS = RegionManifest("some/model", {"segmenter": "random"})
 
 
 CAMERA = some_cameras(1)
@@ -138,7 +139,7 @@ def test_files_without_checksums_are_read(path: Path, tmp_path: Path) -> None:
     ('{"schema": "scoup.regions", "version": 9}', "newer SCOUP"),
     (
         '{"schema": "scoup.regions", "version": 1, "layout": "other", "settings": {}, "embedding_model": "a"}',
-        "layout is 'other', expected compact or langsplat",
+        "layout is 'other', expected compact",
     ),
 ])  # fmt: skip
 def test_damaged_manifests(tmp_path: Path, text: str, message: str) -> None:
@@ -159,7 +160,7 @@ def test_several_processes_may_write_one_manifest(tmp_path: Path) -> None:
 # ---- conversion
 
 
-def test_langsplat_to_compact_and_back_is_lossless(tmp_path: Path) -> None:
+def test_langsplat_to_compact_is_lossless(tmp_path: Path) -> None:
     """Labels and numbers, the level "default" and levels without pixels included."""
     rng = np.random.default_rng(0)
     source = tmp_path / "language_features"
@@ -175,27 +176,29 @@ def test_langsplat_to_compact_and_back_is_lossless(tmp_path: Path) -> None:
             start += count
         np.save(source / f"{stem}_s.npy", planes)
         np.save(source / f"{stem}_f.npy", rng.normal(size=(start, 6)).astype(np.float32))
-    before = snapshot(source)
-    report = convert_regions(tmp_path, tmp_path / "compact", bits=32, embedding_model="some/model")
-    assert (report.layout, report.views) == ("compact", 3)
-    assert read_manifest(tmp_path / "compact") == RegionManifest(
-        "compact", "some/model", {"bits": 32, "converted_from": "langsplat"}
+    report = convert_regions(tmp_path, tmp_path / "32", bits=32, embedding_model="some/model")
+    assert report.views == 3
+    assert read_manifest(tmp_path / "32") == RegionManifest(
+        "some/model", {"bits": 32, "converted_from": "langsplat"}
     )
-    back = convert_regions(tmp_path / "compact", tmp_path / "back")
-    assert back.layout == "langsplat"
-    after = snapshot(tmp_path / "back")
-    assert {name: after[name] for name in before} == before
-    assert set(after) - set(before) == {MANIFEST}
-    convert_regions(tmp_path, tmp_path / "half")
-    for stem in "abc":
-        view = open_view(tmp_path / "half", stem)
+    convert_regions(tmp_path, tmp_path / "16")
+    for bits, stem in product(("16", "32"), "abc"):
+        view = open_view(tmp_path / bits, stem)
+        stored, planes = np.load(source / f"{stem}_f.npy"), np.load(source / f"{stem}_s.npy")
         rows = np.concatenate([view.embeddings(level) for level in view.levels])
-        assert (rows == np.load(source / f"{stem}_f.npy").astype(np.float16)).all()
+        assert (rows == stored.astype(f"f{int(bits) // 8}")).all()
+        if "default" not in view.levels:
+            assert (planes[0] == -1).all()
+            planes = planes[1:]
+        start = 0
+        for level, plane, labels in zip(view.levels, planes, view.labels(view.levels), strict=True):
+            assert (np.where(labels < 0, -1, labels + start) == plane).all()
+            start += view.counts[level]
 
 
 def test_conversions_that_are_refused(tmp_path: Path) -> None:
     cameras = some_cameras(2)
-    save_regions(some_regions(cameras), tmp_path / "a")
+    save_langsplat(some_regions(cameras), tmp_path / "a")
     with pytest.raises(InputError, match="one folder"):
         convert_regions(tmp_path / "a", tmp_path / "a")
     with pytest.raises(InputError, match="16 or 32 bits"):
@@ -212,8 +215,8 @@ def test_conversions_that_are_refused(tmp_path: Path) -> None:
         convert_regions(tmp_path / "a", tmp_path / "b")
     with pytest.raises(InputError, match=r"region features made with other settings \(bits: 32, not 16\)"):
         convert_regions(tmp_path / "a", tmp_path / "b", bits=32)
-    with pytest.raises(InputError, match="features of the layout compact"):
-        convert_regions(tmp_path / "a", tmp_path / "b", layout="langsplat", overwrite=True)
+    with pytest.raises(InputError, match="region features that were not made by scoup"):
+        convert_regions(tmp_path / "b", tmp_path / "a", overwrite=True)
     assert snapshot(tmp_path / "b") == before
     convert_regions(tmp_path / "a", tmp_path / "b", bits=32, overwrite=True)
     assert len(load_regions(tmp_path / "b", cameras)) == 2
@@ -221,7 +224,7 @@ def test_conversions_that_are_refused(tmp_path: Path) -> None:
 
 def test_a_damaged_source_leaves_nothing(tmp_path: Path) -> None:
     cameras = some_cameras(2)
-    save_regions(some_regions(cameras), tmp_path / "a")
+    save_langsplat(some_regions(cameras), tmp_path / "a")
     os.truncate(tmp_path / "a" / "view_01_f.npy", 150)
     with pytest.raises(FileFormatError, match=r"view_01_f\.npy"):
         convert_regions(tmp_path / "a", tmp_path / "b")

@@ -37,7 +37,9 @@ def refusals() -> dict[str, tuple[Any, str]]:
         return lambda root: root.update(values)
 
     shear = [1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
-    overflow = [{"scale": [1e300] * 3, "children": [1]}, {"mesh": 0, "scale": [1e300] * 3}]
+    above = [{"rotation": [0, 0.6, 0, 0.8], "children": [1]}, {"mesh": 0}]
+    turn = r"nodes\[0\] rotates or scales its Gaussians; export .* apply .* with splat-transform"
+    both = r"nodes\[0\] and nodes\[1\] both contain Gaussians; export .* merge .* with splat-transform"
     return {
         "compressed": (compress, "are compressed"),
         "required": (of_root(extensionsRequired=["KHR_meshopt"]), "needs the extension"),
@@ -46,15 +48,18 @@ def refusals() -> dict[str, tuple[Any, str]]:
         "triangles": (lambda root: primitive(root).update(mode=4), "not points"),
         "draft": without("SCALE"),
         "partial": without("SH_DEGREE_1_COEF_1"),
-        "stretch": (node(scale=[1, 1, 2]), "stretches, shears or flattens"),
-        "flat": (node(scale=[0, 0, 0]), "stretches, shears or flattens"),
-        "shear": (node(matrix=shear), "stretches, shears or flattens"),
-        "mirror": (node(scale=[-1, 1, 1]), "mirrors"),
-        "inverted": (node(scale=[-1, -1, -1]), "mirrors"),
+        "rotation": (node(rotation=[0, 0.6, 0, 0.8]), turn),
+        "rotation above": (of_root(nodes=above), turn),
+        "scale": (node(scale=[2, 2, 2]), turn),
+        "mirror": (node(scale=[-1, 1, 1]), turn),
+        "shear": (node(matrix=shear), turn),
+        "instances": (
+            of_root(nodes=[{"mesh": 0, "children": [1]}, {"mesh": 0, "translation": [1, 0, 0]}]),
+            both,
+        ),
         "huge": (node(matrix=[10**400] + [0] * 15), "finite number"),
-        "overflow": (of_root(nodes=overflow), "not finite"),
-        "quaternion": (node(rotation=[0, 0, 0, 0]), "not a quaternion"),
-        "perspective": (node(matrix=[1, 0, 0, 1] + [0] * 12), "does not end with"),
+        "quaternion": (node(rotation=[0, 0, 0]), "expected 4 numbers"),
+        "perspective": (node(matrix=[1, 0, 0, 1] + [0] * 12), turn),
         "cycle": (node(children=[0]), "below itself"),
         "two parents": (of_root(nodes=[{"mesh": 0, "children": [1, 1]}, {}]), "several parents"),
         "child": (node(children=[5]), r"nodes\[0\]\.children\[0\] is 5, but nodes has 1"),
@@ -87,10 +92,9 @@ def test_refusals(tmp_path, case):
     assert caught.value.remedy
 
 
-def test_a_mesh_repeated_to_no_end(tmp_path):
+def test_primitives_repeated_to_no_end(tmp_path):
     root, binary = foreign(columns_of(some_gaussians(3000, 0)))
-    root["nodes"] = [{"mesh": 0, "translation": [place, 0, 0]} for place in range(1000)]
-    root["scenes"] = [{"nodes": list(range(1000))}]
+    root["meshes"][0]["primitives"] *= 1000
     with pytest.raises(FileFormatError, match="repeats its Gaussians"):
         read_gltf(packed(tmp_path / "a.glb", root, binary))
 

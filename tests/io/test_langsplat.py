@@ -7,20 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from io_samples import some_cameras, some_regions
+from io_samples import some_cameras
 from scoup.base.errors import (
     FileFormatError,
     InputError,
     MissingFileError,
-    OutputExistsError,
     ScoupWarning,
     UnknownNameError,
 )
-from scoup.io import load_regions, save_regions
+from scoup.io import load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.langsplat_rows import level_blocks
 from scoup.scene.cameras import Cameras
-from scoup.scene.regions import LEVELS, RegionMap, Regions
+from scoup.scene.regions import LEVELS
 
 
 def write(folder: Path, stem: str, planes: np.ndarray, rows: np.ndarray) -> None:
@@ -38,17 +37,6 @@ def planes_of(*values: list[int], width: int = 32, height: int = 24) -> np.ndarr
     """Four planes that hold the given labels in turn."""
     planes = [np.resize(np.array(item, np.float32), height * width).reshape(height, width) for item in values]
     return np.stack(planes)
-
-
-def test_saved_rows_follow_each_other(tmp_path):
-    regions = some_regions(some_cameras(1))
-    save_regions(regions, tmp_path)
-    labels, rows = np.load(tmp_path / "view_00_s.npy"), np.load(tmp_path / "view_00_f.npy")
-    assert labels.dtype == np.float32
-    assert labels.max() + 1 == len(rows)
-    with pytest.raises(OutputExistsError):
-        save_regions(regions, tmp_path)
-    save_regions(regions, tmp_path, overwrite=True)
 
 
 def test_what_langsplat_writes(tmp_path):
@@ -222,16 +210,3 @@ def test_features_of_two_models(tmp_path):
     write(tmp_path, "view_01", planes_of([-1], [0], [1], [2]), unit_rows(3, 5))
     with pytest.raises(FileFormatError, match=r"has 5 dimensions, but view_00_f\.npy has 4"):
         load_regions(tmp_path, some_cameras(2))
-
-
-def test_saving_needs_three_levels_of_one_size(tmp_path):
-    labels, rows = torch.zeros(4, 4, dtype=torch.int32), torch.ones(1, 1)
-    with pytest.raises(InputError, match="levels"):
-        save_regions(Regions.from_maps({"a": {"s": RegionMap(labels, rows)}}), tmp_path)
-    maps = {level: RegionMap(labels[:size], rows) for level, size in zip(LEVELS, (4, 4, 3), strict=True)}
-    with pytest.raises(InputError, match="differ in size"):
-        save_regions(Regions.from_maps({"a": maps}), tmp_path)
-    same = {level: RegionMap(labels, rows) for level in LEVELS}
-    with pytest.raises(InputError, match="share the feature name 'a'"):
-        save_regions(Regions.from_maps({"a.1.png": same, "a.2.png": same}), tmp_path)
-    assert not list(tmp_path.iterdir())

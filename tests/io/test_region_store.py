@@ -1,4 +1,4 @@
-"""The region store: the same rules for both layouts."""
+"""The region store: the same rules for both layouts, of which one is written."""
 
 from __future__ import annotations
 
@@ -6,23 +6,21 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 import torch
 
 from cli_support import snapshot
-from io_samples import some_cameras, some_regions, stored_view
+from io_samples import save_langsplat, some_cameras, some_regions, stored_view
 from scoup.base.errors import InputError, MissingFileError, OutputExistsError
 from scoup.io import load_regions, save_regions
 from scoup.io.regions.convert import convert_regions
-from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest
-from scoup.io.regions.store import RegionStore, read_view
+from scoup.io.regions.manifest import MANIFEST, RegionManifest
+from scoup.io.regions.store import Layout, RegionStore, read_view
 from scoup.io.regions.views import ViewRegions, match_stems
-from scoup.scene.regions import LEVELS, resize_labels
-
-LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
+from scoup.scene.regions import LEVELS, RegionMap, Regions, resize_labels
 
 
 def view(name: str, seed: int = 0, photograph: str = "digest") -> ViewRegions:
@@ -34,18 +32,21 @@ def view(name: str, seed: int = 0, photograph: str = "digest") -> ViewRegions:
     return ViewRegions(name, labels, {**embeddings}, photograph)
 
 
-def manifest_of(layout: Layout, **settings: object) -> RegionManifest:
-    return RegionManifest.of(layout, "some/model", settings, 32)
+def manifest_of(**settings: object) -> RegionManifest:
+    return RegionManifest.of("some/model", settings, 32)
 
 
-@pytest.mark.parametrize(("layout", "bits"), [("compact", 16), ("compact", 32), ("langsplat", 32)])
-def test_regions_come_back(tmp_path: Path, layout: Layout, bits: int) -> None:
+@pytest.mark.parametrize("bits", [16, 32, None])
+def test_regions_come_back(tmp_path: Path, bits: int | None) -> None:
     cameras, folder = some_cameras(3), tmp_path / "language_features"
     regions = some_regions(cameras)
-    if layout == "langsplat":
+    if bits is None:
         save_regions(regions, folder)
+        with pytest.raises(OutputExistsError):
+            save_regions(regions, folder)
+        save_regions(regions, folder, overwrite=True)
     else:
-        store = RegionStore.create(folder, RegionManifest.of(layout, "some/model", {}, bits))
+        store = RegionStore.create(folder, RegionManifest.of("some/model", {}, bits))
         store.begin()
         for name in cameras.names:
             store.write(stored_view(regions, name, f"f{bits // 8}"))
@@ -56,7 +57,7 @@ def test_regions_come_back(tmp_path: Path, layout: Layout, bits: int) -> None:
             for level in LEVELS:
                 one, other = regions.load(name, level), again.load(name, level)
                 assert torch.equal(one.labels, other.labels)
-                tolerance = 1e-7 if bits == 32 else 1e-3
+                tolerance = 1e-3 if bits == 16 else 1e-7
                 torch.testing.assert_close(one.embeddings, other.embeddings, rtol=0, atol=tolerance)
                 assert torch.equal(again.load_embeddings(name, level), other.embeddings)
                 torch.testing.assert_close(other.embeddings.norm(dim=1), torch.ones(len(other.embeddings)))
@@ -66,9 +67,8 @@ def test_regions_come_back(tmp_path: Path, layout: Layout, bits: int) -> None:
             assert torch.equal(embeddings[1], again.load_embeddings(name, "m"))
 
 
-@pytest.mark.parametrize(("layout", "stems"), [("compact", ["a.0001", "left/b"]), ("langsplat", ["a", "b"])])
-def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout, stems: list[str]) -> None:
-    store = RegionStore.create(tmp_path / "a", manifest_of(layout))
+def test_views_come_back_as_they_were_written(tmp_path: Path) -> None:
+    store, stems = RegionStore.create(tmp_path / "a", manifest_of()), ["a.0001", "left/b"]
     assert not (tmp_path / "a").exists()
     store.begin()
     written = dict(zip(stems, (view("a.0001.png", 2), view("left/b.png", 1)), strict=True))
@@ -76,7 +76,7 @@ def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout, st
         size = store.write(item)
         assert size == sum(path.stat().st_size for path in store.files(stem))
     again = RegionStore.open(tmp_path / "a")
-    assert (again.layout, again.manifest, again.stems()) == (layout, manifest_of(layout), stems)
+    assert (again.layout, again.manifest, again.stems()) == ("compact", manifest_of(), stems)
     for stem, item in written.items():
         opened = again.open_view(stem)
         assert (opened.width, opened.height, opened.dim) == (9, 6, 5)
@@ -91,7 +91,7 @@ def test_views_come_back_as_they_were_written(tmp_path: Path, layout: Layout, st
 
 
 def test_a_view_counts_for_its_manifest_and_photograph(tmp_path: Path) -> None:
-    store = RegionStore.create(tmp_path, manifest_of("compact"))
+    store = RegionStore.create(tmp_path, manifest_of())
     store.begin()
     store.write(view("a.png"))
     assert store.has("a.png", "digest")
@@ -101,9 +101,9 @@ def test_a_view_counts_for_its_manifest_and_photograph(tmp_path: Path) -> None:
         store.write(view("a.png"))
     before = snapshot(tmp_path)
     with pytest.raises(InputError, match=r"side: 3, not none"):
-        RegionStore.create(tmp_path, manifest_of("compact", side=3))
+        RegionStore.create(tmp_path, manifest_of(side=3))
     assert snapshot(tmp_path) == before
-    renewed = RegionStore.create(tmp_path, manifest_of("compact", side=3), overwrite=True)
+    renewed = RegionStore.create(tmp_path, manifest_of(side=3), overwrite=True)
     assert snapshot(tmp_path) == before
     renewed.begin(overwrite=True)
     assert not renewed.has("a.png", "digest")
@@ -111,26 +111,23 @@ def test_a_view_counts_for_its_manifest_and_photograph(tmp_path: Path) -> None:
     assert not renewed.has("a.png", "digest")
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("layout", get_args(Layout))
 def test_folders_without_a_manifest(tmp_path: Path, layout: Layout) -> None:
     """They are read, by the files that are there; new features are not mixed with them."""
     cameras = some_cameras(2)
     if layout == "langsplat":
-        save_regions(some_regions(cameras), tmp_path)
+        save_langsplat(some_regions(cameras), tmp_path)
     else:
-        store = RegionStore.create(tmp_path, manifest_of(layout))
-        store.begin()
-        for camera in cameras:
-            store.write(stored_view(some_regions(cameras), camera.name))
+        save_regions(some_regions(cameras), tmp_path)
         (tmp_path / MANIFEST).unlink()
     assert RegionStore.open(tmp_path).layout == layout
     assert load_regions(tmp_path, cameras).view_names == cameras.names
     with pytest.raises(InputError, match="not made by scoup"):
-        RegionStore.create(tmp_path, manifest_of(layout), overwrite=True)
+        RegionStore.create(tmp_path, manifest_of(), overwrite=True)
 
 
 def test_a_folder_is_not_listed_for_each_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = RegionStore.create(tmp_path, manifest_of("langsplat"))
+    store = RegionStore.create(tmp_path, manifest_of())
     store.begin()
     listed: list[Path] = []
     for name in ("listdir", "scandir"):
@@ -154,7 +151,7 @@ def test_equal_names_in_several_folders(tmp_path: Path) -> None:
         "../up/a.png",
         "C:\\b\\a.png",
     ]
-    store = RegionStore.create(tmp_path / "compact", manifest_of("compact"))
+    store = RegionStore.create(tmp_path / "compact", manifest_of())
     store.begin()
     for number, name in enumerate(names):
         store.write(view(name, number))
@@ -162,14 +159,24 @@ def test_equal_names_in_several_folders(tmp_path: Path) -> None:
     for number, name in enumerate(names):
         labels = store.views([name])[name].labels(["s"])[0]
         assert (labels == view(name, number).labels["s"]).all()
-    with pytest.raises(InputError, match=r"share the feature name '0000'; LangSplat's .* the compact layout"):
-        convert_regions(store.folder, tmp_path / "langsplat")
-    assert not (tmp_path / "langsplat").exists()
-    convert_regions(store.folder, tmp_path / "again", "compact")
-    convert_regions(store.folder, tmp_path / "again", "compact", overwrite=True)
+    convert_regions(store.folder, tmp_path / "again")
+    convert_regions(store.folder, tmp_path / "again", overwrite=True)
     assert RegionStore.open(tmp_path / "again").stems() == store.stems()
     with pytest.raises(InputError, match=r"'a.jpg' and 'a.png' share the feature name 'a'; rename"):
         store.check_names(["a.jpg", "a.png"])
+
+
+def test_saving_needs_three_levels_of_one_size(tmp_path):
+    labels, rows = torch.zeros(4, 4, dtype=torch.int32), torch.ones(1, 1)
+    with pytest.raises(InputError, match="levels"):
+        save_regions(Regions.from_maps({"a": {"s": RegionMap(labels, rows)}}), tmp_path)
+    maps = {level: RegionMap(labels[:size], rows) for level, size in zip(LEVELS, (4, 4, 3), strict=True)}
+    with pytest.raises(InputError, match="differ in size"):
+        save_regions(Regions.from_maps({"a": maps}), tmp_path)
+    same = {level: RegionMap(labels, rows) for level in LEVELS}
+    with pytest.raises(InputError, match="share the feature name 'a'"):
+        save_regions(Regions.from_maps({"a.jpg": same, "a.png": same}), tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Models that take words: real classes with tiny random weights against their own forward passes, and an ONNX pair."""
+"""Models that take words: real classes with tiny random weights against their own forward passes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from mask_samples import smooth_image
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, UnknownNameError
+from scoup.base.errors import ScoupError, UnknownNameError
 from scoup.models.concepts import LEAST_SCORE, MOST_BOXES, SAME_BOX, best_boxes, open_concepts
 from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
 from scoup.uplift.naming import box_ious
@@ -22,7 +22,6 @@ from tiny_models import (
     save_sam3_concepts,
     saved,
     tiny_sam,
-    tiny_tokenizer,
 )
 
 TEXTS = ("red apple", "chair", "lamp")
@@ -136,54 +135,3 @@ def test_what_cannot_be_loaded_is_told(tmp_path: Path) -> None:
         open_concepts("owl")
     with pytest.raises(ScoupError, match="'sam' is not a model with words"):
         open_concepts(str(saved(tiny_sam(), tmp_path)))
-    with pytest.raises(MissingFileError, match=r"image\.onnx"):
-        open_concepts(f"onnx:{tmp_path}")
-
-
-def save_onnx_pair(folder: Path, side: int = 24, dim: int = 4) -> np.ndarray:
-    """An image model with fixed boxes, rows that are means of the image times a map, and a text model of one table."""
-    from onnx_models import TensorProto, node, save_onnx, value
-
-    rng = np.random.default_rng(2)
-    rows = rng.normal(size=(1, 3, dim)).astype(np.float32)
-    constants = {
-        "boxes_": np.array([[[0.25, 0.25, 0.5, 0.5], [0.75, 0.5, 0.2, 0.4], [0.5, 0.5, 1, 1]]], np.float32),
-        "rows_": rows, "shift_": np.full((1, 3, 1), -0.1, np.float32), "scale_": np.full((1, 3, 1), 5, np.float32),
-    }  # fmt: skip
-    names = ("boxes", "rows", "shift", "scale")
-    nodes = [node("ReduceMax", ["pixels"], ["most"], keepdims=0)]
-    nodes += [node("Mul", [f"{name}_", "most"], [name]) for name in names]
-    pixels, outputs = value("pixels", [1, 3, side, side]), [value(name, None) for name in names]
-    save_onnx(folder / "image.onnx", nodes, [pixels], outputs, **constants)
-    table = rng.normal(size=(7, dim)).astype(np.float32)
-    sums = [
-        node("Gather", ["table", "ids"], ["each"]),
-        node("ReduceMean", ["each"], ["vectors"], axes=[1], keepdims=0),
-    ]
-    ids = value("ids", ["Q", 5], TensorProto.INT64)
-    save_onnx(folder / "text.onnx", sums, [ids], [value("vectors", None)], table=table)
-    tiny_tokenizer(folder, TINY_WORDS)
-    vectors = [table[ids_of(text, 5, 0)[0]].mean(0) for text in TEXTS]
-    cosines = np.array(
-        [[row @ v / np.linalg.norm(row) / np.linalg.norm(v) for v in vectors] for row in rows[0]]
-    )
-    return 1 / (1 + np.exp(-(cosines - 0.1) * 5))
-
-
-def test_a_pair_of_onnx_files_gives_the_scores_of_its_formula(tmp_path: Path) -> None:
-    scores = save_onnx_pair(tmp_path)
-    white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
-    model = open_concepts(f"onnx:{tmp_path}")
-    found = model.detect(white, TEXTS)
-    wanted = torch.tensor(
-        [[0.0, 0, 30, 30], [39, 18, 51, 40], [0, 0, 60, 40]]
-    )  # the last are cut at the image's end
-    for text in range(3):
-        mine = found.texts == text
-        order = np.argsort(-scores[:, text])
-        order = order[scores[order, text] >= LEAST_SCORE]
-        np.testing.assert_allclose(found.scores[mine].numpy(), scores[order, text], atol=1e-5)
-        torch.testing.assert_close(found.boxes[mine], wanted[order], atol=1e-3, rtol=0)
-    (tmp_path / "tokenizer.json").write_text("{}")
-    with pytest.raises(FileFormatError, match="is not a tokenizer"):
-        open_concepts(f"onnx:{tmp_path}")

@@ -15,7 +15,7 @@ class Entry:
     """A row of a ``Registry``. Each table has a kind of its own, with what opens, reads or computes."""
 
     name: str
-    """As the user writes it. "onnx:FOLDER", capitals behind a colon, stands for all names that begin with "onnx:"."""
+    """As the user writes it. "dense:MODEL", capitals behind a colon, stands for all names that begin with "dense:"."""
     help: str = field(default="", kw_only=True)
     """One line."""
     licence: str = field(default="", kw_only=True)

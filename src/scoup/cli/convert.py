@@ -1,4 +1,4 @@
-"""scoup convert: region features from one layout to the other, and fields of other systems."""
+"""scoup convert: splats, region features, and fields of other systems."""
 
 from __future__ import annotations
 
@@ -29,17 +29,16 @@ class Convert(WritesCommon):
     A splat (a file, or a folder with one) becomes another, of the format that the ending of TARGET means, such as .ply,
     .compressed.ply, .spz, .glb or .usdz; docs/formats.md lists all.
 
-    A folder of region features (or a scene) is written in the other layout: LangSplat's _s.npy and _f.npy, or one
-    compact file per view. Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's
-    three numbers per region (language_features_dim3) become embeddings again. An array of features, one row per
-    Gaussian (.npy or .pt, [N, D] or [N, levels, D]), becomes a field by sparse coding. A checkpoint of LangSplat
-    (chkpnt30000.pth, with --autoencoder), LangSplatV2 or Occam's LGS becomes a field; for a folder NAME_1, those of
-    NAME_2 and NAME_3 are read, too.
+    A folder of region features (or a scene), such as LangSplat's _s.npy and _f.npy, becomes one compact file per view.
+    Labels are kept exactly; embeddings, too, with --bits 32. With --autoencoder, LangSplat's three numbers per region
+    (language_features_dim3) become embeddings again. An array of features, one row per Gaussian (.npy or .pt, [N, D] or
+    [N, levels, D]), becomes a field by sparse coding. A checkpoint of LangSplat (chkpnt30000.pth, with --autoencoder),
+    LangSplatV2 or Occam's LGS becomes a field; for a folder NAME_1, those of NAME_2 and NAME_3 are read, too.
     """
 
     option_groups: ClassVar[OptionGroups] = {
         "splat": "keep_axes",
-        "regions": "to bits autoencoder",
+        "regions": "bits autoencoder",
         "field": "gaussians n_atoms k seed",
     }
 
@@ -51,13 +50,8 @@ class Convert(WritesCommon):
     """Do not convert the axes of .spz, glTF and OpenUSD: for files of programs that keep the numbers of the PLY."""
     model: OptionalText = None
     """Id of the model that made the embeddings, or a word table. Default: the one that SOURCE names, if any."""
-    to: Annotated[
-        Literal["compact", "langsplat"] | None,
-        arg(metavar="{compact,langsplat}"),
-    ] = None
-    """Layout to write. Default: the one that SOURCE does not have."""
     bits: Literal[16, 32] = 16
-    """Bits of a stored embedding number in the compact layout."""
+    """Bits of a stored embedding number."""
     autoencoder: OptionalPath = None
     """LangSplat's best_ckpt.pth, which decodes language_features_dim3 and its checkpoints."""
     gaussians: OptionalPath = None
@@ -115,17 +109,15 @@ class Convert(WritesCommon):
         decode = self._decoder()
         with console.progress() as progress:
             report = convert_regions(
-                self.source, self.target, self.to, self.bits, self.model, self.overwrite, progress, decode
+                self.source, self.target, self.bits, self.model, self.overwrite, progress, decode
             )
         before, after = (size / report.views / 1e3 for size in (report.bytes_before, report.bytes_after))
         console.say(
-            f"{report.target}: {counted(report.views, 'view')} in the layout {report.layout}, {after:,.0f} kB a view "
-            f"(they took {before:,.0f})"
+            f"{report.target}: {counted(report.views, 'view')}, {after:,.0f} kB a view (they took {before:,.0f})"
         )
         console.result(
             {
                 "out": report.target,
-                "layout": report.layout,
                 "views": report.views,
                 "bytes_before": report.bytes_before,
                 "bytes_after": report.bytes_after,

@@ -60,12 +60,10 @@ class Extract(WritesCommon):
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
     out: OptionalPath = None
-    """Folder for the regions, which scoup convert turns into LangSplat's files. Default: SCENE/language_features, where
-    scoup build looks."""
+    """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
     segmenter: OptionalText = None
-    """A segmenter of --list, such as sam2.1-tiny; a folder or hub id of a SAM; onnx:FOLDER with an encoder and a
-    decoder; or felzenszwalb: regions of even colour, no model. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam
-    without one."""
+    """A segmenter of --list, such as sam2.1-tiny; a folder or hub id of a SAM; or felzenszwalb: regions of even colour,
+    no model. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
     embedder: str = CLIP_MODEL
     """An embedder of --list; any CLIP, SigLIP or TIPSv2 by folder or hub id, with dense: before it for one pass over
     the photograph instead of one for each region; or colors: no model; cannot be queried by text."""

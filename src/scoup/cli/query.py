@@ -69,7 +69,7 @@ class Query(AnswerOptions, CameraOptions):
     """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
     refine: OptionalText = None
     """Look for the texts in photographs with a model, too: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
-    sam3, a folder or hub id of such a model, or onnx:FOLDER. The photographs are those of --scene, else those beside
+    sam3, or a folder or hub id of such a model. The photographs are those of --scene, else those beside
     the splat; cameras without one are rendered."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of

@@ -11,7 +11,6 @@ from torch.nn import functional
 
 from scoup.extract.masks import Masks
 from scoup.models.dense import DenseModel
-from scoup.models.onnx_dense import OnnxDenseModel
 
 # Of the model's size, which fill the shorter side of a photograph. With more, smaller things have places of their own;
 # the work grows with the square.
@@ -22,7 +21,7 @@ _MASKS_AT_ONCE = 64
 class DenseEmbedder:
     """A dense encoder as a ``RegionEmbedder``."""
 
-    def __init__(self, model: DenseModel | OnnxDenseModel) -> None:
+    def __init__(self, model: DenseModel) -> None:
         self.model = model
         self.name, self.dim, self.device = model.name, model.dim, model.device
 

@@ -78,7 +78,7 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
     """
     folder = Path(folder)
     settings = {**segmenter.to_dict(), **embedder.to_dict(), "max_height": max_height}
-    manifest = RegionManifest.of("compact", embedder.name, settings, BITS)
+    manifest = RegionManifest.of(embedder.name, settings, BITS)
     manifest = replace(manifest, views=tuple(item.name for item in photographs) if chosen else ())
     store = RegionStore.create(folder, manifest, overwrite)
     store.check_names(item.name for item in photographs)
@@ -113,7 +113,7 @@ def lacks_views(folder: Path, scene: Path, images: Path | None, embedder: str) -
     """Return whether a folder of region features is what an interrupted extraction with this embedder left of a
     scene."""
     manifest = read_manifest(folder)
-    if manifest is None or manifest.layout != "compact" or manifest.embedding_model != embedder:
+    if manifest is None or manifest.embedding_model != embedder:
         return False
     names = manifest.views or tuple(item.name for item in find_photographs(scene, images))
     return len(RegionStore.open(folder).views(names)) < len(names)

@@ -14,26 +14,20 @@ from scoup.extract.dense import DenseEmbedder
 from scoup.extract.interfaces import Embedder, Segmenter
 from scoup.extract.settings import MaskSettings
 from scoup.io.regions.manifest import read_manifest
-from scoup.models import dense, mobile_sam, onnx_dense, onnx_sam, sam
+from scoup.models import dense, mobile_sam, sam
 from scoup.models.entry import Device, HubEntry, ModelEntry
-from scoup.models.hub import ONNX, OPEN_CLIP
+from scoup.models.hub import OPEN_CLIP
 from scoup.models.image import open_image_model
 from scoup.models.text_models import ANY_OPEN_CLIP, GROUP, HUB
 
 
 def _open_sam(name: str, revision: str | None, device: Device, settings: MaskSettings) -> Segmenter:
-    if name.startswith(ONNX):
-        return SamSegmenter(onnx_sam.open_onnx_sam(name), settings)
     model = sam.open_sam(name, revision, device, settings.half, SEGMENTERS.find(name).model_id(name))
     return SamSegmenter(model, settings)
 
 
 def _open_dense(name: str, revision: str | None, device: Device) -> Embedder:
     return DenseEmbedder(dense.open_dense_model(name, revision, device))
-
-
-def _open_onnx_dense(name: str, revision: str | None, device: Device) -> Embedder:
-    return DenseEmbedder(onnx_dense.open_onnx_dense(name.removeprefix(dense.PREFIX)))
 
 
 def _sam(name: str, hub_id: str, help: str, size: str, licence: str = "Apache-2.0") -> ModelEntry:
@@ -58,10 +52,6 @@ SEGMENTERS = Registry("segmenter", "scoup.segmenters", ModelEntry, (
     _sam("sam2.1-large", "sam2.1-hiera-large", "SAM 2.1 Hiera-L", "898 MB"),
     _sam("sam3", "sam3", "the tracker of SAM 3, which takes points", "1.8 GB", "SAM License"),
     HubEntry("FOLDER or hub id", _open_sam, help="any SAM, SAM 2 or SAM 3 of transformers", extra="models"),
-    ModelEntry(
-        f"{ONNX}FOLDER", _open_sam, seconds=55.4, extra="onnx",
-        help="SAM or SAM 2 exported to ONNX, on the CPU (seconds: SAM 2 tiny)",
-    ),
     felzenszwalb.ENTRY,
 ))  # fmt: skip
 EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
@@ -82,10 +72,6 @@ EMBEDDERS = Registry("embedder", GROUP, ModelEntry, (
     ModelEntry(
         f"{dense.PREFIX}MODEL", _open_dense, seconds=2.4, extra="models",
         help="the same models in one pass per photograph instead of one per region",
-    ),
-    ModelEntry(
-        f"{dense.PREFIX}{ONNX}FILE", _open_onnx_dense, extra="onnx",
-        help="a dense encoder exported to ONNX (RADIO, dino.txt), on the CPU",
     ),
     replace(
         ANY_OPEN_CLIP, name=f"{OPEN_CLIP}MobileCLIP2-S2/dfndr2b", size="398 MB", licence="Apple AMLR (research)",

@@ -14,7 +14,7 @@ from torch import Tensor
 from scoup.base.errors import ScoupError
 from scoup.base.registry import Registry
 from scoup.models.entry import HubEntry, ModelEntry
-from scoup.models.hub import ONNX, ModelRequest, Pretrained, load_pretrained
+from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
 from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization
 from scoup.scene.names import Detections
 
@@ -222,12 +222,6 @@ def open_transformer(
     return load_pretrained(ModelRequest("model with words", name, WITHOUT_MODEL, model_id, revision), load)
 
 
-def _open_onnx(name: str, revision: str | None, device: torch.device | str) -> ConceptModel:
-    from scoup.models.onnx_concepts import open_onnx_concepts
-
-    return open_onnx_concepts(name)
-
-
 def _entry(name: str, hub_id: str, said: str, licence: str = "Apache-2.0") -> ModelEntry:
     file = (hub_id, "model.safetensors")
     return ModelEntry(name, open_transformer, file=file, help=said, licence=licence, extra="models")
@@ -240,9 +234,6 @@ CONCEPTS = Registry("model with words", "scoup.concepts", ModelEntry, (
     _entry("grounding-dino-base", "IDEA-Research/grounding-dino-base", "Grounding DINO, Swin-B: boxes"),
     _entry("sam3", "facebook/sam3", "SAM 3: masks", "SAM License"),
     HubEntry("FOLDER or hub id", open_transformer, help="any of these models", extra="models"),
-    ModelEntry(
-        f"{ONNX}FOLDER", _open_onnx, extra="onnx", help="a detector exported as image.onnx and text.onnx, on the CPU"
-    ),
 ))  # fmt: skip
 """Models that find texts in photographs, by name."""
 

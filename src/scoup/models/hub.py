@@ -25,7 +25,6 @@ from scoup.models.normalization import PLAIN, Normalization
 Loaded = TypeVar("Loaded")
 
 OPEN_CLIP = "open_clip:"  # before the name of a model of open_clip
-ONNX = "onnx:"  # before the path of an exported model
 _READ = re.compile(r"[^.]*\.(safetensors|json|txt)")  # of a folder; "model.fp16.safetensors" is not
 _SINCE = {"siglip2": "4.50", "tipsv2": "5.14"}  # of transformers
 _PATIENCE = (

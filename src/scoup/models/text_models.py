@@ -12,7 +12,6 @@ from scoup.base.errors import ScoupError, ScoupWarning
 from scoup.base.registry import Registry
 from scoup.models.entry import Device, HubEntry, ModelEntry, Texts
 from scoup.models.hub import (
-    ONNX,
     OPEN_CLIP,
     ModelRequest,
     load_open_clip,
@@ -20,7 +19,6 @@ from scoup.models.hub import (
     open_clip_identity,
 )
 from scoup.models.image import open_clip_image_model, open_image_model
-from scoup.models.onnx_dense import open_onnx_dense
 from scoup.models.towers import load_tower
 
 GROUP = "scoup.embedders"  # of the entry points
@@ -88,5 +86,4 @@ ANY_OPEN_CLIP = ModelEntry(
     f"{OPEN_CLIP}ARCHITECTURE/PRETRAINED", open_clip_image_model, _open_clip_texts, extra="open-clip",
     help="any model of open_clip",
 )  # fmt: skip
-_NO_TEXTS = ModelEntry(f"{ONNX}FILE", open_onnx_dense)
-TEXT_MODELS = Registry("text model or table file", GROUP, ModelEntry, (HUB, ANY_OPEN_CLIP, _NO_TEXTS))
+TEXT_MODELS = Registry("text model or table file", GROUP, ModelEntry, (HUB, ANY_OPEN_CLIP))

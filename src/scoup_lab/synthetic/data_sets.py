@@ -32,7 +32,7 @@ trained or labelled by hand: scores on it say nothing about {name}.
 SCENE/point_cloud.ply     the Gaussians
 SCENE/images/             renders of them, in place of photographs
 SCENE/sparse/0/           their cameras, as COLMAP writes them
-SCENE/language_features/  simulated regions and embeddings, in LangSplat's layout
+SCENE/language_features/  simulated regions and embeddings
 SCENE/text.npz            simulated text vectors of the scene: names [M], vectors [M, 512]
 {labels}
 

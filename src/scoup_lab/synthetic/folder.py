@@ -28,7 +28,7 @@ NOTE = """A {title} made by a program (scoup demo). Nothing in it was photograph
 point_cloud.ply      the Gaussians, in the layout of the 3DGS reference code
 images/              renders of them, in place of photographs
 sparse/0/            their cameras, as COLMAP writes them
-language_features/   simulated regions and embeddings, in LangSplat's layout
+language_features/   simulated regions and embeddings
 text.npz             simulated text vectors: names [M], vectors [M, 512]
 held_out/            views without regions: images/, transforms.json (nerfstudio's layout), and
                      label/ with the truth as LERF-OVS label files

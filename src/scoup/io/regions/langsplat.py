@@ -1,4 +1,4 @@
-"""Region features in the LangSplat layout: ``<stem>_s.npy`` (labels) and ``<stem>_f.npy`` (embeddings) per image."""
+"""Read LangSplat's region features: ``<stem>_s.npy`` (labels) and ``<stem>_f.npy`` (embeddings) per image."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.atomic import atomic_file
 from scoup.base.errors import FileFormatError
-from scoup.base.staging import staged
 from scoup.io.npy import open_npy
 from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.langsplat_rows import FILE_LEVELS, copy_labels, level_blocks
-from scoup.io.regions.views import REMEDY, ViewRegions
+from scoup.io.regions.views import REMEDY
 
 ENDINGS = ("_s.npy", "_f.npy")
 
@@ -38,7 +36,7 @@ class LangSplatView:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     levels = FILE_LEVELS
-    manifest, photograph = None, ""  # the files tell neither
+    manifest = photograph = ""  # the files tell neither
 
     @property
     def counts(self) -> dict[str, int]:
@@ -89,31 +87,6 @@ def open_view(folder: Path, stem: str) -> LangSplatView:
     planes, rows = _open_planes(folder / f"{stem}_s.npy"), _open_rows(folder / f"{stem}_f.npy")
     height, width = planes.shape[1:]
     return LangSplatView(folder, stem, width, height, *rows.shape)
-
-
-def write_view(folder: Path, stem: str, regions: ViewRegions, manifest: str, overwrite: bool = False) -> None:
-    """Write a view atomically; levels that are missing stay empty. The files do not name the manifest."""
-    names = [f"{stem}_f.npy", f"{stem}_s.npy"]
-    planes, rows = _joined(regions)
-    with staged(folder, names, overwrite) as hidden:
-        for name, array in zip(names, (rows, planes), strict=True):
-            with atomic_file(hidden / name) as stream:
-                np.save(stream, array, allow_pickle=False)
-
-
-def _joined(regions: ViewRegions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return planes [4, H, W] of global row numbers, and the rows [M, D] of all levels."""
-    first = next(iter(regions.labels.values()))
-    planes = np.full((len(FILE_LEVELS), *first.shape), -1, np.float32)
-    blocks: list[NDArray[np.float32]] = []
-    start = 0
-    for number, level in enumerate(FILE_LEVELS):
-        if level in regions.labels:
-            labels = regions.labels[level]
-            planes[number] = np.where(labels >= 0, labels + start, -1)
-            blocks.append(np.asarray(regions.embeddings[level], np.float32))
-            start += len(blocks[-1])
-    return planes, np.concatenate(blocks)
 
 
 def _open_planes(path: Path) -> np.ndarray:

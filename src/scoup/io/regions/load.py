@@ -13,9 +13,9 @@ from torch import Tensor
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.counts import listed, none_of
 from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
-from scoup.base.staging import staged
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
-from scoup.io.regions.store import RegionStore, StoredView
+from scoup.io.regions.manifest import RegionManifest
+from scoup.io.regions.store import RegionStore, StoredView, staged_store
 from scoup.io.regions.views import REMEDY, ViewRegions
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import LEVELS, RegionMap, Regions, resize_labels
@@ -86,23 +86,20 @@ def load_regions(folder: str | Path, cameras: Cameras | Iterable[Camera]) -> Reg
 
 
 def save_regions(regions: Regions, folder: str | Path, overwrite: bool = False) -> None:
-    """Write regions with levels s, m, l in the LangSplat layout, at their own size; "default" stays empty.
-
-    Files are named by the view names cut at their first dot.
-    """
+    """Write regions with levels s, m, l in the compact layout, at their own size, with embeddings of 32 bits."""
     if regions.levels != LEVELS:
-        raise InputError(f"the LangSplat layout contains levels {list(LEVELS)}, not {list(regions.levels)}")
+        raise InputError(f"region features contain levels {list(LEVELS)}, not {list(regions.levels)}")
     store = RegionStore(Path(folder))
     store.check_names(regions.view_names)
-    store.check_free([store.stem_of(name) for name in regions.view_names], overwrite)
-    with staged(store.folder, overwrite=overwrite) as hidden:
+    stems = [store.stem_of(name) for name in regions.view_names]
+    with staged_store(store.folder, RegionManifest.of("", {}, 32), stems, overwrite) as out:
         for name in regions.view_names:
             maps = {level: regions.load(name, level) for level in LEVELS}
             if len({tuple(item.labels.shape) for item in maps.values()}) > 1:
                 raise InputError(f"{folder}: the levels of view {name!r} differ in size; resize them to one")
             labels = {level: item.labels.cpu().numpy() for level, item in maps.items()}
             rows = {level: item.embeddings.cpu().numpy() for level, item in maps.items()}
-            RegionStore(hidden).write(ViewRegions(name, labels, rows))
+            out.write(ViewRegions(name, labels, rows))
 
 
 def _without_features(store: RegionStore, cameras: Sequence[Camera]) -> MissingFileError:

@@ -1,4 +1,4 @@
-"""``regions.json``: how a folder of region features was made, of which photographs, and in which layout."""
+"""``regions.json``: how a folder of region features was made, and of which photographs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import InputError, OutputExistsError, check_format_version
@@ -17,15 +17,13 @@ MANIFEST = "regions.json"
 SCHEMA = "scoup.regions"
 VERSION = 1
 
-Layout = Literal["compact", "langsplat"]
-LAYOUTS: tuple[Layout, ...] = ("compact", "langsplat")
+LAYOUT = "compact"  # of the files: the only one that is written
 
 
 @dataclass(frozen=True)
 class RegionManifest:
     """The settings that all views of a folder share."""
 
-    layout: Layout  # "compact" (one ``.regions`` file per view) or "langsplat" (two ``.npy`` files per view)
     embedding_model: str  # id of the model that made the embeddings; "" if it is not known
     # everything else that decides the numbers; plain JSON values
     settings: dict[str, Any] = field(default_factory=dict)
@@ -33,31 +31,26 @@ class RegionManifest:
     views: tuple[str, ...] = field(default=(), compare=False)
 
     @classmethod
-    def of(cls, layout: Layout, embedding_model: str, settings: dict[str, Any], bits: int) -> RegionManifest:
-        """Return the manifest of new features.
-
-        Args:
-            bits: of a stored embedding number in the compact layout, 16 or 32; LangSplat's files always hold 32.
-        """
+    def of(cls, embedding_model: str, settings: dict[str, Any], bits: int) -> RegionManifest:
+        """Return the manifest of new features with embeddings of 16 or 32 bits."""
         if bits not in (16, 32):
             raise InputError(f"embeddings must have 16 or 32 bits, got {bits}")
-        return cls(layout, embedding_model, settings | ({"bits": bits} if layout == "compact" else {}))
+        return cls(embedding_model, settings | {"bits": bits})
 
     @property
     def bits(self) -> int:
-        """Return the bits of an embedding number in the compact layout."""
+        """Return the bits of an embedding number."""
         return int(self.settings.get("bits", 16))
 
     @property
     def fingerprint(self) -> str:
         """Hash of all of it: views made under another manifest do not count."""
-        text = json.dumps([self.layout, self.embedding_model, self.settings], sort_keys=True)
+        text = json.dumps([LAYOUT, self.embedding_model, self.settings], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def differences(self, other: RegionManifest) -> list[str]:
         """Return what differs from another manifest, as "name: this one, not the other"."""
         pairs: dict[str, tuple[Any, Any]] = {
-            "layout": (self.layout, other.layout),
             "embedding model": (self.embedding_model, other.embedding_model),
         }
         for name in sorted({*self.settings, *other.settings}):
@@ -78,13 +71,14 @@ def read_manifest(folder: Path) -> RegionManifest | None:
     record = read_json(path, "the manifest of a folder of region features", remedy)
     record.get("schema").text((SCHEMA,))
     check_format_version(path, record.get("version").value, VERSION)
+    record.get("layout").text((LAYOUT,))
     settings = record.get("settings").object()
     model = record.get("embedding_model")
     if model.value != "":  # not known
         model.text()
     views = record.get("views")
     names = () if views.value is None else tuple(name.text() for name in views.items())
-    return RegionManifest(cast(Layout, record.get("layout").text(LAYOUTS)), model.value, settings, names)
+    return RegionManifest(model.value, settings, names)
 
 
 def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = False) -> None:
@@ -92,7 +86,7 @@ def write_manifest(folder: Path, manifest: RegionManifest, overwrite: bool = Fal
     record = {
         "schema": SCHEMA,
         "version": VERSION,
-        "layout": manifest.layout,
+        "layout": LAYOUT,
         "embedding_model": manifest.embedding_model,
         "settings": manifest.settings,
         **({"views": manifest.views} if manifest.views else {}),

@@ -1,24 +1,28 @@
-"""A folder of region features: a manifest, and the views in one of two layouts. Everything that reads or writes such a
-folder goes through it.
+"""A folder of region features: views in SCOUP's compact layout, with a manifest, or in LangSplat's, which is read only.
+Everything that reads or writes such a folder goes through it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from scoup.base.atomic import check_output
 from scoup.base.errors import InputError, ScoupError
 from scoup.base.existing import existing_folder
+from scoup.base.staging import staged
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.compact import CompactView
 from scoup.io.regions.langsplat import LangSplatView
-from scoup.io.regions.manifest import MANIFEST, Layout, RegionManifest, read_manifest, write_manifest
+from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest
 from scoup.io.regions.views import ViewRegions, match_stems, region_folder, view_stems
 
+Layout = Literal["compact", "langsplat"]
 StoredView = CompactView | LangSplatView  # with the same names for the same things, as their modules
 _LAYOUTS = {"compact": compact, "langsplat": langsplat}
 
@@ -29,7 +33,7 @@ class RegionStore:
 
     folder: Path  # of the features themselves
     manifest: RegionManifest | None = None  # how they were made; None for features of other programs
-    layout: Layout = "langsplat"  # of the files; by default that of the manifest
+    layout: Layout = "compact"  # of the files
 
     @classmethod
     def open(cls, folder: str | Path) -> RegionStore:
@@ -38,7 +42,7 @@ class RegionStore:
         path = region_folder(path)
         manifest = read_manifest(path)
         if manifest is not None:
-            return cls(path, manifest, manifest.layout)
+            return cls(path, manifest)
         others = view_stems(path, langsplat.ENDINGS[0])
         return cls(
             path, None, "compact" if not others and view_stems(path, compact.ENDINGS[0]) else "langsplat"
@@ -66,7 +70,7 @@ class RegionStore:
                 "choose another folder, or pass `overwrite=True` to make everything again"
             )
         check_output(folder / MANIFEST, overwrite=True)
-        return cls(folder, manifest, manifest.layout)
+        return cls(folder, manifest)
 
     def begin(self, overwrite: bool = False) -> None:
         """Put the manifest into the folder, before the first view is written.
@@ -105,8 +109,8 @@ class RegionStore:
                 remedy = "rename one of them"
                 if self.layout == "langsplat":
                     remedy = (
-                        "LangSplat's files have no folders, and names cut at the first dot; use the compact layout, "
-                        "which scoup extract writes"
+                        "LangSplat's files have no folders, and names cut at the first dot; make the features with "
+                        "scoup extract"
                     )
                 raise InputError(
                     f"{self.folder}: images {other!r} and {name!r} share the feature name {self.stem_of(name)!r}; "
@@ -115,14 +119,12 @@ class RegionStore:
 
     def all_stems(self) -> list[str]:
         """Return the stems of all views, whatever manifest they were made under."""
-        return view_stems(
-            self.folder, self.endings[0], self.layout == "compact" and self.manifest is not None
-        )
+        return view_stems(self.folder, self.endings[0], below=self.manifest is not None)
 
     def stems(self) -> list[str]:
         """Return the stems of the views that count: not those made under an abandoned manifest."""
         stems = self.all_stems()
-        if self.layout == "langsplat":  # whose files do not name their manifest
+        if self.manifest is None:
             return stems
         return [stem for stem in stems if self._counts(self.open_view(stem))]
 
@@ -149,7 +151,7 @@ class RegionStore:
         return {name: view for name, view in views.items() if view is not None}
 
     def _counts(self, view: StoredView) -> bool:
-        return self.manifest is None or view.manifest in (None, self.fingerprint)
+        return self.manifest is None or view.manifest == self.fingerprint
 
     def has(self, name: str, photograph: str) -> bool:
         """Return whether the view was made under this manifest from this photograph (its SHA-256)."""
@@ -173,16 +175,31 @@ class RegionStore:
             overwrite: in place of an older one.
         """
         stem = self.stem_of(regions.name) if stem is None else stem
-        if self.layout == "compact":
-            kind = np.float16 if self.manifest is None or self.manifest.bits == 16 else np.float32
-            rows = {level: item.astype(kind) for level, item in regions.embeddings.items()}
-            regions = replace(regions, embeddings=rows)
-        _LAYOUTS[self.layout].write_view(self.folder, stem, regions, self.fingerprint, overwrite)
+        kind = np.float16 if self.manifest is None or self.manifest.bits == 16 else np.float32
+        rows = {level: item.astype(kind) for level, item in regions.embeddings.items()}
+        regions = replace(regions, embeddings=rows)
+        compact.write_view(self.folder, stem, regions, self.fingerprint, overwrite)
         return self.size_of(stem)
 
     def size_of(self, stem: str) -> int:
         """Return bytes of the files of a view."""
         return sum(path.stat().st_size for path in self.files(stem))
+
+
+@contextmanager
+def staged_store(
+    folder: Path, manifest: RegionManifest, stems: Iterable[str], overwrite: bool
+) -> Iterator[RegionStore]:
+    """Yield a store whose views, with these stems, appear in ``folder`` together once all are written."""
+    store = RegionStore.create(folder, manifest, overwrite)
+    manifest_file = [MANIFEST]
+    if read_manifest(folder) == manifest:
+        store.check_free(stems, overwrite)
+        manifest_file = []
+    with staged(folder, manifest_file, overwrite) as hidden:
+        if manifest_file:
+            write_manifest(hidden, manifest)
+        yield RegionStore(hidden, manifest)
 
 
 def read_view(view: StoredView) -> ViewRegions:

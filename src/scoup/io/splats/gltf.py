@@ -6,12 +6,10 @@ Scales and opacities are linear in the file, quaternions x, y, z, w, and one att
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from scoup.base.errors import ScoupWarning
 from scoup.base.json_node import JsonNode
@@ -26,29 +24,32 @@ from scoup.io.splats.gltf_document import (
     sh_names,
 )
 from scoup.io.splats.gltf_write import AXIS, FEATURES, METADATA, write_gltf
-from scoup.io.splats.rotation import rotated_quats, rotated_sh
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.io.splats.spz import spz_columns
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.rotations import rotation_matrices
 
 _SPZ = f"{SPLATS}_compression_spz"  # also with a version of .spz behind it
 _UNDERSTOOD = {SPLATS, FEATURES, METADATA, "KHR_mesh_quantization"}
 # What they concern are meshes beside the Gaussians.
 _OF_SURFACES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
-# Bytes of Gaussians for a byte of the file, plain and as SPZ; beyond it nodes repeat a mesh to no end.
+# Bytes of Gaussians for a byte of the file, plain and as SPZ; beyond it primitives repeat accessors to no end.
 _REPEATS, _REPEATS_PACKED = 32, 500
-_UNIFORM = 1e-4  # of the ratio of two scales: what float32 matrices stay within after several products
 _EXPORT_PLAIN = "export it uncompressed (with KHR_gaussian_splatting alone), or as PLY"
-_APPLY = "apply the transform of the node in the program that made the file, and export it again"
+# splat-transform does not read glTF.
+_TURN = "export the splat as PLY, and apply the transform to the PLY with splat-transform"
+_MERGE = "export each splat as PLY, and merge them with splat-transform"
 
 
 def read_gltf(path: str | Path) -> Gaussians:
-    """Read the Gaussians of a .glb or .gltf file, of all nodes of its scene.
+    """Read the Gaussians of a .glb or .gltf file, which one node of its scene contains.
 
     The world's axes (left, up, forward) are turned to those of 3DGS by signs (``axes``).
 
-    Buffers may be inside, or in files beside or below it. Values that no node transforms are kept bit by bit.
+    Buffers may be inside, or in files beside or below it. Values are kept bit by bit, but for positions that nodes
+    translate.
+
+    Raises:
+        FileFormatError: the file is damaged, several nodes contain Gaussians, or a node rotates or scales them.
 
     Warns:
         ScoupWarning: rows with values that are not finite (or no rotation) were dropped, or the file asks for
@@ -60,23 +61,21 @@ def read_gltf(path: str | Path) -> Gaussians:
             raise document.error(f"needs the extension {name[:60]!a}, which is not read", _EXPORT_PLAIN)
     packed = any(name.startswith(_SPZ) for name in _names(document.root, "extensionsUsed"))
     most = _REPEATS_PACKED if packed else _REPEATS
-    placed: list[Columns] = []
-    local: dict[str, Columns] = {}
+    primitives, translation = _placed_splats(document)
+    parts: list[Columns] = []
     total = 0
-    for primitive, similarity in _placed_splats(document):
-        if primitive.place not in local:
-            local[primitive.place] = _read_primitive(document, primitive)
-        columns = local[primitive.place]
-        total += sum(column.nbytes for column in columns.values())
+    for primitive in primitives:
+        parts.append(_read_primitive(document, primitive))
+        total += sum(column.nbytes for column in parts[-1].values())
         if total > most * document.data_bytes:
-            raise document.error("repeats its Gaussians far too often", "apply its instances, or remove them")
-        placed.append(columns if similarity is None else similarity.moved(columns))
-    if not placed:
-        raise _no_gaussians(document)
-    bases = max(columns["sh"].shape[1] for columns in placed)  # primitives may have different degrees
-    for columns in placed:
+            raise document.error("repeats its Gaussians far too often", "remove the copies")
+    bases = max(columns["sh"].shape[1] for columns in parts)  # primitives may have different degrees
+    for columns in parts:
         columns["sh"] = np.pad(columns["sh"], ((0, 0), (0, bases - columns["sh"].shape[1]), (0, 0)))
-    joined = {name: np.concatenate([columns[name] for columns in placed]) for name in placed[0]}
+    joined = {name: np.concatenate([columns[name] for columns in parts]) for name in parts[0]}
+    if translation.any():
+        with np.errstate(all="ignore"):
+            joined["means"] = (joined["means"].astype(np.float64) + translation).astype(np.float32)
     return keep_finite(**half_turn(joined, AXIS), source=str(document.path))[0]
 
 
@@ -100,52 +99,35 @@ def _nodes(node: JsonNode, key: str) -> list[JsonNode]:
     return [] if items.value is None else items.items()
 
 
-# ---- nodes: the way from the frames of primitives to that of the world
+# ---- nodes: the one with Gaussians
 
 
-@dataclass(frozen=True)
-class _Similarity:
-    """x -> scale * rotation @ x + translation; all float64."""
-
-    scale: float
-    rotation: np.ndarray  # [3, 3]
-    translation: np.ndarray  # [3]
-
-    def moved(self, columns: Columns) -> Columns:
-        """Return the values of a primitive in the frame of the world, computed in float64 and rounded once."""
-        with np.errstate(all="ignore"):
-            means = columns["means"].astype(np.float64) @ (self.scale * self.rotation).T
-            return {
-                "means": (means + self.translation).astype(np.float32),
-                "quats": rotated_quats(columns["quats"], self.rotation),
-                "scales": (columns["scales"].astype(np.float64) * self.scale).astype(np.float32),
-                "opacities": columns["opacities"],
-                "sh": rotated_sh(columns["sh"], self.rotation),
-            }
-
-
-def _placed_splats(document: GltfDocument) -> Iterator[tuple[JsonNode, _Similarity | None]]:
-    """Yield the primitives with Gaussians of the scene, each with its way to the world (None where it is there
-    already).
-
-    A mesh that several nodes use comes once for each of them.
-    """
-    waiting = [(index, np.eye(4)) for index in reversed(_roots(document))]
+@np.errstate(all="ignore")  # translations beyond all numbers: rows that are not finite are dropped
+def _placed_splats(document: GltfDocument) -> tuple[list[JsonNode], np.ndarray]:
+    """Return the primitives with Gaussians of the scene, and the translation [3] float64 of their node."""
+    waiting = [(index, np.zeros(3), "") for index in reversed(_roots(document))]
     seen: set[str] = set()
+    found: tuple[list[JsonNode], np.ndarray, str] | None = None
     while waiting:
-        index, above = waiting.pop()
+        index, translation, turning = waiting.pop()
         node = document.entry("nodes", index)
         if node.place in seen:
             raise document.error(f"{node.place} has several parents, or is below itself")
         seen.add(node.place)
-        with np.errstate(all="ignore"):
-            matrix = above @ _own_matrix(document, node)
-        if not np.isfinite(matrix).all():
-            raise document.error(f"the transform of {node.place} is not finite")
-        if node.get("mesh").value is not None:
-            for primitive in _splat_primitives(document.entry("meshes", node.get("mesh"))):
-                yield primitive, _similarity(document, matrix, node.place)
-        waiting += [(child, matrix) for child in reversed(_nodes(node, "children"))]
+        own = _own_translation(node)
+        turning = turning or (node.place if own is None else "")
+        translation = translation if own is None else translation + own
+        mesh = node.get("mesh")
+        if mesh.value is not None and (splats := _splat_primitives(document.entry("meshes", mesh))):
+            if turning:
+                raise document.error(f"{turning} rotates or scales its Gaussians", _TURN)
+            if found is not None:
+                raise document.error(f"{found[2]} and {node.place} both contain Gaussians", _MERGE)
+            found = splats, translation, node.place
+        waiting += [(child, translation, turning) for child in reversed(_nodes(node, "children"))]
+    if found is None:
+        raise _no_gaussians(document)
+    return found[:2]
 
 
 def _splat_primitives(mesh: JsonNode) -> list[JsonNode]:
@@ -167,40 +149,19 @@ def _roots(document: GltfDocument) -> list[JsonNode]:
     return [replace(node, value=index) for index, node in enumerate(nodes) if index not in below]
 
 
-def _own_matrix(document: GltfDocument, node: JsonNode) -> np.ndarray:
-    """Return [4, 4] float64 of a node's matrix, or of its translation, rotation and scale."""
+def _own_translation(node: JsonNode) -> np.ndarray | None:
+    """Return the translation [3] float64 of a node, None if it rotates or scales."""
 
     def numbers(name: str, *default: float) -> np.ndarray:
         given = node.get(name)
         return np.array(default) if given.value is None else given.numbers(len(default))
 
-    if node.get("matrix").value is not None:
-        matrix = node.get("matrix").numbers(16).reshape(4, 4).T
-        if matrix[3].tolist() != [0, 0, 0, 1]:
-            raise document.error(f"the matrix of {node.place} does not end with 0, 0, 0, 1")
-        return matrix
-    matrix = np.eye(4)
-    quat = np.roll(numbers("rotation", 0.0, 0.0, 0.0, 1.0), 1)
-    with np.errstate(all="ignore"):
-        if not 0 < np.linalg.norm(quat) < np.inf:
-            raise document.error(f"the rotation of {node.place} is not a quaternion")
-        rotation = rotation_matrices(torch.from_numpy(quat)[None])[0].numpy()
-        matrix[:3, :3] = rotation * numbers("scale", 1.0, 1.0, 1.0)
-    matrix[:3, 3] = numbers("translation", 0.0, 0.0, 0.0)
-    return matrix
-
-
-def _similarity(document: GltfDocument, matrix: np.ndarray, place: str) -> _Similarity | None:
-    if (matrix == np.eye(4)).all():
-        return None  # values are kept, bit by bit
-    largest = float(np.abs(matrix[:3, :3]).max())
-    left, sizes, right = np.linalg.svd(matrix[:3, :3] / (largest or 1.0))
-    if sizes[0] >= sizes[2] * (1 + _UNIFORM):  # so are all zeros
-        raise document.error(f"{place} stretches, shears or flattens its Gaussians", _APPLY)
-    rotation = left @ right
-    if np.linalg.det(rotation) < 0:
-        raise document.error(f"{place} mirrors its Gaussians", _APPLY)
-    return _Similarity(float(sizes.mean()) * largest, rotation, matrix[:3, 3])
+    matrix = numbers("matrix", *np.eye(4).ravel()).reshape(4, 4).T
+    turn, scale = numbers("rotation", 0.0, 0.0, 0.0, 1.0), numbers("scale", 1.0, 1.0, 1.0)
+    translation = matrix[:3, 3] + numbers("translation", 0.0, 0.0, 0.0)
+    matrix[:3, 3] = 0.0
+    plain = (matrix == np.eye(4)).all() and (turn == [0, 0, 0, 1]).all() and (scale == 1).all()
+    return translation if plain else None
 
 
 # ---- the Gaussians of one primitive, in its own frame
