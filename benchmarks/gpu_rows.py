@@ -19,7 +19,7 @@ from torch import Tensor
 
 import scoup
 from scoup import raster
-from scoup.field.relevancy import PixelCosines, further_relevancy, relevancy
+from scoup.field.relevancy import relevancy
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.language_field import LanguageField
 from scoup.raster import ViewSums
@@ -178,7 +178,6 @@ def build_scene(n_gaussians: int, views: int, width: int, height: int, device: s
 QUERIES = (
     "relevancy maps, new camera",
     "relevancy maps, known camera",
-    "relevancy maps, known camera, launched one by one",
     "a text over things, after its vector",
 )
 
@@ -188,7 +187,6 @@ def query_row(field: LanguageField, name: str, device: str, repeats: int) -> Row
     vectors, phrases = clip_like(16, seed=1).to(device), clip_like(len(CANONICAL_PHRASES), seed=2).to(device)
     view = field.at(1)
     view.relevancy(vectors[:1], phrases)
-    known: PixelCosines = view.cache.get(PixelCosines, field.parts())
     words = [*CANONICAL_PHRASES, *EVERYDAY_WORDS]
     field = field.with_encoder(dict(zip(words, clip_like(len(words), seed=3), strict=True)))
     asked = [field.question(word) for word in EVERYDAY_WORDS[:16]]
@@ -196,10 +194,7 @@ def query_row(field: LanguageField, name: str, device: str, repeats: int) -> Row
     runs: dict[str, Callable[[], object]] = {
         QUERIES[0]: lambda: field.at(2).relevancy(vectors[:1], phrases),
         QUERIES[1]: lambda: view.relevancy(vectors[next(turn) % 16][None], phrases),
-        QUERIES[2]: lambda: further_relevancy(
-            view.projection, field.codes, known, vectors[next(turn) % 16][None]
-        ),
-        QUERIES[3]: lambda: field.answer(asked[next(turn) % 16]),
+        QUERIES[2]: lambda: field.answer(asked[next(turn) % 16]),
     }
     return time_tasks({name: Task(runs[name], None, repeats)}, device)[name].to_dict()
 

@@ -10,7 +10,6 @@ namespace nb = nanobind;
 namespace scoup {
 void bind_code_sums(nb::module_& m);
 void bind_coder(nb::module_& m);
-void bind_mask_parts(nb::module_& m);
 void bind_neighbours(nb::module_& m);
 void bind_raster(nb::module_& m);
 void bind_sums(nb::module_& m);
@@ -26,7 +25,6 @@ NB_MODULE(_native, m) {
     m.def("release_memory", &scoup::release_kept, "Give back the memory that is kept for the arrays of the next view, and what else is free.");
     scoup::bind_code_sums(m);
     scoup::bind_coder(m);
-    scoup::bind_mask_parts(m);
     scoup::bind_neighbours(m);
     scoup::bind_raster(m);
     scoup::bind_sums(m);

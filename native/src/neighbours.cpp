@@ -1,11 +1,11 @@
 #include "neighbours.h"
 
 #include <algorithm>
+#include <numeric>
 #include <stdexcept>
 
 #include "buffer.h"
 #include "neighbour_kernels.h"
-#include "unions.h"
 
 namespace scoup {
 namespace {
@@ -97,13 +97,24 @@ void nearest_points(const double* points, int64_t n, int64_t count, int64_t* num
 }
 
 void linked_parts(const int64_t* numbers, const double* lengths, int64_t n, int64_t count, double longest, int64_t* parts) {
-    Unions<int64_t> points(n);
+    Buffer<int64_t> buffer(n);
+    int64_t* parents = buffer.data();  // the lowest point of a part stands for it
+    std::iota(parents, parents + n, int64_t(0));
+    const auto first_of = [&](int64_t point) {
+        while (parents[point] != point) point = parents[point] = parents[parents[point]];
+        return point;
+    };
     for (int64_t i = 0; i < n * count; ++i) {
         if (!(lengths[i] <= longest)) continue;
         if (numbers[i] < 0 || numbers[i] >= n) throw std::invalid_argument("a link leads to no point");
-        points.join(i / count, numbers[i]);
+        const int64_t one = first_of(i / count), other = first_of(numbers[i]);
+        parents[std::max(one, other)] = std::min(one, other);
     }
-    points.number(parts);
+    int64_t found = 0;
+    for (int64_t i = 0; i < n; ++i) {
+        const int64_t first = first_of(i);
+        parts[i] = first == i ? found++ : parts[first];
+    }
 }
 
 }  // namespace scoup

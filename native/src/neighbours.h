@@ -1,4 +1,4 @@
-// Nearest neighbours of points, and the parts that are linked by them: what scoup/query/neighbours.py says.
+// Nearest neighbours of points, and the parts that are linked by them: what scoup/scene/neighbours.py says.
 #pragma once
 
 #include <cstdint>

@@ -9,7 +9,6 @@
 
 #include "fuzz_code_sums.h"
 #include "fuzz_coder.h"
-#include "fuzz_mask_parts.h"
 #include "fuzz_neighbours.h"
 #include "fuzz_raster.h"
 #include "fuzz_selection.h"
@@ -36,7 +35,6 @@ const Part kParts[] = {
     {with_threads<scoup::fuzz_code_sums>, 1},
     {with_threads<scoup::fuzz_neighbours>, 1},
     {with_threads<scoup::fuzz_selection>, 1},
-    {scoup::fuzz_mask_parts, 1},
 };
 
 }  // namespace

@@ -15,7 +15,7 @@ from children import finished
 from cli_support import run
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.file_names import slug, unique_slugs
-from scoup.base.html import shown
+from scoup.base.html import html
 from scoup.cli.console import Console, run_verb
 from scoup.cli.options import Common
 
@@ -135,7 +135,7 @@ def test_control_characters_out_of_files_are_escaped(capsys) -> None:
     """They could move the cursor, or hide what a terminal shows."""
     hostile = "a\x1b[2Jb\x07\x9bc\rd\x7f\u202e"
     escaped = r"a\x1b[2Jb\x07\x9bc\x0dd\x7f\u202e"
-    assert shown(hostile) == escaped  # in pages, too
+    assert html("{{ text }}", text=hostile) == escaped  # in pages, too
 
     def speak(console: Console) -> None:
         console.say(f"{hostile}\tone\ntwo: é 水")

@@ -7,10 +7,9 @@ import sys
 import pytest
 
 from children import finished
-from raster.parity import needs_native
 
 pytestmark = pytest.mark.usefixtures("here")
-HEAVY = ("torch", "scipy", "PIL", "transformers", "triton")
+HEAVY = ("torch", "scipy", "PIL", "transformers", "triton", "jinja2")
 CODE = f"""
 import sys
 from scoup.cli.app import run
@@ -28,8 +27,3 @@ def imported(*commands: str) -> list[str]:
 def test_help_and_the_facts_of_a_field_need_nothing_heavy() -> None:
     commands = ("--help", "--version", "info --help", "info f.scoup")
     assert imported(*commands) == [f"{command} []" for command in commands]
-
-
-@needs_native
-def test_a_query_needs_no_scipy() -> None:
-    assert "scipy" not in imported("query f.scoup kettle")[-1]

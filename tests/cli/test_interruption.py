@@ -164,7 +164,7 @@ def test_where_nothing_is_kept_nothing_is_left(verb, inside: str, monkeypatch: p
     monkeypatch.setattr(inside, interrupt)
     code, _, err = run(*verb)
     assert (code, err) == (130, "error: interrupted; nothing was written\n")
-    assert not Path("new").exists()
+    assert not list(Path("new").rglob("*"))
     assert {path: path.stat().st_mtime_ns for path in Path().rglob("*") if path.is_file()} == before
 
 

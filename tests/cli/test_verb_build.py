@@ -191,6 +191,7 @@ def test_regions_are_made_and_resumed():
     pytest.importorskip("skimage")
     made = Path("scene/language_features")
     shutil.rmtree(made)
+    made.mkdir()  # as of a run that failed early
     code, out, err = run("build", "scene", *FREE, *QUICK, "--out", "a.scoup")
     assert code == 0, err
     assert "s in all; look at it: scoup view a.scoup, or scoup render a.scoup --what codes" in out

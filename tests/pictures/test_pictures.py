@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from PIL import ImageDraw, ImageFont
+from PIL import ImageDraw
 
 from scoup.base.errors import InputError
 from scoup.pictures import (
@@ -25,7 +25,7 @@ from scoup.pictures import (
     swatch_legend,
 )
 from scoup.pictures.legends import scale_ends
-from scoup.pictures.lettering import INK, PAPER, lines_of, text_width, writable
+from scoup.pictures.lettering import INK, PAPER, lines_of, text_width
 from scoup.pictures.overlays import eroded
 from scoup.pictures.region_sheet import numbered
 
@@ -217,26 +217,16 @@ def test_text_is_broken_between_words():
     assert lines_of("word " * 99, 120, 12)[0][-1].endswith("...")
 
 
-def test_letters_without_a_font_are_spelt(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("scoup.pictures.lettering.font", lambda size, file="": _own_font(size, file))
-    writable.cache_clear()
-    assert writable("Größe 茶") == ("Gro\\xdfe \\u8336", "")
-    assert writable("plain") == ("plain", "")
-    writable.cache_clear()
+@pytest.mark.parametrize("text", ["茶壶", "чайник", "\U0001f600", "\ud800", "\u202e", "한국"])
+def test_letters_without_a_glyph_are_boxes(text: str):
+    lines, face = lines_of(text, 500, 18)
+    assert text_width(lines[0], face) > 0
+    ground = np.zeros((10, 240, 3), np.uint8)
+    assert (captioned(ground, text)[:-10] != captioned(ground, "")[:-10]).any()
 
 
-def _own_font(size: float, file: str) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    if file:
-        raise OSError
-    return ImageFont.load_default(size)
-
-
-def test_a_font_of_the_system_has_other_letters():
-    try:
-        ImageFont.truetype("DejaVuSans.ttf", 12)
-    except OSError:
-        pytest.skip("the font is not installed")
-    assert writable("Töpfe, чайник") == ("Töpfe, чайник", "DejaVuSans.ttf")
+def test_letters_lose_their_accents():
+    assert lines_of("Töpfe, café", 500, 18)[0] == ["Topfe, cafe"]
 
 
 @pytest.mark.parametrize("width", [120, 240, 960])

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from raster.parity import needs_native
 from scoup.query.view_answer import (
     LEAST_SHARE,
     main_parts,
     mask_box,
-    mask_parts,
     most_relevant_pixel,
-    plain_mask_parts,
 )
 from support import examples
 
@@ -97,14 +93,3 @@ def test_of_a_plateau_the_middle_is_the_point() -> None:
     mask = torch.zeros(40, 60, dtype=torch.bool)
     mask[5:36, 10:51] = True
     assert most_relevant_pixel(torch.full((40, 60), 0.7), mask) == (30, 20)
-
-
-@needs_native
-@settings(max_examples=examples(60))
-@given(st.integers(0, 40), st.integers(0, 40), st.floats(0, 1), st.integers(0, 2**31))
-def test_parts_of_a_mask_are_those_of_scipy(height: int, width: int, share: float, seed: int) -> None:
-    mask = np.random.default_rng(seed).random((height, width)) < share
-    parts, count = mask_parts(mask)
-    expected, expected_count = plain_mask_parts(mask)
-    assert count == expected_count
-    np.testing.assert_array_equal(parts, expected)

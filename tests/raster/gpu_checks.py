@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import (
@@ -26,7 +25,6 @@ from raster.parity import (
     sure_pixels,
 )
 from scoup import raster
-from scoup.field.relevancy import FieldCodes, further_relevancy, pixel_relevancy
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, make_camera, random_gaussians, random_labels, small_scene
@@ -226,43 +224,6 @@ def check_build(rounds: int, device: str) -> None:
     assert float(close.float().mean()) > 0.95
 
 
-class NoWaiting(TorchDispatchMode):
-    """Refuses what makes the CPU wait for a GPU, which a CUDA graph cannot record."""
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        name = func.overloadpacket._qualified_op_name.removeprefix("aten::")
-        assert name not in ("_local_scalar_dense", "nonzero", "equal", "is_nonzero", "masked_select"), name
-        return func(*args, **(kwargs or {}))
-
-
-def check_further_queries(device: str) -> None:
-    """Queries to a known view agree with fresh ones; a GPU repeats a graph, with the bytes of single launches. An
-    index beyond the codebook contributes nothing."""
-    gaussians, camera = scene_of("mixed", 5, device == "cpu")
-    projection, reference = projections_of(gaussians, camera, "inria", device)
-    indices, weights, codebook, queries = random_codes(len(gaussians), 2, 3, 7, 5)
-    here = FieldCodes(indices, weights.half(), codebook)
-    beyond = indices.clone()
-    beyond[::5, :, -1] = 7
-    missing = torch.where(beyond == 7, 0, weights).half()
-    there = FieldCodes(beyond.to(device), weights.half().to(device), codebook.to(device))
-    sure, known = sure_pixels(gaussians, camera), None
-    for number in (0, 1, 2, 3):
-        canonical, asked = queries[-1 - number // 3 :], queries[number : number + 1]
-        maps, known = pixel_relevancy(projection, there, asked.to(device), canonical.to(device), known)
-        with NoWaiting():
-            single = further_relevancy(projection, there, known, asked.to(device))
-        if known.one_query is not None:
-            assert maps.equal(single)
-        expected, _ = pixel_relevancy(
-            reference, FieldCodes(here.indices, missing, codebook), asked, canonical, None
-        )
-        for found in (maps, single):
-            assert_close(found.cpu().movedim((2, 3), (0, 1)), expected.movedim((2, 3), (0, 1)), 50.0, sure)
-    assert (known.one_query is not None) == (device != "cpu")
-
-
 SMALL_CHECKS = (
     check_kinds_of_labels, check_few_sums_at_a_time, check_nothing_painted, check_split, check_repeated_atoms,
-    check_further_queries,
 )  # fmt: skip

@@ -11,10 +11,18 @@ import torch
 
 from scoup.archive.archive import FoundThing
 from scoup.base.errors import ScoupError, ScoupWarning
-from scoup.base.html import data_address, page, shown
+from scoup.base.html import data_address, html
 from scoup.field.container import relative_place
 from scoup.query.catalog_files import draw_things
 from scoup.query.things import things_of_table
+
+_FOUND = """{% extends "page" %}{% block body %}<ul>
+{% for thing, picture, link in found %}
+<li>{% if picture %}<img alt="" src="{{ picture }}">{% endif %}<b>{{ thing.text }}</b> <small>
+{{- "" if thing.score is none else "%.2f" % thing.score }}<br>
+{%- if link %}<a href="{{ link }}">{% endif %}{{ thing.describe() }}{% if link %}</a>{% endif %}
+{%- for name, value in thing.columns.items() %}<br>{{ name }} = {{ value }}{% endfor %}</small></li>
+{% endfor %}</ul>{% endblock %}"""
 
 
 def results_page(title: str, found: Sequence[FoundThing], place: Path) -> str:
@@ -32,8 +40,8 @@ def results_page(title: str, found: Sequence[FoundThing], place: Path) -> str:
         for scan in dict.fromkeys(each.scan for each in found)
         for number, picture in _pictures([each for each in found if each.scan == scan])
     }
-    cards = (_card(each, pictures.get((each.scan, each.thing), ""), place) for each in found)
-    return page(title, "<ul>\n" + "\n".join(cards) + "\n</ul>")
+    things = [(each, pictures.get((each.scan, each.thing)), _link(each, place)) for each in found]
+    return html(_FOUND, title=title, found=things)
 
 
 def _pictures(found: Sequence[FoundThing]) -> Iterator[tuple[int, str]]:
@@ -55,12 +63,7 @@ def _pictures(found: Sequence[FoundThing]) -> Iterator[tuple[int, str]]:
         warnings.warn(f"no pictures of the scan {found[0].scan}: {error}", ScoupWarning, stacklevel=3)
 
 
-def _card(thing: FoundThing, picture: str, place: Path) -> str:
-    image = f'<img alt="" src="{picture}">' if picture else ""
-    where, exported = shown(thing.describe()), thing.field_path.with_suffix(".html")
-    if exported.is_file():
-        link = quote(relative_place(place, exported) or "")
-        where = f'<a href="{link}#thing={thing.thing}">{where}</a>'
-    score = "" if thing.score is None else f"{thing.score:.2f}"
-    own = "".join(f"<br>{shown(f'{name} = {value}')}" for name, value in thing.columns.items())
-    return f"<li>{image}<b>{shown(thing.text)}</b> <small>{score}<br>{where}{own}</small></li>"
+def _link(thing: FoundThing, place: Path) -> str:
+    """Return the address of a thing in its scan's page; "" without one."""
+    exported = thing.field_path.with_suffix(".html")
+    return f"{quote(relative_place(place, exported) or '')}#thing={thing.thing}" if exported.is_file() else ""

@@ -39,23 +39,15 @@ def check_output(path: str | Path, overwrite: bool = False) -> Path:
     return path
 
 
-@contextmanager
-def folder_made(folder: Path, output: Path) -> Iterator[None]:
-    """Make the folder of an output, with its parents; after an error those that were missing are removed again."""
+def make_folder(folder: Path, output: Path) -> None:
+    """Make the folder of an output, with its parents."""
     missing = [place for place in (folder, *folder.parents) if not os.path.exists(place)]
     try:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise WriteError.of(output, error) from error
-        for place in missing:
-            flush_names(place.parent)
-        yield
-    except BaseException:
-        for place in missing:
-            with suppress(OSError):  # others may have written there
-                place.rmdir()
-        raise
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError.of(output, error) from error
+    for place in missing:
+        flush_names(place.parent)
 
 
 @contextmanager
@@ -124,7 +116,8 @@ def reserved_part(folder: Path, part: Part) -> Iterator[None]:
     if folder.is_file():
         raise InputError(f"{folder}: is a file, not a folder; choose another output")
     check_output(folder / f"part-{part}", overwrite=True)
-    with folder_made(folder, folder), locked(folder / f"part-{part}"):
+    make_folder(folder, folder)
+    with locked(folder / f"part-{part}"):
         yield
 
 
@@ -137,7 +130,8 @@ def temporary_output(
     What is there is removed before and after the block. ``kind`` and ``lock`` are the endings of the two hidden names.
     """
     temporary = path.with_name(hidden_name(path.name, kind))
-    with folder_made(path.parent, path), locked(path, wait, lock):
+    make_folder(path.parent, path)
+    with locked(path, wait, lock):
         check_output(path, overwrite)  # another process may have written it meanwhile
         remove(temporary)
         try:

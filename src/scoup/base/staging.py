@@ -11,7 +11,7 @@ from scoup.base.atomic import (
     check_output,
     flush_names,
     flush_to_disk,
-    folder_made,
+    make_folder,
     refusals_named,
     temporary_output,
 )
@@ -57,7 +57,7 @@ def _move(hidden: Path, folder: Path, files: Sequence[str], overwrite: bool) -> 
     for file in files:
         flush_to_disk(hidden / file)
     for file in files:
-        with folder_made((folder / file).parent, folder / file):
-            os.replace(hidden / file, folder / file)
+        make_folder((folder / file).parent, folder / file)
+        os.replace(hidden / file, folder / file)
     for parent in {(folder / file).parent for file in files}:
         flush_names(parent)

@@ -21,7 +21,7 @@ import tyro
 from scoup.base.atomic import reserved_output, write_text
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, MissingFileError, ScoupError
-from scoup.base.html import page, shown
+from scoup.base.html import html
 from scoup.cli.build_options import BuildOptions
 from scoup.cli.console import Console, command, with_options
 from scoup.cli.options import Model, OptionalPath, OptionalText, OptionGroups, arg, check_number
@@ -29,6 +29,11 @@ from scoup.cli.options import Model, OptionalPath, OptionalText, OptionGroups, a
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
 ANSWERS_WITHIN = 5.0  # seconds, or a cluster is not there
+_SCANS = """{% extends "page" %}{% block body %}<table><tr><th>scan<th>field<th>seconds<th>
+{% for name, scan in scans.items() %}
+<tr><td>{{ name }}<td>{{ "failed" if scan.error is defined else "done" }}<td>{{ scan.seconds | default("was there") }}
+<td>{{ scan.error | default(scan.warnings | default([]) | join(" ")) }}
+{% endfor %}</table>{% endblock %}"""
 Commands: TypeAlias = "Mapping[str, Sequence[str]]"
 """Name of a scan -> arguments of scoup."""
 Ended: TypeAlias = "tuple[int, str, float]"
@@ -148,7 +153,7 @@ class Batch(BuildOptions):
     def _write(self, records: dict[str, dict[str, Any]]) -> None:
         ordered = dict(sorted(records.items()))
         write_text(self.out / REPORT, json.dumps({"scans": ordered}, indent=1) + "\n", overwrite=True)
-        write_text(self.out / PAGE, _page(ordered), overwrite=True)
+        write_text(self.out / PAGE, html(_SCANS, title="Scans", scans=ordered), overwrite=True)
 
 
 def _in_processes(commands: Commands, jobs: int) -> Iterator[tuple[str, Ended]]:
@@ -223,15 +228,6 @@ def _run_here(folder: str, command: Sequence[str]) -> Ended:
     with redirect_stdout(text), redirect_stderr(io.StringIO()):
         code = run([*command])
     return code, text.getvalue(), time.perf_counter() - begun
-
-
-def _page(records: Mapping[str, Mapping[str, Any]]) -> str:
-    rows = [
-        f"<tr><td>{shown(name)}<td>{'failed' if 'error' in of else 'done'}<td>{of.get('seconds', 'was there')}"
-        f"<td>{shown(of.get('error') or ' '.join(of.get('warnings', [])))}"
-        for name, of in records.items()
-    ]
-    return page("Scans", f"<table><tr><th>scan<th>field<th>seconds<th>{''.join(rows)}</table>")
 
 
 def _time(file: Path) -> int:

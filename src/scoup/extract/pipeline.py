@@ -111,7 +111,9 @@ def extract(  # noqa: PLR0913  the public face: each keyword is one choice of th
 
 def lacks_views(folder: Path, scene: Path, images: Path | None, embedder: str) -> bool:
     """Return whether a folder of region features is what an interrupted extraction with this embedder left of a
-    scene."""
+    scene, or is empty."""
+    if not any(folder.iterdir()):
+        return True
     manifest = read_manifest(folder)
     if manifest is None or manifest.embedding_model != embedder:
         return False

@@ -7,22 +7,18 @@ and level, or a render of one channel per level: each Gaussian's own product W A
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.cuda_graph import graphed
 from scoup.base.errors import InputError
 from scoup.scene.code_sums import (
     atom_products,
     best_code_cosines,
     code_relevancy,
     code_scores,
-    gathered_code_scores,
     inverse_code_norms,
 )
 
@@ -122,12 +118,10 @@ class PixelCosines:
     inverse_norms: Tensor  # [H, W, S], 0 without a code
     canonical: Tensor  # [P, D], the phrases of the last query
     best: Tensor  # [H, W, S], their largest cosine
-    # On a GPU: the maps [S, 1, H, W] of one query [1, D] beside these phrases, as a CUDA graph.
-    one_query: Callable[[Tensor], Tensor] | None = None
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all tensors, without what a CUDA graph keeps: some 80 bytes per Gaussian."""
+        """Bytes of all tensors."""
         return self.inverse_norms.nbytes + self.canonical.nbytes + self.best.nbytes
 
 
@@ -145,31 +139,12 @@ def pixel_relevancy(
     if known is None or len(vectors) * len(codes.codebook) > MOST_CHANNELS:
         maps, found = _rendered_in_full(projection, codes, queries, canonical)
         return maps, known if known is not None and same_phrases else found
+    cosines = _channel_cosines(projection, codes, vectors, known.inverse_norms)
     if not same_phrases:
-        cosines = _channel_cosines(projection, codes, vectors, known.inverse_norms)
-        of_queries, others = cosines[..., : len(queries)], cosines[..., len(queries) :]
+        cosines, others = cosines[..., : len(queries)], cosines[..., len(queries) :]
         known = PixelCosines(known.inverse_norms, canonical.clone(), others.amax(-1))
-        return _maps(of_queries, known.best), known
-    if projection.backend == "triton" and queries.is_cuda and len(queries) == 1:
-        one_query = known.one_query
-        if one_query is None:
-            one_query = graphed(partial(further_relevancy, projection, codes, known), queries)
-            known = replace(known, one_query=one_query)
-        return one_query(queries), known
-    return further_relevancy(projection, codes, known, queries), known
-
-
-def further_relevancy(
-    projection: raster.Projection, codes: FieldCodes, known: PixelCosines, queries: Tensor
-) -> Tensor:
-    """Return the relevancy [S, Q, H, W] of further queries beside known phrases. A GPU is not waited for."""
-    return _maps(_channel_cosines(projection, codes, queries, known.inverse_norms), known.best)
-
-
-def _maps(cosines: Tensor, best: Tensor) -> Tensor:
-    """[S, Q, H, W] relevancy of cosines [H, W, S, Q], which are overwritten."""
-    maps = cosines.sub_(best[..., None]).mul_(TEMPERATURE).sigmoid_()
-    return maps.permute(2, 3, 0, 1).contiguous()
+    maps = cosines.sub_(known.best[..., None]).mul_(TEMPERATURE).sigmoid_()
+    return maps.permute(2, 3, 0, 1).contiguous(), known
 
 
 def _rendered_in_full(
@@ -196,7 +171,6 @@ def _channel_cosines(
     They differ from those of ``raster.render_cosines`` only by rounding: sums over Gaussians and atoms have another
     order.
     """
-    of_codes = gathered_code_scores if projection.backend == "triton" else code_scores
-    values = of_codes(codes.indices, codes.weights, codes.atom_scores(vectors))  # [N, S, Q]
+    values = code_scores(codes.indices, codes.weights, codes.atom_scores(vectors))  # [N, S, Q]
     image = raster.render_values(projection, values.flatten(1))
     return image.view(projection.height, projection.width, *values.shape[1:]).mul_(inverse_norms[..., None])

@@ -1,4 +1,7 @@
-"""Text on pictures, always inside them, in letters that the fonts at hand have."""
+"""Text on pictures, always inside them, in the font that comes with Pillow.
+
+It has hardly more than ASCII. Accents are dropped, and a box is drawn for each other letter that it lacks.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +19,11 @@ MOST_LINES = 3  # of a text; what is longer ends in dots
 
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
-# Pillow's own font needs no file, but has hardly more than ASCII. These are sought, in this order, for what it lacks.
-_FONT_FILES = (
-    "DejaVuSans.ttf", "NotoSans-Regular.ttf", "NotoSansCJK-Regular.ttc", "wqy-zenhei.ttc", "arial.ttf", "msgothic.ttc",
-    "msyh.ttc", "malgun.ttf", "Arial Unicode.ttf",
-)  # fmt: skip
-
 
 @lru_cache(256)
-def font(size: float, file: str = "") -> Font:
-    """Return a font: Pillow's own without a file."""
-    return ImageFont.truetype(file, size) if file else ImageFont.load_default(size=size)
+def font(size: float) -> Font:
+    """Return Pillow's own font."""
+    return ImageFont.load_default(size)
 
 
 def text_width(text: str, face: Font) -> int:
@@ -37,8 +34,7 @@ def text_width(text: str, face: Font) -> int:
 def lines_of(text: str, width: int, size: float, most: int = MOST_LINES) -> tuple[list[str], Font]:
     """Return the text in at most ``most`` lines of ``width`` pixels, broken between words where it can be, and its
     font."""
-    text, file = writable(text)
-    face = font(size, file)
+    text, face = writable(text), font(size)
     lines: list[str] = []
     while text and len(lines) < most - 1:
         line = _beginning(text, width, face)
@@ -66,41 +62,10 @@ def _shortened(text: str, width: int, face: Font) -> str:
     return text.rstrip() + "..." if text else ""
 
 
-@lru_cache(256)
-def writable(text: str) -> tuple[str, str]:
-    """Return the text as it can be written, in one line, and the file of the font that has most of its letters.
-
-    Letters that it has not are written without their accents, or by number, such as \\u8336.
-    """
-    text = " ".join(text.split())
-    # The first of the best: Pillow's own font for all that it has.
-    missing, file = min(
-        ((_missing(text, file), file) for file in ("", *_FONT_FILES)), key=lambda found: len(found[0])
-    )
-    return "".join(_spelt(char, file) if char in missing else char for char in text), file
-
-
-def _spelt(char: str, file: str) -> str:
-    plain = "".join(each for each in unicodedata.normalize("NFKD", char) if not unicodedata.combining(each))
-    return char.encode("ascii", "backslashreplace").decode() if _missing(plain, file) or not plain else plain
-
-
-def _missing(text: str, file: str) -> set[str]:
-    """Return the letters that a font draws as a missing glyph; all if there is no such font."""
-    letters = {char for char in text if not char.isspace()}
-    if not file and text.isascii():
-        return set()
-    try:
-        face = font(16, file)
-    except OSError:
-        return letters
-    nothing = _drawn("\U0010ffff", face)
-    return {char for char in letters if _drawn(char, face) == nothing}
-
-
-def _drawn(char: str, face: Font) -> tuple[tuple[int, int], bytes]:
-    mask = face.getmask(char)
-    return mask.size, np.asarray(mask).tobytes()
+def writable(text: str) -> str:
+    """Return the text in one line, without accents."""
+    letters = unicodedata.normalize("NFD", " ".join(text.split()))
+    return "".join(letter for letter in letters if not unicodedata.combining(letter))
 
 
 def strip_height(width: int) -> int:
@@ -112,7 +77,7 @@ def fits_one_line(width: int, text: str, right: str = "") -> bool:
     """Return whether both texts of a ``caption`` fit beside each other."""
     height = strip_height(width)
     margin, size = max(3, height // 4), height * 0.6
-    texts = [_line(text, size), _line(right, size * 0.85)]
+    texts = [text_width(writable(text), font(size)), text_width(writable(right), font(size * 0.85))]
     return sum(texts) + (4 if all(texts) else 2) * margin <= width
 
 
@@ -137,12 +102,6 @@ def caption(width: int, text: str, right: str = "", one_line: bool | None = None
         _write(canvas, (margin, y), lines, face, ink, "lm", step)
         y += step * len(lines)
     return np.asarray(canvas)
-
-
-def _line(text: str, size: float) -> int:
-    """Return the pixels that the whole text takes in one line."""
-    text, file = writable(text)
-    return text_width(text, font(size, file))
 
 
 def _write(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from PIL import Image
 
 from scoup.base.atomic import write_text
 from scoup.base.errors import InputError
-from scoup.base.html import page, shown
+from scoup.base.html import html
 from scoup.base.progress import Progress, no_progress
 from scoup.field import Field
 from scoup.pictures import as_picture, mask_overlay
@@ -163,7 +163,24 @@ def cropped(colors: Picture, window: tuple[slice, slice], mask: torch.Tensor | N
     return np.asarray(picture)
 
 
-_SCRIPT = """const box=document.querySelector("input"),sort=document.querySelector("select");
+_CARDS = """{% extends "page" %}{% block body %}
+<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> <select aria-label="Sort by">
+<option value="score">sort by certainty<option value="name">by name<option value="size">by size</select>
+<output>{{ count }}</output></p>
+{% for heading, cards in sections.items() %}
+{% if loop.last %}<details><summary>{{ heading }}</summary>{% elif heading %}<h2>{{ heading }}</h2>{% endif %}
+<ul{% if pairs %} class="pairs"{% endif %}>
+{% for card in cards %}
+<li data-name="{{ card.thing.text }}" data-size="{{ '%.4g' % card.thing.size }}" data-score="{{ '%.4f' % card.score }}">
+<div>{% for caption, file in card.pictures.items() %}
+<figure><img loading="lazy" alt="" src="{{ file }}"><figcaption>{{ caption }}</figcaption></figure>
+{% endfor %}</div>
+<b>{{ card.thing.text or "unnamed" }}</b>
+<small>{% for fact in card.facts %}{{ fact }}{{ "" if loop.last else "<br>" | safe }}{% endfor %}</small></li>
+{% endfor %}
+</ul>{% if loop.last %}</details>{% endif %}
+{% endfor %}
+<script>const box=document.querySelector("input"),sort=document.querySelector("select");
 const lists=[...document.querySelectorAll("ul")],items=[...document.querySelectorAll("li")];
 box.addEventListener("input",()=>{const wanted=box.value.toLowerCase();let count=0;
 for(const item of items){item.hidden=!item.textContent.toLowerCase().includes(wanted);count+=!item.hidden}
@@ -171,7 +188,16 @@ if(wanted)document.querySelector("details").open=true;
 document.querySelector("output").textContent=`${count} of ${items.length}`});
 sort.addEventListener("change",()=>{for(const list of lists)list.append(...[...list.children].sort((a,b)=>
 sort.value==="name"?(a.dataset.name||"\\uffff").localeCompare(b.dataset.name||"\\uffff"):
-b.dataset[sort.value]-a.dataset[sort.value]))});"""
+b.dataset[sort.value]-a.dataset[sort.value]))});</script>{% endblock %}"""
+
+
+class Card(NamedTuple):
+    """A thing on a page: facts below its name, and files of its pictures by their captions."""
+
+    thing: Thing
+    score: float
+    facts: Sequence[str]
+    pictures: Mapping[str, str]
 
 
 def in_words(sides: Sequence[float], metres_per_unit: float | None) -> str:
@@ -182,47 +208,30 @@ def in_words(sides: Sequence[float], metres_per_unit: float | None) -> str:
     return f"{text} units" if metres_per_unit is None else f"about {text} {unit}"
 
 
-def _card(
-    thing: Thing, names: Sequence[str], related: str, drawn: set[int | None], metres_per_unit: float | None
-) -> str:
-    image = f'<img loading="lazy" alt="" src="{_picture_name(thing)}">' if thing.number in drawn else ""
-    alternatives = f"or {shown(', '.join(names[1:]))}<br>" if names[1:] else ""
-    sure = certainty(thing.score, True) or ""
-    data = f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{thing.score or 0:.4f}"'
-    return (
-        f"<li {data}>{image}<b>{shown(thing.text) or 'unnamed'}</b> <small>{sure}</small><br><small>{alternatives}"
-        f"{in_words(thing.box.extent.tolist(), metres_per_unit)}<br>thing {thing.number}{related}</small></li>"
-    )
-
-
 def _page(catalog: Catalog, drawn: set[int | None], title: str, metres_per_unit: float | None) -> str:
     text_of: dict[int | None, str] = {thing.number: thing.text for thing in catalog.things}
     parts: dict[int | None, set[str]] = {}
     for thing in catalog.things:
         parts.setdefault(thing.parent, set()).add(thing.text)
     objects = frozenset(catalog.objects)
-    cards: tuple[list[str], list[str]] = [], []
+    cards: tuple[list[Card], list[Card]] = [], []
     ordered = sorted(zip(catalog.things, catalog.names, strict=True), key=lambda each: -(each[0].score or 0))
     for thing, names in ordered:
-        inside = parts.get(thing.number, set()) - {"", thing.text}
-        related = f", with {shown(', '.join(sorted(inside)))}" if inside else ""
-        related += (
-            f", in {shown(whole)}" if (whole := text_of.get(thing.parent, "")) not in ("", thing.text) else ""
-        )
-        cards[thing.number not in objects].append(_card(thing, names, related, drawn, metres_per_unit))
-    objects_list, folded = ("<ul>\n" + "\n".join(each) + "\n</ul>" for each in cards)
-    summary = f"Parts, groups and fragments ({len(cards[1])})"
-    return cards_page(f"Things of {title}", f"{len(catalog.things)} things", objects_list, summary, folded)
+        related = [f"thing {thing.number}"]
+        if inside := parts.get(thing.number, set()) - {"", thing.text}:
+            related.append(f"with {', '.join(sorted(inside))}")
+        if (whole := text_of.get(thing.parent, "")) not in ("", thing.text):
+            related.append(f"in {whole}")
+        alternatives = [f"or {', '.join(names[1:])}"] if names[1:] else []
+        size = in_words(thing.box.extent.tolist(), metres_per_unit)
+        facts = [certainty(thing.score, True) or "", *alternatives, size, ", ".join(related)]
+        pictures = {"": _picture_name(thing)} if thing.number in drawn else {}
+        cards[thing.number not in objects].append(Card(thing, thing.score or 0, facts, pictures))
+    sections = {"": cards[0], f"Parts, groups and fragments ({len(cards[1])})": cards[1]}
+    return cards_page(f"Things of {title}", f"{len(catalog.things)} things", sections)
 
 
-def cards_page(heading: str, count: str, lists: str, summary: str, folded: str) -> str:
-    """Return a page of lists of cards, the last folded, with a box that filters them; it loads nothing but its
-    pictures."""
-    return page(
-        heading,
-        '<p><input type="search" placeholder="Filter by name" aria-label="Filter by name"> '
-        '<select aria-label="Sort by"><option value="score">sort by certainty<option value="name">by name'
-        '<option value="size">by size</select> '
-        f"<output>{count}</output></p>\n{lists}\n"
-        f"<details><summary>{summary}</summary>{folded}</details>\n<script>{_SCRIPT}</script>",
-    )
+def cards_page(title: str, count: str, sections: Mapping[str, Sequence[Card]], pairs: bool = False) -> str:
+    """Return a page of lists of cards by heading, the last folded, with a box that filters them; it loads nothing but
+    its pictures. ``pairs`` is of pictures."""
+    return html(_CARDS, title=title, count=count, sections=sections, pairs=pairs)

@@ -11,7 +11,6 @@ from PIL import Image
 
 from scoup.base.atomic import write_text
 from scoup.base.counts import counted
-from scoup.base.html import shown
 from scoup.base.progress import Progress, no_progress
 from scoup.field import Field
 from scoup.pictures import as_picture
@@ -19,6 +18,7 @@ from scoup.pictures.colors import Picture
 from scoup.query.catalog_files import (
     PAGE,
     PICTURES,
+    Card,
     cards_page,
     crop_window,
     cropped,
@@ -55,7 +55,7 @@ def save_comparison(
     record = json.dumps(comparison.to_dict(metres_per_unit), indent=1, allow_nan=False)
     write_text(folder / RECORD, record + "\n")
     (folder / PICTURES).mkdir()
-    cards: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    cards: dict[str, list[Card]] = {kind: [] for kind in KINDS}
     for number, change in enumerate(comparison.changes):
         progress("pictures", number, len(comparison.changes))
         names = {}
@@ -64,20 +64,14 @@ def save_comparison(
             Image.fromarray(picture).save(folder / names[side], quality=85)
         cards[change.kind].append(_card(change, names, comparison.lengths(metres_per_unit)))
     progress("pictures", len(comparison.changes), len(comparison.changes))
-    lists = {kind: "<ul class=pairs>\n" + "\n".join(each) + "\n</ul>" for kind, each in cards.items()}
-    titles = {kind: f"{title} ({len(cards[kind])})" for kind, title in TITLES.items()}
     heading = " and ".join(field.path.name if field.path else "a field" for field in (old, new))
-    content = cards_page(
-        f"Changes between {heading}",
-        counted(len(comparison.changes) - len(cards["unseen"]), "change"),
-        "\n".join(f"<h2>{titles[kind]}</h2>\n{lists[kind]}" for kind in KINDS if kind != "unseen"),
-        titles["unseen"],
-        lists["unseen"],
-    )
+    count = counted(len(comparison.changes) - len(cards["unseen"]), "change")
+    sections = {f"{title} ({len(cards[kind])})": cards[kind] for kind, title in TITLES.items()}
+    content = cards_page(f"Changes between {heading}", count, sections, pairs=True)
     write_text(folder / PAGE, content)
 
 
-def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float | None]) -> str:
+def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float | None]) -> Card:
     there = [
         (side, thing, unit)
         for side, thing, unit in zip(SIDES, (change.old, change.new), lengths, strict=True)
@@ -85,19 +79,12 @@ def _card(change: Change, pictures: Mapping[str, str], lengths: Sequence[float |
     ]
     _, thing, unit = there[-1]
     far = "" if change.distance is None else f" by {in_words([change.distance], lengths[0])}"
-    images = "".join(
-        f'<figure><img loading="lazy" alt="" src="{pictures[side]}"><figcaption>{side}</figcaption></figure>'
-        for side in SIDES
-        if side in pictures
+    facts = (
+        f"{change.kind}{far}, confidence {change.confidence:.2f}",
+        in_words(thing.box.extent.tolist(), unit),
+        ", ".join(f"thing {each.number} of the {side} capture" for side, each, _ in there),
     )
-    data = (
-        f'data-name="{shown(thing.text)}" data-size="{thing.size:.4g}" data-score="{change.confidence:.4f}"'
-    )
-    numbers = ", ".join(f"thing {each.number} of the {side} capture" for side, each, _ in there)
-    return (
-        f"<li {data}><div>{images}</div><b>{shown(thing.text) or 'unnamed'}</b> <small>{change.kind}{far}, confidence "
-        f"{change.confidence:.2f}<br>{in_words(thing.box.extent.tolist(), unit)}<br>{numbers}</small></li>"
-    )
+    return Card(thing, change.confidence, facts, dict(sorted(pictures.items(), reverse=True)))
 
 
 def _pictures(

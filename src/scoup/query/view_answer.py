@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.base.html import card
-from scoup.base.native import native_core
 from scoup.base.records import rounded_vector
 from scoup.field import Field
 from scoup.field.renders import render_depth
@@ -211,14 +210,23 @@ def main_parts(mask: Tensor) -> tuple[Tensor, Tensor]:
     Pixels that touch at a corner are connected. Things are often seen in pieces, with something in front of them, and
     several may answer, so the largest part alone would be too little.
     """
-    if not mask.any():
+    box = mask_box(mask)
+    if box is None:
         return mask, mask
-    parts, count = mask_parts(mask.numpy())
-    areas = np.bincount(parts.ravel(), minlength=count + 1)
+    from scipy import ndimage  # takes a fifth of a second
+
+    window = slice(box[1], box[3]), slice(box[0], box[2])  # most answers fill little of a view
+    inside = mask[window].numpy()
+    labels = np.empty(inside.shape, np.int32)
+    ndimage.label(inside, np.ones((3, 3)), output=labels)  # pyright: ignore[reportArgumentType]
+    areas = np.bincount(labels.ravel())
     areas[0] = 0
     kept = areas >= LEAST_SHARE * areas.max()
     kept[0] = False
-    return torch.from_numpy(kept[parts]), torch.from_numpy(parts == areas.argmax())
+    parts, largest = torch.zeros_like(mask), torch.zeros_like(mask)
+    parts[window] = torch.from_numpy(kept[labels])
+    largest[window] = torch.from_numpy(labels == areas.argmax())
+    return parts, largest
 
 
 def most_relevant_pixel(heat: Tensor, part: Tensor) -> tuple[int, int] | None:
@@ -236,27 +244,6 @@ def most_relevant_pixel(heat: Tensor, part: Tensor) -> tuple[int, int] | None:
     offsets = pixels.double() - pixels.double().mean(0)
     x, y = pixels[int(offsets.square().sum(1).argmin())].tolist()
     return x, y
-
-
-def mask_parts(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
-    """Return the connected part of each pixel of a mask [H, W], 0 outside, and how many parts there are.
-
-    Pixels that touch at a corner are connected. Parts are numbered from 1 by their first pixels, row by row. The
-    compiled core does the work; ``plain_mask_parts`` is its specification.
-    """
-    core = native_core()
-    if core is None:
-        return plain_mask_parts(mask)
-    return core.mask_parts(np.ascontiguousarray(mask).view(np.uint8))
-
-
-def plain_mask_parts(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
-    """``mask_parts`` by scipy, which takes half a second to import."""
-    from scipy import ndimage
-
-    parts = np.empty(mask.shape, np.int32)
-    count = int(ndimage.label(mask, np.ones((3, 3)), output=parts))  # pyright: ignore[reportArgumentType]
-    return parts, count
 
 
 def mask_position(mask: Tensor, depth: Tensor, camera: Camera) -> Tensor | None:

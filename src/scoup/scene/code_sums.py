@@ -33,18 +33,8 @@ def code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
 def plain_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
     """``code_scores`` in torch."""
     check_atoms(indices, scores.shape[1])
-    return gathered_code_scores(indices, weights, scores)
-
-
-def gathered_code_scores(indices: Tensor, weights: Tensor, scores: Tensor) -> Tensor:
-    """``plain_code_scores`` without a look at the indices, which would wait for a GPU: one that is not below L
-    contributes nothing."""
-    n_atoms = scores.shape[1]
-    known = torch.nn.functional.pad(scores, (0, 0, 0, 1))
     levels = [
-        (known[level][indices[:, level].long().clamp(max=n_atoms)] * weights[:, level, :, None].float()).sum(
-            1
-        )
+        (scores[level][indices[:, level].long()] * weights[:, level, :, None].float()).sum(1)
         for level in range(len(scores))
     ]
     return torch.stack(levels, 1)

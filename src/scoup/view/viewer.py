@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import html
 import importlib.util
 import logging
 import socket
@@ -14,6 +13,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from scoup.base.errors import InputError, ScoupError
+from scoup.base.html import html
 from scoup.query.language_field import LanguageField
 from scoup.view.decimation import MOST_GAUSSIANS
 from scoup.view.guard import Guard
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 PORT = 8350
 _START_SECONDS = 30.0
 _NEEDED = ("starlette", "uvicorn")
+_FRAME = """{% if address %}<iframe src="{{ address }}" title="Viewer of {{ name }}" width="100%" height="{{ height }}"
+ style="border:0" allow="clipboard-write; fullscreen"></iframe>
+{%- else %}<p>The viewer of {{ name }} is closed.</p>{% endif %}"""
 
 
 class Viewer:
@@ -136,12 +139,8 @@ class Viewer:
         return f"Viewer({self.viewed.name} at {self.address}{'' if self.is_open else ', closed'})"
 
     def _repr_html_(self) -> str:
-        if not self.is_open:
-            return f"<p>The viewer of {html.escape(self.viewed.name)} is closed.</p>"
-        title = html.escape(f"Viewer of {self.viewed.name}", quote=True)
-        return (
-            f'<iframe src="{html.escape(self.address, quote=True)}" title="{title}" width="100%" '
-            f'height="{self.height}" style="border:0" allow="clipboard-write; fullscreen"></iframe>'
+        return html(
+            _FRAME, name=self.viewed.name, address=self.address if self.is_open else None, height=self.height
         )
 
 
