@@ -78,6 +78,16 @@ def refine(
 
     Raises:
         InputError: the field has no things or no cameras.
+
+    Example:
+        >>> from scoup.scene.names import Detections
+        >>> class Finder:  # finds the first text everywhere; in place of "owlv2"
+        ...     def detect(self, image, texts):
+        ...         box = torch.tensor([[0.0, 0.0, image.shape[1], image.shape[0]]])
+        ...         return Detections(torch.tensor([0]), torch.tensor([0.9]), box, image.shape[1::-1])
+        >>> refined = scoup.refine(field, "kettle", Finder())
+        >>> refined.field.thing_table.names.texts, field.thing_table.names
+        (('kettle',), None)
     """
     started = time.perf_counter()
     words, table = field.question(texts if isinstance(texts, str) else list(texts)).texts, field.thing_table
