@@ -136,12 +136,13 @@ async def _answer(call: Call, scene: RealScene, kind: str, asked: str, truth: An
         found = []
         for name, rest in ((one, other), (other, one)):
             phrase = f"{name} {relation.replace('the other', rest)}"
-            found += [name] if (await call("find", text=phrase, seen_from=truth))["count"] else []
+            found += [name] if _count(await call("find", text=phrase, seen_from=truth)) else []
         return " and ".join(found) or "neither", found == [one]
-    reply = await call("find", text=f"how many {asked}" if kind == "how many" else asked)
+    reply = await call("find", text=asked)
     if kind == "how many":
-        return str(reply["count"]), reply["count"] == truth
-    if not reply["count"]:
+        count = _count(reply)
+        return str(count), count == truth
+    if not _count(reply):
         certainty = reply["texts"][0]["certainty"]
         return certainty, kind == "is there" and certainty == "not here"
     first, place = reply["things"][0], reply["things"][0]["position"]
@@ -153,6 +154,11 @@ async def _answer(call: Call, scene: RealScene, kind: str, asked: str, truth: An
     three = list(dict.fromkeys(each["text"] for each in named))[:3]
     on_it = _labels(scene).difference(truth.split(","))
     return ", ".join(three) or "nothing", len(three) == 3 and on_it.issuperset(three)
+
+
+def _count(reply: Mapping[str, Any]) -> int:
+    """Return how many things a reply of `find` is about."""
+    return len(reply["things"]) + reply["more"]
 
 
 def _labels(scene: RealScene) -> set[str]:

@@ -70,10 +70,10 @@ class Concepts(Study):
             scene, opened = make_scene(name, self.data, SceneSize()), RealScene.open(name, self.data)
             fitted = WAYS["default"].uplift(scene.inputs(), MethodSettings(2))
             assert isinstance(fitted, FittedField)
-            asked = fitted.field
-            asked.attach(scene.gaussians, known=True)
+            fitted.field.attach(scene.gaussians, known=True)
             vectors = (*scene.everyday, *scene.canonical[: len(CANONICAL_PHRASES)])
-            asked = asked.with_encoder(dict(zip((*scene.words, *CANONICAL_PHRASES), vectors, strict=True)))
+            words = dict(zip((*scene.words, *CANONICAL_PHRASES), vectors, strict=True))
+            asked = LanguageField.of(fitted.field, words)
             table, place = asked.thing_table, place_of(name)
             assert table is not None
             if place not in votes:  # both poolings have the same things
@@ -99,9 +99,9 @@ class Concepts(Study):
         figures: Record = {"names": {}}
         tables = {"field": None, "detector alone": on_demand, "on demand": on_demand, "at extraction": names}
         for way, given in tables.items():
-            asked.thing_table = replace(table, names=given)
-            answers = answer_scene(asked, question_of(scene, texts, everyday))
-            drawn = {each.text: DrawnAnswer(each.mask, counting_gaussians(asked, each)) for each in answers}
+            named = asked.changed(scene.gaussians, thing_table=replace(table, names=given))
+            answers = answer_scene(named, question_of(scene, texts, everyday))
+            drawn = {each.text: DrawnAnswer(each.mask, counting_gaussians(named, each)) for each in answers}
             sure = {each.text: each.score or 0.0 for each in answers}
             if way == "detector alone" and given is not None:
                 drawn = {text: voted(asked, table, given, text) for text in labels}
@@ -113,16 +113,16 @@ class Concepts(Study):
                     auc(*(np.array([sure[text] for text in some]) for some in (labels, absent))), 4
                 ),
                 "counts": [
-                    [scene.counts[label], len(found[label].instances)]
+                    [scene.counts[label], len(found[label].things)]
                     for label in labels
                     if scene.counts.get(label, 1) > 1
                 ],
             }
-        asked.thing_table = replace(table, names=names)
+        named = asked.changed(scene.gaussians, thing_table=replace(table, names=names))
         for title, words in {"words of the scene and absent ones": texts, "all words": scene.words}.items():
             vectors = torch.stack([scene.everyday[scene.words.index(word)] for word in words])
             embedded = best_words(table.embeddings.float() @ vectors.T)[:, 0].tolist()
-            given = voted_names(asked, words)
+            given = voted_names(named, words)
             figures["names"][title] = {
                 "things": len(best),
                 "field": sum(words[embedded[thing]] == label for label, thing in best.items()),
@@ -131,7 +131,6 @@ class Concepts(Study):
                     for label, thing in best.items()
                 ),
             }
-        asked.thing_table = table
         return figures
 
     def _on_demand(

@@ -76,7 +76,7 @@ class Query(Study):
         queries, canonical = clip_like(count, seed=1), clip_like(len(CANONICAL_PHRASES) + 1, seed=2)
         asked, batch = EVERYDAY_WORDS[: 2 * count], list(EVERYDAY_WORDS[-10:])
         names = list(dict.fromkeys([*CANONICAL_PHRASES, *EVERYDAY_WORDS]))
-        words = dict(zip(names, clip_like(len(names), seed=3), strict=True))
+        words = scoup.TextEncoder.open(dict(zip(names, clip_like(len(names), seed=3), strict=True)))
         clock = Stopwatch(time.process_time)
         with torch_threads(self.threads):
             for number in range(count):
@@ -84,8 +84,7 @@ class Query(Study):
                 view = clock("project", field.at, camera, 1.0, self.backend)
                 clock("first relevancy", view.relevancy, other, canonical)
                 clock("further relevancy", view.relevancy, query, canonical)
-                fresh = field.with_gaussians(field.gaussians)
-                fresh = fresh.with_encoder(words)
+                fresh = field.with_encoder(words)
                 clock("first location", fresh.location, asked[2 * number])
                 for stage in ("further location", "same location"):
                     clock(stage, fresh.location, asked[2 * number + 1])

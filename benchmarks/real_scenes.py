@@ -98,8 +98,7 @@ class RealScene:
         built = scoup.build(
             self.gaussians(), views or self.cameras, self.regions, embedding_model=self.encoder.name
         )
-        built = built.with_encoder(self.encoder)
-        return built
+        return built.with_encoder(self.encoder)
 
 
 def renamed(frame: LabelledFrame, meanings: dict[str, list[str]]) -> LabelledFrame:

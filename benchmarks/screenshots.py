@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> int:
     if program() is None:
         print("there is no Chromium here; install chromium", file=sys.stderr)
         return 2
-    viewed = ViewedField(scoup.LanguageField.load(options.field).with_encoder(options.table))
+    viewed = ViewedField(scoup.LanguageField.load(options.field, words=options.table))
     options.out.mkdir(parents=True, exist_ok=True)
     with Viewer(viewed, port=0) as viewer, chromium() as browser:
         for name, look in PICTURES.items():

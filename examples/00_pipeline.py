@@ -40,10 +40,11 @@ things = scoup.find_things(sums, embeddings).table
 # 5. The field, as a file.
 info = scoup.FieldInfo(regions.levels, embedder, sums.fingerprint, len(gaussians))
 parts = codes.indices, codes.weights, codebook
-field = scoup.LanguageField(*parts, info, gaussians, cameras=cameras, thing_table=things)
+table = words[0] if words else None
+field = scoup.LanguageField(*parts, info, gaussians, cameras=cameras, thing_table=things, words=table)
 field.save(out, overwrite=True)
 
 # 6. Ask it: once in the scene; a view draws that answer.
-answer = field.answer(field.with_encoder(words[0] if words else None).question(text))
+answer = field.answer(text)
 print(answer)
-print(answer.in_view(cameras[0]))
+print(field.at(cameras[0]).show([answer])[0])

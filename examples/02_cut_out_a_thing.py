@@ -11,8 +11,8 @@ if len(sys.argv) < 6:
     sys.exit(__doc__)
 path, words, thing, out, rest = sys.argv[1:6]
 
-field = scoup.LanguageField.load(path)
-answer = field.answer(field.with_encoder(words).question(thing))
+field = scoup.LanguageField.load(path, words=words)
+answer = field.answer(thing)
 scoup.save_gaussians(field.gaussians.select(answer.mask), out)
 field[~answer.mask].save(rest)
 print(f"{int(answer.mask.sum())} of {len(field)} Gaussians saved to {out}, the others to {rest}")

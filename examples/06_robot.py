@@ -13,12 +13,11 @@ import scoup
 if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, words, thing, metres_per_unit = sys.argv[1:5]
-field = scoup.LanguageField.load(path)
-field = field.with_encoder(words)
+field = scoup.LanguageField.load(path, words=words)
 place = field.location(thing)
 print(f"{thing}: {place.describe(float(metres_per_unit))}")
 
-views = [place.answer.in_view(camera) for camera in field.cameras or ()]
+views = [field.at(camera).show([place.answer])[0] for camera in field.cameras or ()]
 best = max(views, key=lambda view: view.coverage, default=None)
 if place.position is not None and best is not None:
     print(f"visible in {sum(view.visible for view in views)} of {len(views)} views")

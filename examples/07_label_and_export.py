@@ -12,8 +12,8 @@ from scoup.query.label_files import save_label_views, save_labels
 if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, words, out, *names = sys.argv[1:]
-field = scoup.LanguageField.load(path)
-labels = field.label(field.with_encoder(words).question(names))
+field = scoup.LanguageField.load(path, words=words)
+labels = field.label(names)
 print(labels)
 outputs = ("sidecar", "ids", "glb", "clouds", "maps", "sheet")
 save_labels(field, labels, Path(out), outputs)

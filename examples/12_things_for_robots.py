@@ -1,6 +1,6 @@
 """Things of a field as vision_msgs/Detection3DArray in JSON, in metres and in the frame of a map.
 
-    python examples/12_things_for_robots.py FIELD TABLE METRES_PER_UNIT "how many mugs"
+    python examples/12_things_for_robots.py FIELD TABLE METRES_PER_UNIT "mugs"
 
 The axes are those of REP 103: x forward (away from the camera that sees the most), y left, z up; the origin is that of
 the scene. For a map of your own, replace ROTATION and TRANSLATION: map = METRES_PER_UNIT * ROTATION @ scene +
@@ -20,8 +20,7 @@ from scoup.query.things import Thing
 if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, table, metres_per_unit, phrase = sys.argv[1], sys.argv[2], float(sys.argv[3]), sys.argv[4]
-field = scoup.LanguageField.load(path)
-field = field.with_encoder(table)
+field = scoup.LanguageField.load(path, words=table)
 right, up, away = field.frame().axes
 ROTATION = torch.stack([away, -right, up])
 TRANSLATION = torch.zeros(3, dtype=torch.float64)

@@ -1,7 +1,7 @@
 """Things of a field as a recording for the Rerun viewer: boxes with names, cameras, and the splat as points.
 
 pip install "scoup[rerun]"
-python examples/13_things_in_rerun.py FIELD TABLE OUT.rrd "how many mugs"
+python examples/13_things_in_rerun.py FIELD TABLE OUT.rrd "mugs"
 rerun OUT.rrd
 """
 
@@ -16,8 +16,7 @@ from scoup.scene.gaussians import SH_C0
 if len(sys.argv) < 5:
     sys.exit(__doc__)
 path, table, out, phrase = sys.argv[1:5]
-field = scoup.LanguageField.load(path)
-field = field.with_encoder(table)
+field = scoup.LanguageField.load(path, words=table)
 things = field.things(phrase)
 gaussians = field.gaussians
 

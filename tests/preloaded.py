@@ -50,8 +50,7 @@ MODULES = (
     "scoup.uplift.fit",
     "scoup.extract.pipeline",
     "scoup.extract.registry",
-    "scoup.field.language_field",
-    "scoup.query.place",
+    "scoup.query.language_field",
 )
 IF_INSTALLED = ("skimage.segmentation",)
 LENGTH = struct.Struct("<Q")

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from hypothesis import strategies as st
 
+from scoup.field import Field
 from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
@@ -170,8 +171,8 @@ def things_of(
     return ThingTable(owners.int(), levels.to(torch.uint8), embeddings=embeddings.half(), **given)
 
 
-def altered(field: LanguageField, **parts: Any) -> LanguageField:
-    """The field with other parts, without its encoder."""
+def altered(field: Field, **parts: Any) -> LanguageField:
+    """The field with other parts, without its encoder, to be asked."""
     given = {
         "code_indices": field.code_indices, "code_weights": field.code_weights, "codebook": field.codebook,
         "info": field.info, "gaussians": field.gaussians if field.has_geometry else None,

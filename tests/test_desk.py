@@ -130,8 +130,8 @@ def test_every_verb_answers(desk: Path, built: Path, tmp_path: Path) -> None:
 
 def test_the_viewer_answers(desk: Path, built: Path) -> None:
     pytest.importorskip("starlette")
-    field = scoup.LanguageField.load(built)
-    with field.view(encoder=desk / "desk_words.npz") as viewer:
+    field = scoup.LanguageField.load(built, words=desk / "desk_words.npz")
+    with scoup.open_viewer(field) as viewer:
         body = json.dumps({"texts": list(NAMES)}).encode()
         with urllib.request.urlopen(urllib.request.Request(f"{viewer.address}api/query", body)) as answer:
             answers = json.load(answer)["answers"]

@@ -36,8 +36,6 @@ INNER = {
 
 DATA = ("scene", "base")
 """Of the rooms on the ground, the first uses the second."""
-ASKING, ABOVE = "field/language_field.py", {"query", "view"}
-"""The one file whose methods import from rooms above it, and these rooms."""
 
 
 @functools.cache
@@ -81,17 +79,6 @@ def climbs(room: str, source: str, table: dict[str, int], package: str = "scoup"
     ]
 
 
-def called(source: str) -> set[int]:
-    """Lines within methods, and of imports that only a type checker reads."""
-    within: set[int] = set()
-    for node in nodes(source):
-        if isinstance(node, ast.FunctionDef) or (
-            isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        ):
-            within |= set(range(node.body[0].lineno, (node.end_lineno or 0) + 1))
-    return within
-
-
 def sources(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): path.read_text() for path in sorted(folder.rglob("*.py"))}
 
@@ -112,25 +99,9 @@ def test_the_document_lists_the_rooms(package: Path) -> None:
 def test_imports_go_down(package: Path, room: str) -> None:
     table = floors(package.name)
     found = {
-        path: climbs(room, source, table, package.name)
-        for path, source in sources(package / room).items()
-        if f"{room}/{path}" != ASKING
+        path: climbs(room, source, table, package.name) for path, source in sources(package / room).items()
     }
     assert not {path: lines for path, lines in found.items() if lines}
-
-
-def test_methods_of_a_field_ask_the_rooms_above_when_called() -> None:
-    source, table = (PRODUCT / ASKING).read_text(), floors()
-    upwards = [
-        (node.lineno, room)
-        for node in nodes(source)
-        if isinstance(node, ast.Import | ast.ImportFrom)
-        for room in rooms_of(node, "scoup")
-        if room != "field" and table[room] >= table["field"]
-    ]
-    assert {room for _, room in upwards} == ABOVE
-    assert {line for line, _ in upwards} <= called(source)
-    assert not called("from scoup.query.answer import Answer")
 
 
 def test_library_messages_name_no_option_of_the_command_line() -> None:

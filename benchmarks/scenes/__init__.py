@@ -22,8 +22,7 @@ def field_of(scene: DemoScene) -> LanguageField:
     """Return the field of a scene, which its own words encode the texts for."""
     built = build(scene.gaussians, scene.building, scene.regions)
     texts = scene.words.texts
-    built = built.with_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))
-    return built
+    return built.with_encoder(dict(zip(texts, scene.text_vectors(texts), strict=True)))
 
 
 def scene_of(name: str, *size: int) -> DemoScene:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ import torch
 
 from cli_support import printed, refused, run, run_json
 from query.planted_room import planted_room
-from query.test_named import names_of
+from query.test_named import names_of, with_names
 from scoup.models.word_table import save_table
 
 LAMP = 4  # of planted_room.ROOM
@@ -46,9 +45,8 @@ def test_an_object_that_is_gone() -> None:
 
 
 def test_each_capture_answers_by_its_own_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    room, seen = planted_room(), []
-    assert room.thing_table is not None
-    room.thing_table = replace(room.thing_table, names=names_of({"lantern": {LAMP: 0.6}}))
+    seen = []
+    room = with_names(planted_room(), names_of({"lantern": {LAMP: 0.6}}))
     room.save("named.scoup")
     encoder = room.encoder
     names = list(encoder.names or ())

@@ -13,7 +13,7 @@ from torch import Tensor
 from evaluate.study_scenes import study_scene
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.uplift.build import build
+from scoup.query.language_field import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.autoencoder import AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedField, FittedMethod

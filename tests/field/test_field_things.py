@@ -13,6 +13,7 @@ import torch
 from field_files import parts_of
 from planted_wall import SETTINGS, planted_wall
 from scoup.base.errors import InputError
+from scoup.field import Field
 from scoup.query.language_field import LanguageField
 from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
 from scoup.uplift.build import build
@@ -31,12 +32,12 @@ def field() -> LanguageField:
     return with_things(built, replace(things_of(built), owners=owners))
 
 
-def things_of(field: LanguageField) -> ThingTable:
+def things_of(field: Field) -> ThingTable:
     assert field.thing_table is not None
     return field.thing_table
 
 
-def with_things(field: LanguageField, things: ThingTable | None) -> LanguageField:
+def with_things(field: Field, things: ThingTable | None) -> LanguageField:
     return altered(field, thing_table=things)
 
 

@@ -9,16 +9,19 @@ import torch
 from torch import Tensor
 
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.language_field import LanguageField
+from scoup.query.answer import AskedText
+from scoup.query.language_field import LanguageField, build
 from scoup.query.question import Question
 from scoup.scene.cameras import Camera
-from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from support import altered, small_scene, unit
 
 
 def random_vectors(*shape: int, seed: int = 0) -> Tensor:
     return unit(torch.randn(*shape, generator=torch.Generator().manual_seed(seed)))
+
+
+ASKED = AskedText(random_vectors(1, 16), random_vectors(4, 16, seed=1), level=0, present_from=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +54,12 @@ def table() -> dict[str, Tensor]:
 @pytest.fixture
 def field(queried: Queried, table: dict[str, Tensor]) -> LanguageField:
     """A field of one's own, which takes the words of the table."""
-    made = queried.field.with_gaussians(queried.field.gaussians)
-    made = made.with_encoder(table)
-    return made
+    return queried.field.with_gaussians(queried.field.gaussians).with_encoder(table)
 
 
 def without_things(field: LanguageField) -> LanguageField:
     """The same field, answered by the votes of its Gaussians alone."""
-    bare = altered(field, thing_table=None)
-    bare.keep_encoder_of(field)
-    return bare
+    return altered(field, thing_table=None, words=field.words)
 
 
 @pytest.fixture(scope="session")

@@ -88,7 +88,7 @@ def planted_room(
     of_box = torch.tensor([names.index(box.name) for box in every])
     owner = torch.arange(len(every)).repeat_interleave(size)
     things = things_of(owner[:, None], torch.zeros(len(every)), vectors[of_box])
-    field = LanguageField(
+    return LanguageField(
         of_box[owner].to(torch.uint8)[:, None, None],
         torch.ones(len(means), 1, 1),
         vectors[: len(names)][None],
@@ -96,9 +96,8 @@ def planted_room(
         gaussians,
         cameras=Cameras(cameras),
         thing_table=things if has_things else None,
+        words=dict(zip(words, vectors, strict=True)),
     )
-    field = field.with_encoder(dict(zip(words, vectors, strict=True)))
-    return field
 
 
 def with_whole(parts: LanguageField, members: Sequence[int]) -> tuple[LanguageField, int]:
@@ -124,6 +123,6 @@ def with_whole(parts: LanguageField, members: Sequence[int]) -> tuple[LanguageFi
         parts.gaussians,
         cameras=parts.cameras,
         thing_table=table,
+        words=parts.words,
     )
-    field.keep_encoder_of(parts)
     return field, whole

@@ -10,9 +10,9 @@ import pytest
 import torch
 from PIL import Image
 
-from query.conftest import Queried
+from query.conftest import ASKED, Queried
 from scoup.base.errors import InputError
-from scoup.query.answer import Answer, RunnerUp
+from scoup.query.answer import Answer, RunnerUp, answer_relevancy
 from scoup.query.answer_scene import answer_scene
 from scoup.query.view_answer import ViewAnswer
 from scoup.query.votes import select_each
@@ -24,7 +24,7 @@ def test_answers_of_the_votes(voted: Queried, threshold: float | None) -> None:
     found = list(select_each(field, question))
     for each, answer in zip(found, answer_scene(field, question), strict=True):
         assert answer.mask.equal(each.mask)
-        assert answer.relevancy().equal(each.relevancy)
+        assert answer_relevancy(field, answer).equal(each.relevancy)
         assert (answer.level, answer.threshold) == (field.levels[each.level], each.threshold)
         assert (answer.presence, answer.things, answer.runner_up) == (True, (), None)
         record = json.loads(json.dumps(answer.to_dict(), allow_nan=False))
@@ -36,7 +36,7 @@ def test_what_is_absent_has_neither_mask_nor_point(queried: Queried) -> None:
     (answer,) = queried.field.answer(replace(queried.texts, present_from=1.0).one(0))
     assert (answer.presence, answer.certainty, answer.things) == (False, "not here", ())
     assert "not in this scene" in repr(answer)
-    shown = answer.in_view(queried.camera)
+    (shown,) = queried.field.at(queried.camera).show([answer])
     assert not shown.mask.any()
     assert (shown.visible, shown.point, shown.box, shown.coverage, shown.position) == (
         False, None, None, 0.0, None,
@@ -46,11 +46,10 @@ def test_what_is_absent_has_neither_mask_nor_point(queried: Queried) -> None:
 
 def test_records_contain_no_infinity() -> None:
     mask = torch.arange(40) < 12
-    answer = Answer("mug", mask, "s", 0.61234567, True, (3, 1), (3, 4, 5), RunnerUp(2, None))
+    answer = Answer("mug", mask, "s", 0.61234567, ASKED, True, (3, 1), (0.6, 0.5), RunnerUp(2, None))
     assert answer.to_dict() == {
         "gaussians": 12,
         "things": [3, 1],
-        "count": 3,
         "level": "s",
         "score": 0.6123,
         "certainty": "likely",
@@ -78,13 +77,13 @@ def test_records_contain_no_infinity() -> None:
     (0.95, False, "not here"), (0.0, False, "not here"),
 ])  # fmt: skip
 def test_certainty(score: float | None, presence: bool, said: str | None) -> None:
-    assert Answer("mug", torch.ones(1, dtype=torch.bool), "s", score, presence).certainty == said
+    assert Answer("mug", torch.ones(1, dtype=torch.bool), "s", score, ASKED, presence).certainty == said
 
 
 def test_the_crop_follows_the_box() -> None:
     mask = torch.zeros(20, 30, dtype=torch.bool)
     mask[5:9, 10:16] = True
-    answer = Answer("mug", torch.ones(1, dtype=torch.bool), "s", 0.9)
+    answer = Answer("mug", torch.ones(1, dtype=torch.bool), "s", 0.9, ASKED)
     shown = ViewAnswer(answer, "a.png", mask, mask.float(), mask, (10, 5, 16, 9), (12, 6))
     image = torch.arange(600).view(20, 30)
     assert torch.equal(shown.crop(image), image[5:9, 10:16])  # pyright: ignore[reportArgumentType]

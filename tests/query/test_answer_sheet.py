@@ -10,6 +10,7 @@ import torch
 from PIL import ImageDraw
 from scipy import ndimage
 
+from query.conftest import ASKED
 from scoup.pictures.colors import Picture
 from scoup.pictures.lettering import PAPER
 from scoup.query.answer import Answer
@@ -20,7 +21,8 @@ RGB = torch.full((30, 40, 3), 0.5)
 
 
 def answer(heat: float, is_present: bool = True, width: int = 15) -> ViewAnswer:
-    whole = Answer("mug", torch.ones(9, dtype=torch.bool), "m", 0.93 if is_present else 0.2, is_present)
+    score = 0.93 if is_present else 0.2
+    whole = Answer("mug", torch.ones(9, dtype=torch.bool), "m", score, ASKED, is_present)
     mask = torch.zeros(30, 40, dtype=torch.bool)
     mask[10:20, 10 : 10 + width] = is_present
     box = (10, 10, 10 + width, 20) if is_present else None

@@ -18,9 +18,11 @@ from scoup.field.cache import ENTRY_BYTES, Cache
 from scoup.field.relevancy import PixelCosines, pixel_relevancy, relevancy
 from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES
+from scoup.query.answer import answer_relevancy
 from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes, cosines_from_codes
+from support import altered
 
 
 def dense(field: LanguageField, level: int) -> Tensor:
@@ -37,6 +39,10 @@ def literal(field: LanguageField, queries: Tensor, canonical: Tensor) -> Tensor:
     return relevancy(cosines[:, : len(queries)], cosines[:, len(queries) :])
 
 
+def relevancy_of_word(field: LanguageField) -> Tensor:
+    return answer_relevancy(field, field.answer("word 3"))
+
+
 def test_relevancy_of_gaussians_is_that_of_dense_codes(field: LanguageField) -> None:
     for seed in range(3):  # other phrases every time
         queries, canonical = random_vectors(4, 16, seed=seed), random_vectors(3, 16, seed=9 + seed)
@@ -46,14 +52,12 @@ def test_relevancy_of_gaussians_is_that_of_dense_codes(field: LanguageField) -> 
         torch.testing.assert_close(alone, found[:, 1], atol=1e-6 if native_core() is None else 0, rtol=0)
 
 
-def test_codes_that_change_are_noticed(field: LanguageField) -> None:
-    before = field.answer("word 3").relevancy()
+def test_codes_that_are_written_in_place_are_noticed(field: LanguageField) -> None:
+    field = altered(field, code_weights=field.code_weights.clone(), words=field.words)
+    before = relevancy_of_word(field)
     assert field.coded_levels().equal((field.code_weights > 0).any(-1).T)
-    field.code_weights = field.code_weights.flip(0).clone()
-    after = field.answer("word 3").relevancy()
-    assert not before.equal(after)
     field.code_weights[::2] = 0
-    assert not field.answer("word 3").relevancy().equal(after)
+    assert not relevancy_of_word(field).equal(before)
     assert field.coded_levels().equal((field.code_weights > 0).any(-1).T)
     queries, canonical = random_vectors(2, 16), random_vectors(3, 16, seed=1)
     torch.testing.assert_close(
@@ -75,13 +79,20 @@ def test_the_same_text_again_has_an_answer_of_its_own(field: LanguageField) -> N
     either = field.question(["word 3", "word 4"], always=True)
     field.select(either).mask[:] = False
     assert field.select(either).mask.any()
+
+
+def test_fields_of_the_same_tensors_keep_answers_of_their_own(field: LanguageField) -> None:
+    expected, relevancy = field.location("word 3").to_dict(), relevancy_of_word(field)
+    bare = altered(field, thing_table=None, words=field.words)
+    assert bare.location("word 3").answer.threshold is not None
+    other = field.with_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))
+    assert other.code_weights is field.code_weights
+    assert (len(field.cache), len(other.cache)) == (len(field.cache), 0)
+    assert not relevancy_of_word(other).equal(relevancy)
+    assert relevancy_of_word(field).equal(relevancy)
     moved = field.with_gaussians(field.gaussians)
-    field.thing_table = None
-    assert field.location(field.question("word 3", always=True)).answer.threshold is not None
-    assert moved.location(moved.question("word 3", always=True)).to_dict() == expected
-    relevancy = field.answer("word 3").relevancy()
-    field = field.with_encoder(dict(zip(WORDS, random_vectors(len(WORDS), 16, seed=6), strict=True)))
-    assert not field.answer("word 3").relevancy().equal(relevancy)
+    for each in (field, moved):
+        assert each.location("word 3").to_dict() == expected
 
 
 def test_many_questions_keep_memory_flat(field: LanguageField) -> None:
@@ -135,7 +146,8 @@ def test_parts_that_change_while_a_value_is_made_leave_nothing() -> None:
 def test_a_view_keeps_what_further_questions_reuse(
     field: LanguageField, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    field.code_weights = field.code_weights.clone()  # those of other tests stay as they are
+    weights = field.code_weights.clone()  # those of other tests stay as they are
+    field = altered(field, code_weights=weights, words=field.words)
     view, queries, canonical = field.at(0), random_vectors(12, 16), random_vectors(3, 16, seed=1)
     view.relevancy(queries[:1], canonical)
     known = view.cache.get(PixelCosines, field.parts())
@@ -154,11 +166,11 @@ def test_a_view_keeps_what_further_questions_reuse(
     assert view.relevancy(queries[1:2], canonical).eq(0.5).all()
 
 
-def test_other_cameras_and_encoders_are_noticed() -> None:
+def test_fields_with_other_cameras_and_encoders_answer_by_these() -> None:
     room = planted_room(cameras=(FRONT,))
-    for cameras in ((FRONT,), (BACK,)):
-        room.cameras = Cameras(cameras)
-        assert room.select("mug left of the laptop").seen_from == cameras[0].name
+    for camera in (FRONT, BACK):
+        other = altered(room, cameras=Cameras([camera]), words=room.words)
+        assert other.select("mug left of the laptop").seen_from == camera.name
     room = named_room({"mug": {MUG: 0.6}, "lamp": {LAMP: 0.6}})
     encoder = room.encoder
     mug, lamp, *others = encoder.encode(["mug", "lamp", *CANONICAL_PHRASES])

@@ -23,9 +23,7 @@ TURN = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
 def without(field: LanguageField, *things: int) -> LanguageField:
     """The field without some things; it knows the same words."""
     assert field.thing_table is not None
-    left = field[~field.thing_table.members(torch.tensor(things))]
-    left.keep_encoder_of(field)
-    return left
+    return field[~field.thing_table.members(torch.tensor(things))]
 
 
 def changes(old: LanguageField, new: LanguageField, transform: np.ndarray | None = None) -> set[tuple]:

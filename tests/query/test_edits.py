@@ -10,6 +10,7 @@ import torch
 
 from query.conftest import Queried
 from scoup.base.errors import InputError
+from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import answer_scene
 from scoup.query.drawing import moving_cameras
 from scoup.query.edits import best_camera, edit_picture, edited
@@ -64,14 +65,15 @@ def test_an_expression_is_answered_by_its_texts(queried: Queried) -> None:
     two = [answer for answer in answers if answer.text in ("word 1", "word 2")]
     found = field.select(asked(texts, "word 1 and not word 2"))
     assert found.mask.equal(masks["word 1"] & ~masks["word 2"])
-    assert found.relevancy().equal(two[0].relevancy())
+    assert answer_relevancy(field, found).equal(answer_relevancy(field, two[0]))
     assert (found.level, found.score, found.text) == (two[0].level, two[0].score, "word 1 and not word 2")
     assert [part.text for part in found.parts] == ["word 1", "word 2"]
     alone = field.select(asked(texts, "word 1"))
     assert alone.to_dict() == two[0].to_dict()
     assert alone.text == "word 1"
     both = field.select(asked(texts, "word 1", "word 2"))
-    assert both.relevancy().equal(torch.maximum(two[0].relevancy(), two[1].relevancy()))
+    each = torch.stack([answer_relevancy(field, answer) for answer in two])
+    assert answer_relevancy(field, both).equal(each.amax(0))
     assert both.mask.equal(two[0].mask | two[1].mask)
     assert both.score == max(each.score or 0 for each in two)
     assert both.things == tuple(dict.fromkeys(two[0].things + two[1].things))

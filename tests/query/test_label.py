@@ -9,11 +9,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from query.conftest import Queried
+from query.conftest import ASKED, Queried
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
-from scoup.query.labels import NONE, label, labels_of_answers
+from scoup.query.labels import NONE, labels_of_answers
 from support import examples
 
 LEVELS = ("s", "m", "l")
@@ -30,7 +30,7 @@ def test_of_words_for_one_gaussian_the_finest_level_counts_then_the_score(
 ) -> None:
     masks = torch.rand(len(words), 20, generator=torch.Generator().manual_seed(seed)) < share
     answers = [
-        Answer(str(number), mask, level, score)
+        Answer(str(number), mask, level, score, ASKED)
         for number, ((level, score), mask) in enumerate(zip(words, masks, strict=True))
     ]
     found = labels_of_answers(answers, LEVELS)
@@ -44,13 +44,13 @@ def test_of_words_for_one_gaussian_the_finest_level_counts_then_the_score(
 def test_labels_are_the_answers(queried: Queried, voted: Queried) -> None:
     for asked in (queried, voted):
         for question in (asked.texts, replace(asked.texts, threshold=0.3)):
-            answers, found = answer_scene(asked.field, question), label(asked.field, question)
+            answers, found = answer_scene(asked.field, question), asked.field.label(question)
             for name in ("level", "score", "presence", "things"):
                 each = tuple(getattr(answer, name) for answer in answers)
                 assert getattr(found, {"presence": name, "things": name}.get(name, f"{name}s")) == each
             for number, answer in enumerate(answers):
                 (only,) = {
-                    *label(asked.field, question.one(number)).mask(answer.text).eq(answer.mask).tolist()
+                    *asked.field.label(question.one(number)).mask(answer.text).eq(answer.mask).tolist()
                 }
                 assert only
             counts = found.counts()
@@ -69,11 +69,11 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried)
     for asked in (queried, voted):
         field, texts = asked.field, asked.texts
         bound = sorted(answer.score or 0 for answer in answer_scene(field, texts))[6]
-        judged = label(field, replace(texts, present_from=bound))
+        judged = field.label(replace(texts, present_from=bound))
         present = [number for number, there in enumerate(judged.presence) if there]
         assert 0 < len(present) < len(judged.names)
         kept = replace(texts, texts=tuple(texts.texts[n] for n in present), queries=texts.queries[present])
-        expected = torch.tensor([*present, NONE])[label(field, kept).ids.long()]
+        expected = torch.tensor([*present, NONE])[field.label(kept).ids.long()]
         assert judged.ids.equal(expected.int())
         assert not any(judged.things[n] for n in range(len(judged.names)) if n not in present)
 
@@ -81,9 +81,9 @@ def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried)
 def test_words_differ_from_each_other_and_from_none(queried: Queried) -> None:
     texts = replace(queried.texts, texts=("word 1", "none"), queries=queried.texts.queries[:2])
     with pytest.raises(InputError, match="words that differ from 'none'"):
-        label(queried.field, texts)
+        queried.field.label(texts)
     once = queried.texts.one(1)
     twice = replace(once, texts=once.texts * 2, queries=once.queries.expand(2, -1))
-    found = label(queried.field, twice)
+    found = queried.field.label(twice)
     assert found.names == ("word 1",)
-    assert found.ids.equal(label(queried.field, once).ids)
+    assert found.ids.equal(queried.field.label(once).ids)

@@ -20,7 +20,7 @@ from scoup.io.splats.ply import read_ply
 from scoup.pictures import label_colors
 from scoup.query.boxes import PointSets
 from scoup.query.label_files import label_files, labelled_colors, save_label_views, save_labels
-from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label, label_map
+from scoup.query.labels import AT_A_TIME, NONE, GaussianLabels, label_map
 from scoup.scene.gaussians import SH_C0
 from scoup.scene.up import estimate_up
 
@@ -29,7 +29,7 @@ ALL = ("sidecar", "ids", "colors", "glb", "usd", "clouds", "maps", "sheet")
 
 @pytest.fixture(scope="module")
 def labels(queried: Queried) -> GaussianLabels:
-    return label(queried.field, queried.texts)
+    return queried.field.label(queried.texts)
 
 
 def literal_map(queried: Queried, labels: GaussianLabels) -> np.ndarray:
@@ -108,7 +108,7 @@ def test_a_prim_for_each_thing(asked: str, request: pytest.FixtureRequest, tmp_p
         for name in ("Usd", "UsdGeom", "UsdPhysics", "UsdSemantics", "UsdValidation")
     )
     scene: Queried = request.getfixturevalue(asked)
-    labels = label(scene.field, scene.texts)
+    labels = scene.field.label(scene.texts)
     save_labels(scene.field, labels, tmp_path, ("usd",))
     stage = Usd.Stage.Open(str(tmp_path / "labels.usdc"))
     checks = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())

@@ -16,12 +16,11 @@ from scoup import raster
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query.answer import Answer
 from scoup.query.field_view import INSIDE
-from scoup.query.language_field import LanguageField
+from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import SAME
-from scoup.query.question import Question
+from scoup.query.question import Question, literal
 from scoup.query.view_answer import ViewAnswer, main_parts
 from scoup.scene.cameras import Camera
-from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.data.labels import read_labels
 from scoup_lab.synthetic.scene import make_demo_scene
@@ -112,14 +111,13 @@ def check_words(field: LanguageField, words: Sequence[str]) -> list[Answer]:
 
 
 def check_catalog(field: LanguageField, answers: Sequence[Answer]) -> None:
-    of_text = {answer.text: answer for answer in answers}
-    catalog = field.catalog(list(of_text))
+    catalog = field.catalog([answer.text for answer in answers])
     named = [thing for thing in catalog.things if thing.text]
     assert named
     assert set(catalog.objects) <= {thing.number for thing in catalog.things}
     # Whoever asks for a name finds its thing, or one of another level with the same Gaussians.
     for thing in named:
-        found = field.things(of_text[thing.text].asked[0].question)
+        found = field.things(field.question(literal([thing.text]), always=True))
         scores = {each.number: each.score for each in found}
         assert scores.get(thing.number, thing.score) == thing.score
         own = set(thing.gaussians.tolist())
@@ -173,8 +171,7 @@ def photographed(folder: Path) -> LanguageField:
 
 
 def desk(data: Path, _: Path) -> tuple[LanguageField, list[str]]:
-    field = photographed(data / "desk")
-    field = field.with_encoder(data / "desk" / "desk_words.npz")
+    field = photographed(data / "desk").with_encoder(data / "desk" / "desk_words.npz")
     return field, ["kettle", "laptop computer", "penguin"]
 
 
@@ -191,8 +188,7 @@ def kitchen(data: Path, out: Path) -> tuple[LanguageField, list[str]]:
 
 def real(name: str) -> Callable[[Path, Path], tuple[LanguageField, list[str]]]:
     def made(data: Path, _: Path) -> tuple[LanguageField, list[str]]:
-        field = photographed(data / "real" / name)
-        field = field.with_encoder(data / "desk" / "desk_words.npz")
+        field = photographed(data / "real" / name).with_encoder(data / "desk" / "desk_words.npz")
         return field, list(json.loads((data / "real" / name / "words.json").read_text()))
 
     return made

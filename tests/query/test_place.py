@@ -14,21 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from query.conftest import random_vectors
-from scoup.query.answer import Answer, AskedText
+from query.conftest import ASKED
+from scoup.query.answer import Answer
 from scoup.query.boxes import PointSets
 from scoup.query.place import Place, place_of
-from scoup.query.question import Question
 from scoup.query.things import MOST_LINKED, rough_parts
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.neighbours import connected_parts
 from support import examples, gaussians_at
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-
-
-VECTOR = random_vectors(1, 3)
-ASKED = AskedText(Question(("thing",), VECTOR, VECTOR, VECTOR), 0)
 
 
 @dataclass
@@ -51,7 +46,7 @@ def located(means: Tensor, relevancy: Tensor | None = None, opacities: Tensor | 
         gaussians = replace(gaussians, opacities=opacities)
     field: Any = Placed(gaussians, relevancy)
     mask = torch.ones(len(means), dtype=torch.bool)
-    return place_of(field, Answer("thing", mask, "m", None, asked=(ASKED,), field=field))
+    return place_of(field, Answer("thing", mask, "m", None, ASKED))
 
 
 def block(count: int, size: list[float], seed: int = 0) -> Tensor:

@@ -197,7 +197,7 @@ def test_what_a_level_takes_for_one_thing_is_told_apart(phrase: str, found: set[
     words = field.question(["ball", "bowl"], level="m")
     of_texts = {word: field.things(words.one(number)) for number, word in enumerate(words.texts)}
     assert [[thing.number for thing in things] for things in of_texts.values()] == [[both]] * 2
-    target, answers = parse_phrase(phrase), dict(zip(words.texts, field.answer(words), strict=True))
-    parts = apart(field, target, of_texts, answers)
+    target = parse_phrase(phrase)
+    parts = apart(field, words, target, of_texts)
     assert {thing.number for thing in resolve(field, target, parts, field.frame())} == found
     assert not field.things(field.question(phrase, level="m"))

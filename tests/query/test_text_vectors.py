@@ -14,7 +14,7 @@ from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query.language_field import LanguageField
-from scoup.query.question import TextVectors, encode_texts
+from scoup.query.question import TextVectors, check_encoder, encode_texts
 from support import altered
 
 WORDS = ("kettle", "mug")
@@ -25,26 +25,28 @@ def encoder_of(path: Path, names: tuple[str, ...], dim: int = 16) -> TextEncoder
     return TextEncoder.open(path)
 
 
-def test_queries_and_what_they_are_compared_with(queried: Queried, tmp_path: Path) -> None:
+def test_queries_and_what_they_are_compared_with(tmp_path: Path) -> None:
     encoder = encoder_of(tmp_path / "words.npz", (*WORDS, *CANONICAL_PHRASES))
-    texts = encode_texts(encoder, queried.field, ["mug", "kettle", "mug"], "words.npz")
+    texts = encode_texts(encoder, ["mug", "kettle", "mug"])
     vectors = random_vectors(6, 16)
     torch.testing.assert_close(texts.queries, vectors[[1, 0, 1]])
     torch.testing.assert_close(texts.canonical, vectors[2:])
     torch.testing.assert_close(texts.everyday, vectors[:2])
-    assert texts.source == "words.npz"
+    assert texts.source == encoder.source == str(tmp_path / "words.npz")
     assert not texts.can_judge_presence
 
 
 def test_what_does_not_fit_is_refused(queried: Queried, tmp_path: Path) -> None:
     wide = encoder_of(tmp_path / "wide.npz", (*WORDS, *CANONICAL_PHRASES), dim=24)
-    with pytest.raises(InputError, match="wide: has vectors of 24 dimensions, but the field contains"):
-        encode_texts(wide, queried.field, ["mug"], "wide")
+    with pytest.raises(InputError, match=r"wide\.npz: has vectors of 24 dimensions, but the field contains"):
+        check_encoder(queried.field, wide)
+    with pytest.raises(InputError, match=r"wide\.npz: has vectors of 24 dimensions"):
+        queried.field.with_encoder(wide).question("mug")
     bare = encoder_of(tmp_path / "bare.npz", WORDS)
-    with pytest.raises(InputError, match="the word table: lacks 'object', but relevancy compares"):
-        encode_texts(bare, queried.field, ["mug"])
+    with pytest.raises(InputError, match=r"bare\.npz: lacks 'object', but relevancy compares"):
+        encode_texts(bare, ["mug"])
     with pytest.raises(UnknownNameError, match="ketle"):
-        encode_texts(bare, queried.field, ["ketle"])
+        encode_texts(bare, ["ketle"])
 
 
 def test_everyday_words_are_one_more_phrase() -> None:
@@ -81,7 +83,7 @@ def test_vectors_of_another_size_are_told_from_what_the_field_names(
     names = (*WORDS, *CANONICAL_PHRASES)
     save_table(tmp_path / "wide.npz", names, random_vectors(len(names), 24).numpy(), model=other)
     with pytest.raises(InputError) as refusal:
-        encode_texts(TextEncoder.open(tmp_path / "wide.npz"), built, ["mug"])
+        check_encoder(built, TextEncoder.open(tmp_path / "wide.npz"))
     assert said in str(refusal.value)
 
 
@@ -103,14 +105,16 @@ def test_vectors_of_another_model_are_warned_of(
     encoder = TextEncoder(given, 16, lambda phrases: torch.ones(len(phrases), 16))
     if warned:
         with pytest.warns(ScoupWarning, match="mean nothing unless"):
-            encode_texts(encoder, other, ["kettle"])
+            check_encoder(other, encoder)
     else:
-        encode_texts(encoder, other, ["kettle"])
+        check_encoder(other, encoder)
 
 
 def test_a_question_of_a_field_of_another_model_is_warned_of(field: LanguageField) -> None:
-    one, other = (altered(field, info=replace(field.info, embedding_model=name)) for name in ("one", "other"))
-    one.keep_encoder_of(field)  # a table that names no model
+    one, other = (
+        altered(field, info=replace(field.info, embedding_model=name), words=field.words)  # names no model
+        for name in ("one", "other")
+    )
     question = one.question("word 1")
     one.answer(question)
     with pytest.warns(

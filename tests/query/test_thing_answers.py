@@ -17,7 +17,7 @@ from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
-from scoup.query.language_field import LanguageField
+from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import (
     AGREEMENT,
     FEW_REGIONS,
@@ -35,7 +35,6 @@ from scoup.query.matching import (
     compare_things,
 )
 from scoup.scene.things import NO_THING, ThingTable
-from scoup.uplift.build import build
 from support import altered, examples, things_of, unit
 
 # The choice.
@@ -349,7 +348,8 @@ def test_a_threshold_of_choice_is_for_the_votes(asked: Asked) -> None:
         for one, other in zip(answer_scene(asked.field, question), votes, strict=True):
             same_scene(one, other)
             assert (one.threshold, one.things) == (0.4, ())
-            assert one.in_view(1).mask.equal(other.in_view(1).mask)
+            shown = [field.at(1).show([each])[0] for field, each in ((asked.field, one), (asked.bare, other))]
+            assert shown[0].mask.equal(shown[1].mask)
 
 
 def test_texts_are_answered_alike_alone_and_together(asked: Asked) -> None:
@@ -365,7 +365,7 @@ def test_texts_are_answered_alike_alone_and_together(asked: Asked) -> None:
         for number, (place, seen) in enumerate(zip(in_scene, field.at(3).answer(texts), strict=True)):
             (alone,) = answer_scene(field, texts.one(number))
             same_scene(place, alone)
-            shown = alone.in_view(3)
+            (shown,) = field.at(3).show([alone])
             assert seen.mask.equal(shown.mask)
             assert seen.box == shown.box
             torch.testing.assert_close(seen.heat, shown.heat, atol=1e-5, rtol=0)

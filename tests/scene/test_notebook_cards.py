@@ -14,10 +14,10 @@ from PIL import Image
 
 from scoup.base.html import PREVIEW, card
 from scoup.models.text import TextEncoder
+from scoup.query.language_field import build
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.previews import labels_preview
 from scoup.scene.regions import Regions
-from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from support import KINDS, random_gaussians, small_scene, unit
 
@@ -38,7 +38,8 @@ def shown() -> dict[str, Any]:
     words = unit(torch.randn(30, 16, generator=torch.Generator().manual_seed(0)))
     names = ["object", "things", "stuff", "texture", *(f"word {number}" for number in range(26))]
     encoder = TextEncoder.open(dict(zip(names, words, strict=True)))
-    answer = field.at(0).answer(field.with_encoder(encoder).question("word 3", always=True))
+    field = field.with_encoder(encoder)
+    answer = field.at(0).answer(field.question("word 3", always=True))
     return dict(zip(TITLES, (gaussians, cameras, regions, encoder, field, answer), strict=True))
 
 

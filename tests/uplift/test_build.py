@@ -16,6 +16,7 @@ import scoup
 from cli_support import snapshot
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.base.parts import Part
+from scoup.field import Field
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build
@@ -33,7 +34,7 @@ def scene():
     return small_scene()
 
 
-def saved(field: scoup.LanguageField, path: Path) -> bytes:
+def saved(field: Field, path: Path) -> bytes:
     field.save(path)
     return path.read_bytes()
 

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
 from scoup.base.counts import spread
-from scoup.query.language_field import LanguageField
+from scoup.field import Field
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap
 from scoup.scene.things import NO_THING, ThingTable
@@ -40,12 +40,12 @@ def things(wall: Wall) -> ThingTable:
     return of_field(built(wall))
 
 
-def built(wall: Wall, views: Sequence[str] | None = None, **how) -> LanguageField:
+def built(wall: Wall, views: Sequence[str] | None = None, **how) -> Field:
     cameras = Cameras(camera for camera in wall.cameras if views is None or camera.name in views)
     return build(wall.gaussians, cameras, wall.regions, SETTINGS, check_fit=False, **how)
 
 
-def of_field(field: LanguageField) -> ThingTable:
+def of_field(field: Field) -> ThingTable:
     assert field.thing_table is not None
     return field.thing_table
 

@@ -11,11 +11,10 @@ import torch
 
 from scoup.base.errors import InputError
 from scoup.io import load_gaussians, save_gaussians
-from scoup.query.language_field import LanguageField
+from scoup.query.language_field import LanguageField, build
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING
-from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.transfer import NEAREST, source_rows, transfer
 from support import altered, random_gaussians, small_scene

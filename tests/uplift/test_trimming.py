@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from planted_wall import COUNT, LEVELS, SETTINGS, planted_wall
 from scoup.io import load_cameras, load_gaussians, load_regions
+from scoup.query.language_field import build
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.scene.things import NO_THING
-from scoup.uplift.build import build
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.trimming import KEPT, find_strays
 
@@ -129,7 +129,8 @@ def test_the_teddy_bear_of_a_table_lies_at_one_place(data_folder: Path) -> None:
     gaussians, cameras = load_gaussians(scene / "point_cloud.splat"), load_cameras(scene)
     field = build(gaussians, cameras, load_regions(scene / "language_features", cameras), check_fit=False)
     words = data_folder / "desk" / "desk_words.npz"
-    bear = field.things(field.with_encoder(words).question("teddy bear", always=True))[0]
+    field = field.with_encoder(words)
+    bear = field.things(field.question("teddy bear", always=True))[0]
     away = (gaussians.means[bear.gaussians].double() - bear.position).norm(dim=1)
     assert float(away.max()) < 2 * bear.size
     share = sum(field.info.provenance["strays"].values()) / field.thing_table.owners.numel()  # pyright: ignore

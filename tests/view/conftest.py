@@ -42,7 +42,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def viewed(saved: Path) -> ViewedField:
-    return ViewedField(LanguageField.load(saved).with_encoder(str(saved.with_name("words.npz"))))
+    return ViewedField(LanguageField.load(saved, words=saved.with_name("words.npz")))
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from scoup.view.guard import Guard
 from scoup.view.scene_tools import SceneTools
 from scoup.view.server import application
 from scoup.view.viewed_field import ViewedField
+from support import altered
 
 TABLE, LEFT, RIGHT, LAPTOP, LAMP, BALL, BOWL, APPLE, PEN, SALT = range(10)
 MUGS = {LEFT, RIGHT}
@@ -29,9 +30,9 @@ PHRASES: dict[str, set[int]] = {
     "the mug": MUGS,
     "Mugs": MUGS,
     '"mugs"': MUGS,
-    "how many mugs": MUGS,
-    "how many mugs are there?": MUGS,
-    "how many mugs on the table": MUGS,
+    "pens": {PEN},
+    "the mugs on the table?": MUGS,
+    "laptops": {LAPTOP},
     "mug left of the laptop": {LEFT},
     "the mug to the left of the laptop": {LEFT},
     "mug that is right of the laptop": {RIGHT},
@@ -51,15 +52,15 @@ PHRASES: dict[str, set[int]] = {
     "mug or laptop": {*MUGS, LAPTOP},
     "mug and not mug left of the laptop": {RIGHT},
     "(mug or pen) and not (mug behind laptop)": {LEFT, PEN},
-    "how many mugs and laptops": {*MUGS, LAPTOP},
-    "how many mugs and bowls and not mug left of the laptop": {RIGHT, BOWL},
-    "how many mugs and balls on the table": MUGS,
-    "how many mugs on the table and right of the laptop": {RIGHT},
+    "mugs or laptops": {*MUGS, LAPTOP},
+    "(mugs or bowls) and not mug left of the laptop": {RIGHT, BOWL},
+    "mugs on the table or balls on the table": MUGS,
+    "mugs on the table and right of the laptop": {RIGHT},
     "mug on the table and not right of the laptop": {LEFT},
     "Salt and pepper": {SALT},
     "salt and pepper on the table": {SALT},
     "the mug nearest to the Salt and Pepper": {RIGHT},
-    "how many mugs and salt and pepper": {*MUGS, SALT},
+    "mugs or salt and pepper": {*MUGS, SALT},
     'mug nearest to "salt and pepper"': {RIGHT},
     "mug and laptop": set(),
     "mug near the laptop": set(),
@@ -78,8 +79,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     encoder = field.encoder
     assert encoder.names is not None
     save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
-    field.info = replace(field.info, embedding_model="some/model", words=folder / "words.npz")
-    field.save(folder / "room.scoup")
+    info = replace(field.info, embedding_model="some/model", words=folder / "words.npz")
+    altered(field, info=info).save(folder / "room.scoup")
     return folder / "room.scoup"
 
 
@@ -120,7 +121,6 @@ def test_a_phrase_gives_the_same_things_in_five_places(text: str, path: Path, sa
     assert (set(page["chosen_things"]) if found else set()) == found
     assert page["text"] == text
     assert {thing["thing"] for thing in agents["things"]} == found
-    assert agents["count"] == query["count"] == len(found)
 
 
 def test_left_and_right_are_seen_from_one_camera_which_answers_name(path: Path, said) -> None:
@@ -146,7 +146,7 @@ def test_answers_say_what_was_found(path: Path, said, tmp_path: Path) -> None:
         "2 x mug, laptop, bowl, salt and pepper; sure"
     )
     assert said["page"]["mug"]["remark"] is None
-    assert said["page"]["how many mugs and laptops"]["remark"].startswith("2 x mugs, laptops; sure")
+    assert said["page"]["mugs or laptops"]["remark"].startswith("2 x mugs, laptops; sure")
     without = said["page"][f"(mug and laptop) and not {ABSENT}"]["remark"]
     assert without == "found mug: 2, laptop: 1, but none that is so", "what must not be there is not missed"
     absent = f"mug left of the {ABSENT}"

@@ -22,7 +22,6 @@ from scoup.base.errors import InputError, ScoupError
 from scoup.field.facts import read_facts
 from scoup.io import load_gaussians
 from scoup.query.language_field import LanguageField
-from scoup.query.question import naming_question
 from scoup.query.relations import overlaps
 from scoup.view.scene_tools import MOST_MARKED, WIDEST, SceneTools
 from scoup.view.viewed_field import ViewedField
@@ -47,7 +46,7 @@ def tools(folder: Path) -> SceneTools:
 @pytest.mark.parametrize("words", [(), ("lamp", "mug", "laptop")])
 def test_page_catalogue_and_agents_give_things_one_name(words: tuple[str, ...]) -> None:
     field = named_room({"ball": {LAMP: 0.5}, "pen": {MUG: 0.01}, "Tiffany": {BALL: 0.6}})
-    every = naming_question(field, words)
+    every = field.naming_question(words)
     places = [
         {thing.number: thing.text for thing in field.catalog(every).things},
         {row["number"]: row["name"] or "" for row in ViewedField(field, words=words).things()},
@@ -94,10 +93,10 @@ def test_replies_are_those_of_the_field(tools: SceneTools, folder: Path):
     assert measured["distance"] == pytest.approx(float((one.position - other.position).norm()), rel=1e-4)
     assert measured["metres"] == pytest.approx(measured["distance"] / 2, rel=1e-3)
     found = tools.find("f", "kettle")
-    assert found["count"] == field.answer("kettle").to_dict()["count"]
+    assert [each["thing"] for each in found["things"]] == list(field.answer("kettle").things)
     for text, asked in (
         ("kettle", ["kettle"]),
-        ("how many kettles", ["kettles"]),
+        ("kettles", ["kettles"]),
         ("kettle on the mug", ["kettle", "mug"]),
     ):
         records = [field.answer(each).to_dict() for each in asked]
@@ -209,7 +208,7 @@ def test_the_server_speaks_to_the_official_client(tools: SceneTools, folder: Pat
     async def talk() -> list[Any]:
         async with mcp.Client(server) as client:
             names = sorted(tool.name for tool in (await client.list_tools()).tools)
-            found = await client.call_tool("find", {"scene": "f", "text": "how many kettles"})
+            found = await client.call_tool("find", {"scene": "f", "text": "kettles"})
             said = []
             for tool, arguments, _ in MISTAKES:
                 reply = await client.call_tool(tool, {"scene": "f", **arguments})
@@ -232,8 +231,10 @@ def test_the_server_speaks_to_the_official_client(tools: SceneTools, folder: Pat
         "measure_distance",
     ]
     assert names == [*reading, "render_view"]  # no exports without a folder
-    expected = LanguageField.load(folder / "f.scoup").things("how many kettles")
-    assert json.loads(found.content[0].text)["count"] == len(expected)
+    expected = LanguageField.load(folder / "f.scoup").things("kettles")
+    assert [each["thing"] for each in json.loads(found.content[0].text)["things"]] == [
+        thing.number for thing in expected
+    ]
     assert [text.removeprefix("Error executing tool ") for text in said] == [text for _, _, text in MISTAKES]
     kettles = archive.find("kettle")
     records = json.loads(archived.content[0].text)["things"]

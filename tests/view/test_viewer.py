@@ -69,7 +69,7 @@ def test_a_port_in_use_is_named_or_another_is_taken() -> None:
 
 
 def test_a_field_opens_its_viewer() -> None:
-    with random_field().view(table(), words=["thing 3"], height=300) as viewer:
+    with open_viewer(random_field().with_encoder(table()), words=["thing 3"], height=300) as viewer:
         assert 'height="300"' in viewer._repr_html_()
         with urllib.request.urlopen(f"{viewer.address}api/vocabulary") as answer:
             assert json.load(answer)["names"] == ["thing 3"]

@@ -21,7 +21,7 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.view.page import PROGRAM, SETTINGS, STYLE, PageFiles
 from scoup.view.viewed_field import ViewedField
-from support import make_camera, random_gaussians, unit
+from support import altered, make_camera, random_gaussians, unit
 
 DIM = 12
 THINGS_OF_A_LEVEL = 5
@@ -64,7 +64,7 @@ def field_with_things(count: int = 300, agreement: float = 0.85) -> LanguageFiel
     number = torch.randint(-1, THINGS_OF_A_LEVEL, (count, 2), generator=generator)
     owners = torch.where(number < 0, -1, number + torch.tensor([0, THINGS_OF_A_LEVEL]))
     vectors = torch.stack([table()[name] for name in WORDS[: len(levels)]])
-    field.thing_table = ThingTable(
+    things = ThingTable(
         owners.int(),
         levels.to(torch.uint8),
         torch.full((len(levels),), NO_THING, dtype=torch.int32),
@@ -74,7 +74,7 @@ def field_with_things(count: int = 300, agreement: float = 0.85) -> LanguageFiel
         torch.rand(len(levels), generator=generator) + 0.5,
         torch.ones(len(levels)),
     )
-    return field
+    return altered(field, thing_table=things)
 
 
 @cache

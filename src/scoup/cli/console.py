@@ -22,7 +22,7 @@ from scoup.cli.stop import exit_code
 
 _ARGUMENT = re.compile("`([a-z_]+)(?:=([^`]+))?`")
 """How messages of the library name an argument, alone or with a value."""
-_OPTIONS = {"count": "--views", "distorted": "--undistort", "encoder": "--text"}
+_OPTIONS = {"count": "--views", "distorted": "--undistort", "encoder": "--text", "words": "--text"}
 """Arguments -> their options, where names differ."""
 _OUT_OF_MEMORY = "not enough memory; use fewer or smaller views, or a machine with more"
 _SIGNS_OF_MEMORY = ("allocate", "out of memory", "failed to map segment")

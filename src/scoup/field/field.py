@@ -201,7 +201,8 @@ class Field:
                 f"{source}: not the geometry this field was built on ({difference}); "
                 "pass the original splat, or build the field again"
             )
-        self._gaussians = gaussians.to(self.codebook.device)
+        device = self.codebook.device
+        self._gaussians = gaussians if gaussians.device == device else gaussians.to(device)
 
     def camera(self, camera: Camera | str | int) -> Camera:
         """Return a camera by its name (with or without extension) or position among ``cameras``; or itself.

@@ -123,15 +123,14 @@ class SceneTools:
         """Find every thing that a text or phrase names, the best first.
 
         `text` is a name ("mug"), or a phrase with a relation or an order: "mug left of the laptop", "what is on the
-        shelf", "kettle nearest to the sink", "largest box", "second chair from the left", "how many cups", also with
-        and, or, not. An unknown relation is an error that lists the known ones. Left, right, in front of and behind are
-        meant as seen from the camera `seen_from`. A score is the share of everyday words that fit this scene less well
-        than the text, 0 to 1; null with too few everyday words.
+        shelf", "kettle nearest to the sink", "largest box", "second chair from the left", also with and, or, not. An
+        unknown relation is an error that lists the known ones. Left, right, in front of and behind are meant as seen
+        from the camera `seen_from`. A score is the share of everyday words that fit this scene less well than the text,
+        0 to 1; null with too few everyday words.
         `texts` has one entry per text of the phrase: its score, the same in words (sure, likely, doubtful, not here),
-        and the runner-up, the best thing elsewhere. `count` is how many instances there are, which need not be the
-        things that answer: these may be pieces or parts. It is 0 where a text is not here, or where no thing has the
-        relation; `remark` says which. It is null in a scene without things. `frame` says what positions are in: unit
-        vectors right, up and away from the viewer in the same axes, and the unit of length.
+        and the runner-up, the best thing elsewhere. `things` is empty where a text is not here, or where no thing has
+        the relation; `remark` says which. `frame` says what positions are in: unit vectors right, up and away from the
+        viewer in the same axes, and the unit of length.
         """
         field = self._field(scene)
         frame = field.frame(seen_from)
@@ -141,7 +140,6 @@ class SceneTools:
         axes = "x, y, z of the splat that the field was built on"
         return {
             **_reply(things, limit, lambda thing: thing.to_dict(self.metres_per_unit)),
-            "count": answer.to_dict()["count"],
             "remark": answer.remark(),
             "texts": [
                 {"text": part.text, **{key: part.to_dict()[key] for key in _OF_TEXTS}}

@@ -1,0 +1,137 @@
+"""Fields and answers are data: a question changes neither its field nor the answers that it gave before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import scoup
+from query.planted_room import FRONT, planted_room
+from scoup.field import Field
+from scoup.models.text import TextEncoder
+from scoup.query.answer import Answer, ExpressionAnswer
+from scoup.query.language_field import LanguageField
+from scoup.scene.names import Detections
+
+LAMP = 4  # of the room
+
+
+class Lamps:
+    """A model that sees a lamp all over each picture."""
+
+    def to_dict(self) -> dict[str, str]:
+        return {"concepts": "lamps"}
+
+    def detect(self, image: np.ndarray, texts: Sequence[str]) -> Detections:
+        height, width = image.shape[:2]
+        box = torch.tensor([[0.0, 0.0, width, height]])
+        return Detections(torch.zeros(1, dtype=torch.long), torch.tensor([0.8]), box, (width, height))
+
+
+def state(field: LanguageField) -> tuple[list[Any], list[torch.Tensor]]:
+    """What a field refers to, and copies of its tensors."""
+    parts = [*field.parts(), field.words, field.encoder, field.info, field.gaussians, field.path]
+    return parts, [part.clone() for part in parts if isinstance(part, torch.Tensor)]
+
+
+ASKED: dict[str, Callable[[LanguageField], Any]] = {
+    "answer": lambda field: field.answer(["mug", "largest mug", "lamp and not mug"]),
+    "view": lambda field: field.at(FRONT).answer("mug left of the laptop"),
+    "location": lambda field: field.location("lamp"),
+    "select": lambda field: field.select("mug and not lamp", scoup.Reshaping(grow=1)),
+    "things": lambda field: field.things("what is on the table"),
+    "label": lambda field: field.label(["mug", "lamp"]),
+    "catalog": lambda field: field.catalog(["mug", "lamp"]),
+    "names": lambda field: field.naming_question(),
+    "refine": lambda field: scoup.refine(field, "lamp", Lamps()),
+    "encoder": lambda field: field.with_encoder({name: torch.ones(32) for name in ("object", "lamp")}),
+}
+
+
+@pytest.mark.parametrize("ask", ASKED.values(), ids=ASKED)
+def test_a_question_leaves_the_field_as_it_is(ask: Callable[[LanguageField], Any]) -> None:
+    field = planted_room()
+    parts, tensors = state(field)
+    names = None if field.thing_table is None else field.thing_table.names
+    ask(field)
+    others, after = state(field)
+    assert [id(part) for part in others] == [id(part) for part in parts]
+    assert all(one.equal(other) for one, other in zip(tensors, after, strict=True))
+    assert field.thing_table is not None
+    assert field.thing_table.names is names is None
+
+
+def test_other_words_and_names_make_other_fields_of_the_same_tensors() -> None:
+    field = planted_room()
+    before = field.answer("lamp").to_dict()
+    encoder = field.encoder
+    known = dict(zip(encoder.names or (), encoder.encode(encoder.names or ()), strict=True))
+    swapped = field.with_encoder({**known, "lamp": known["mug"], "mug": known["lamp"]})
+    named = scoup.refine(field, "lamp", Lamps()).field
+    for other in (swapped, named):
+        assert type(other) is LanguageField
+        assert other is not field
+        assert other.cache is not field.cache
+        for name in ("code_indices", "code_weights", "codebook", "gaussians", "info", "cameras", "path"):
+            assert getattr(other, name) is getattr(field, name), name
+    assert swapped.thing_table is field.thing_table
+    assert swapped.answer("mug").things == (LAMP,)
+    assert named.encoder is encoder
+    assert named.thing_table is not None
+    assert named.thing_table.names is not None
+    assert named.thing_table.names.texts == ("lamp",)
+    assert field.answer("lamp").to_dict() == before
+
+
+def test_words_are_opened_at_the_first_text_and_kept() -> None:
+    field = planted_room()
+    assert isinstance(field.words, dict)
+    assert isinstance(field.encoder, TextEncoder)
+    assert field.encoder is field.encoder
+    assert field[:20].encoder is field.encoder
+    assert field.with_encoder(field.encoder).encoder is field.encoder
+    data = Field(field.code_indices, field.code_weights, field.codebook, field.info, field.gaussians)
+    assert not hasattr(data, "answer")
+    assert LanguageField.of(data, field.words).answer("lamp").mask.any()
+
+
+def held(value: Any) -> list[Any]:
+    """A value and all that it contains."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        return [each for inner in value for each in held(inner)]
+    inner = [getattr(value, each.name) for each in fields(value)] if is_dataclass(value) else []
+    return [value, *held(inner)]
+
+
+def test_an_answer_has_ten_fields_and_none_of_them_is_a_language_field() -> None:
+    assert len(fields(Answer)) == 10
+    room = planted_room()
+    for text in ("mug", "largest mug", "lamp and not mug"):
+        every = held(room.answer(text))
+        assert len(every) > 10
+        assert not any(isinstance(each, (Field, TextEncoder)) for each in every)
+
+
+def test_phrases_and_expressions_have_answers_with_a_tree_and_parts() -> None:
+    room = planted_room()
+    assert type(room.answer("mug")) is Answer
+    found = room.answer("lamp and not mug left of the laptop")
+    assert isinstance(found, ExpressionAnswer)
+    assert str(found.tree) == "lamp and not mug left of laptop"
+    assert (found.tree.wanted, found.tree.excluded) == (("lamp",), ("mug", "laptop"))
+    assert [part.text for part in found.parts] == ["lamp", "mug", "laptop"] == list(found.tree.texts)
+    for part in found.parts:
+        assert part.to_dict() == room.answer(part.text).to_dict()
+        assert part.mask.equal(room.answer(part.text).mask)
+    assert [thing.number for thing in found.found] == list(found.things) == [LAMP]
+    assert found.scores == room.answer("lamp").scores
+    assert (len(found.without), found.seen_from) == (1, FRONT.name)
+    assert isinstance(room.select("mug"), ExpressionAnswer)
+    assert [part.text for part in room.select(["mug", "lamp"]).parts] == ["mug", "lamp"]
