@@ -45,7 +45,8 @@ for camera in cameras:
         means = np.stack([pixels[labels == number].mean(0) for number in range(count**2)])
         maps[camera.name][level] = scoup.RegionMap(labels, describe(means))  # pyright: ignore[reportArgumentType]
 
-field = scoup.build(gaussians, cameras, scoup.Regions.from_maps(maps), check_fit=False)
+settings = scoup.BuildSettings(check_fit=False)
+field = scoup.build(gaussians, cameras, scoup.Regions.from_maps(maps), settings)
 words = {name: describe(np.array(color, float)) for name, color in COLORS.items()}
 answer = field.at(cameras[0]).answer(field.question(word, encoder=words))
 print(

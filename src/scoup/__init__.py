@@ -34,8 +34,13 @@ _HOMES = {
     "vote": "scoup.uplift.vote",
     "LanguageField": "scoup.field.language_field",
     "FieldInfo": "scoup.scene.field_info",
+    "RegionEmbeddings": "scoup.uplift.region_codes",
+    "code_regions": "scoup.uplift.region_codes",
+    "check_scene": "scoup.uplift.build",
+    "pack": "scoup.uplift.build",
     "build": "scoup.uplift.build",
     "BuildSettings": "scoup.uplift.build_settings",
+    "FieldSources": "scoup.uplift.provenance",
     "transfer": "scoup.uplift.transfer",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
@@ -81,8 +86,13 @@ if TYPE_CHECKING:
     from scoup.scene.regions import RegionMap as RegionMap
     from scoup.scene.regions import Regions as Regions
     from scoup.uplift.build import build as build
+    from scoup.uplift.build import check_scene as check_scene
+    from scoup.uplift.build import pack as pack
     from scoup.uplift.build_settings import BuildSettings as BuildSettings
+    from scoup.uplift.provenance import FieldSources as FieldSources
     from scoup.uplift.rasterise import region_sums as region_sums
+    from scoup.uplift.region_codes import RegionEmbeddings as RegionEmbeddings
+    from scoup.uplift.region_codes import code_regions as code_regions
     from scoup.uplift.region_sums import RegionSums as RegionSums
     from scoup.uplift.things import find_things as find_things
     from scoup.uplift.transfer import transfer as transfer

@@ -13,6 +13,7 @@ from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.provenance import FieldSources
 from support import altered, random_gaussians, small_scene, unit
 from uplift.edits import joined
 
@@ -26,7 +27,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def field(scene) -> LanguageField:
-    return build(*scene, settings=QUICK, embedding_model="a/model")
+    return build(*scene, settings=QUICK, sources=FieldSources("a/model"))
 
 
 def test_unpainted_gaussians_have_empty_codes_and_render_as_nothing(scene):
@@ -73,8 +74,8 @@ def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
     (tmp_path / "scene").mkdir()
     splat = tmp_path / "scene" / "splat.ply"
     scoup.save_gaussians(gaussians, splat)
-    stored = scoup.load_gaussians(splat)
-    build(stored, cameras, regions, settings=QUICK, geometry_path=splat).save(tmp_path / "scene" / "f.scoup")
+    stored, sources = scoup.load_gaussians(splat), FieldSources(geometry_path=splat)
+    build(stored, cameras, regions, settings=QUICK, sources=sources).save(tmp_path / "scene" / "f.scoup")
     (tmp_path / "scene").rename(tmp_path / "moved")
     path = tmp_path / "moved" / "f.scoup"
     assert len(LanguageField.load(path).gaussians) == len(gaussians)
@@ -90,7 +91,8 @@ def test_links_to_a_field_lead_to_what_it_names(scene, tmp_path):
     gaussians, cameras, regions = scene
     splat = tmp_path / "scene" / "splat.ply"
     scoup.save_gaussians(gaussians, splat)
-    field = build(scoup.load_gaussians(splat), cameras, regions, settings=QUICK, geometry_path=splat)
+    sources = FieldSources(geometry_path=splat)
+    field = build(scoup.load_gaussians(splat), cameras, regions, settings=QUICK, sources=sources)
     (tmp_path / "store" / "deep").mkdir(parents=True)
     (tmp_path / "linked").symlink_to(tmp_path / "store" / "deep")
     for folder in ("store/deep", "linked"):

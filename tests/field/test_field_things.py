@@ -25,7 +25,7 @@ PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", 
 def field() -> LanguageField:
     """With Gaussians and things that belong to none, too."""
     wall = planted_wall(views=3)
-    built = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS, check_fit=False)
+    built = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS)
     owners = things_of(built).owners.clone()
     owners[::7, 0] = owners[::11, 1] = NO_THING
     return with_things(built, replace(things_of(built), owners=owners))

@@ -42,7 +42,7 @@ def things(wall: Wall) -> ThingTable:
 
 def built(wall: Wall, views: Sequence[str] | None = None, **how) -> LanguageField:
     cameras = Cameras(camera for camera in wall.cameras if views is None or camera.name in views)
-    return build(wall.gaussians, cameras, wall.regions, SETTINGS, check_fit=False, **how)
+    return build(wall.gaussians, cameras, wall.regions, SETTINGS, **how)
 
 
 def of_field(field: LanguageField) -> ThingTable:
@@ -322,12 +322,15 @@ def test_zero_embeddings_merge_as_others(wall: Wall, things: ThingTable) -> None
 
 @pytest.mark.parametrize(
     "settings",
-    [replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5), replace(SETTINGS, things=False)],
+    [
+        replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5, check_fit=False),
+        replace(SETTINGS, things=False),
+    ],
     ids=["paper", "no things"],
 )
 def test_a_field_may_have_no_things(wall: Wall, settings: BuildSettings) -> None:
     assert not settings.things
-    assert build(wall.gaussians, wall.cameras, wall.regions, settings, check_fit=False).thing_table is None
+    assert build(wall.gaussians, wall.cameras, wall.regions, settings).thing_table is None
 
 
 # The same views give the same things, whichever way they came.
@@ -335,7 +338,7 @@ def test_a_field_may_have_no_things(wall: Wall, settings: BuildSettings) -> None
 
 def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> None:
     other = Cameras(reversed(list(wall.cameras)))
-    found = build(wall.gaussians, other, wall.regions, SETTINGS, check_fit=False)
+    found = build(wall.gaussians, other, wall.regions, SETTINGS)
     assert found.info.provenance["views"] != list(wall.cameras.names)
     assert_same(found.thing_table, things, (*DECIDED, "mass"))
     torch.testing.assert_close(of_field(found).embeddings, things.embeddings, atol=1e-3, rtol=0)

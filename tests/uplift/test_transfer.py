@@ -25,7 +25,7 @@ from uplift.edits import joined
 @pytest.fixture(scope="module")
 def field() -> LanguageField:
     gaussians, cameras, regions = small_scene(count=200, views=3)
-    return build(gaussians, cameras, regions, BuildSettings(n_atoms=6, k=3, keep=3), check_fit=False)
+    return build(gaussians, cameras, regions, BuildSettings(n_atoms=6, k=3, keep=3, check_fit=False))
 
 
 def moved(gaussians: Gaussians, by: float) -> Gaussians:

@@ -7,8 +7,9 @@ alone weighs little. A text is as present as the mean of its best scores says. M
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -18,6 +19,9 @@ from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.names import Detections, NameTable
 from scoup.scene.things import ThingTable
+
+if TYPE_CHECKING:
+    from scoup.field.language_field import LanguageField
 
 SIDE = 320  # longest side of the pictures in which things and detections are compared
 AT_A_TIME = 64  # things that are rendered together
@@ -147,6 +151,20 @@ def name_things(
         for camera, found in views
     ]
     return count_votes(texts, counted)
+
+
+def add_names(
+    field: LanguageField, texts: Sequence[str], found: Mapping[str, Detections], backend: str | None = None
+) -> ThingTable | None:
+    """Return the things of a field, named by what a model found of texts in the photographs of its views (view ->
+    detections); as they are where none of its views has any."""
+    table = field.thing_table
+    views = [(view, found[view.name]) for view in field.cameras or () if view.name in found]
+    if table is None or not views:
+        return table
+    return replace(
+        table, names=name_things(field.gaussians, table, views, texts, field.raster_preset, backend)
+    )
 
 
 def presence_of(scores: Tensor) -> Tensor:
