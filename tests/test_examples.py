@@ -49,7 +49,6 @@ def colored(scene: Path, folder: Path) -> Path:
 def test_pipeline(scene, tmp_path):
     """Field and answer are those of `scoup.build` on the same regions."""
     pytest.importorskip("skimage", reason="scikit-image is not installed (pip install 'scoup[segment]')")
-    scene = colored(scene, tmp_path)
     names = ["kettle", "mug", "table", *CANONICAL_PHRASES]
     solid = np.random.default_rng(0).integers(1, 256, (len(names), 1, 1, 3), np.uint8)
     vectors = PlainColors().embed(torch.from_numpy(np.tile(solid, (1, 64, 64, 1)))).numpy()
