@@ -249,7 +249,7 @@ def test_sums_of_another_scene_are_refused(scene):
 def test_region_sums_are_those_of_scaled_cameras(scene, tmp_path, monkeypatch, scale, factor):
     """Also of odd sizes; the field keeps the cameras it was given."""
     gaussians, cameras, regions = scene
-    monkeypatch.setattr("scoup.uplift.rasterise.AUTO_SIDE", 23)
+    monkeypatch.setattr("scoup.uplift.constants.AUTO_SIDE", 23)
     odd = Cameras(camera.resized(41, 29) for camera in cameras)
     sums = region_sums(gaussians, odd, regions, BuildSettings(scale=scale), path=tmp_path / "sums")
     whole = region_sums(gaussians, odd.scaled(factor), regions, BuildSettings(scale=1.0))

@@ -22,9 +22,10 @@ from scoup.scene.regions import RegionMap
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
-from scoup.uplift.merging import LEAST_IOU, LEAST_OVERLAP, ROOT_STEPS, merge_regions
+from scoup.uplift.constants import LEAST_IOU, LEAST_OVERLAP, LEAST_REGIONS
+from scoup.uplift.merging import ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.things import LEAST_REGIONS, mean_embeddings
+from scoup.uplift.things import mean_embeddings
 from support import changed_regions, examples
 
 DECIDED = ("owners", "levels", "parents", "n_regions")
@@ -346,7 +347,7 @@ def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> N
 
 
 def test_of_many_views_some_make_the_things(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scoup.uplift.things.MOST_VIEWS", 2)
+    monkeypatch.setattr("scoup.uplift.constants.MOST_VIEWS", 2)
     fewer = of_field(built(wall))
     names = spread(sorted(camera.name for camera in wall.cameras), 2)
     assert_same(

@@ -17,7 +17,8 @@ from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.transfer import NEAREST, source_rows, transfer
+from scoup.uplift.constants import NEAREST
+from scoup.uplift.transfer import source_rows, transfer
 from support import altered, random_gaussians, small_scene
 from uplift.edits import joined
 

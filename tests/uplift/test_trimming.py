@@ -18,8 +18,9 @@ from scoup.scene.regions import Regions
 from scoup.scene.things import NO_THING
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.constants import KEPT
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.trimming import KEPT, find_strays
+from scoup.uplift.trimming import find_strays
 
 
 def ball(count: int, middle: tuple[float, float, float], radius: float, seed: int = 0) -> NDArray[np.float32]:

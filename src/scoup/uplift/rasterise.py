@@ -22,12 +22,12 @@ from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
+from scoup.uplift import constants
 from scoup.uplift.build_settings import BuildSettings, Scale, build_settings
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.array_file import ENDING, SCENE
 
 STAGE = "region sums"
-AUTO_SIDE = 500  # pixels; see docs/answers.md
 READERS = 4  # threads that read views ahead for a GPU; for a CPU there is one
 
 
@@ -150,7 +150,9 @@ def add_views(
 
 def at_scale(camera: Camera, scale: Scale) -> Camera:
     """Return the camera of the image that region sums are made of."""
-    return camera.scaled(min(1.0, AUTO_SIDE / max(camera.width, camera.height)) if scale == "auto" else scale)
+    return camera.scaled(
+        min(1.0, constants.AUTO_SIDE / max(camera.width, camera.height)) if scale == "auto" else scale
+    )
 
 
 def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:

@@ -97,6 +97,7 @@ class RegionSums:
         self.views: dict[str, ViewRecord] = {}
         self._rows: Rows | Callable[[], Rows] | None = None
         self._packer = Packer(self.order)
+        self._unflushed: list[Path] = []  # of all sums that are selected from these: one folder
 
     @classmethod
     def empty(
@@ -221,14 +222,16 @@ class RegionSums:
             self._make_folder(self.path)
         file = self.path / view_file(view_name)
         write_arrays(file, header, view.arrays(), overwrite=True, wait=WAIT)
+        self._unflushed.append(file)
         self._load(file, written=True)
 
     def flush(self) -> None:
-        """Write the files of the folder to the disk, so that a power cut loses none."""
-        if self.path is not None and self.path.is_dir():
-            for file in stored_files(self.path):
-                flush_to_disk(file)
+        """Write the files of new views to the disk, so that a power cut loses none."""
+        for file in self._unflushed:
+            flush_to_disk(file)
+        if self.path is not None and self._unflushed:
             flush_names(self.path)
+        self._unflushed.clear()
 
     def select(self, view_names: Iterable[str], rows: Rows | Callable[[], Rows]) -> RegionSums:
         """Return the sums of some views, sharing memory, with the rows of these views, or what makes them when they are
@@ -275,6 +278,7 @@ class RegionSums:
         try:
             path.mkdir(parents=True, exist_ok=True)
             self.bytes = write_arrays(scene, header, arrays, overwrite=False, wait=WAIT)
+            self._unflushed.append(scene)
         except OutputExistsError:
             stored = read_arrays(scene)
             if {name: stored.header.get(name) for name in header} != header:
