@@ -140,15 +140,17 @@ def test_parts_that_do_not_fit_are_refused(field):
     info = field.info
     good = (field.code_indices, field.code_weights, field.codebook)
     for bad, message in [
-        ((good[0][:, :2], good[1], good[2]), "must both be"),
-        ((good[0], good[1], good[2][:2]), "does not fit"),
+        ((good[0][:, :2], good[1], good[2]), r"code_indices is uint8 .*, expected"),
+        ((good[0], good[1][..., :1], good[2]), r"code_weights is float16 .*, expected"),
+        ((good[0], good[1], good[2][:2]), r"codebook is float32 .*, expected"),
+        ((good[0], good[1], good[2].bfloat16()), "bfloat16 cannot be used"),
         ((good[0].clone().fill_(8), good[1], good[2]), "beyond the 8 atoms"),
         ((good[0], -good[1], good[2]), "negative"),
         ((good[0], good[1], good[2] * torch.nan), "finite"),
     ]:
         with pytest.raises(InputError, match=message):
             LanguageField(*bad, info)
-    with pytest.raises(InputError, match="must both be"):
+    with pytest.raises(InputError, match=r"expected uint8 or uint16 .* with N = 3"):
         LanguageField(*good, FieldInfo(info.levels, "", info.fingerprint, 3))
 
 

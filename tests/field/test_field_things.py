@@ -14,7 +14,8 @@ from field_files import parts_of
 from planted_wall import SETTINGS, planted_wall
 from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
-from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
+from scoup.scene.field_checks import MOST_THINGS
+from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from support import altered
 

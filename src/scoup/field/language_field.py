@@ -24,7 +24,7 @@ from scoup.field.renders import Vectors
 from scoup.field.sources import camera_of, check_geometry, named_encoder, named_geometry
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import rows_of
-from scoup.scene.field_info import FieldInfo, check_codes, check_things
+from scoup.scene.field_info import FieldInfo, check_parts
 from scoup.scene.gaussians import Gaussians, chosen_rows
 from scoup.scene.things import ThingTable
 
@@ -92,9 +92,7 @@ class LanguageField:
     ) -> None:
         self.code_indices, self.codebook = torch.as_tensor(code_indices), torch.as_tensor(codebook)
         self.code_weights = torch.as_tensor(code_weights).to(torch.float16)
-        check_codes(self.code_indices, self.code_weights, self.codebook, info)
-        if thing_table is not None:
-            check_things(thing_table, self.code_indices.shape, self.codebook.shape[2])
+        check_parts(self.code_indices, self.code_weights, self.codebook, info, thing_table)
         self.info, self.cameras, self.thing_table = info, cameras, thing_table
         self.geometry_path = geometry_path
         self.path: Path | None = None  # the file it was read from or last saved to
