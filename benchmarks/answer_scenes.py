@@ -23,7 +23,7 @@ from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import Scale
+from scoup.uplift.build_settings import BuildSettings, Scale
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
 from scoup_lab.baselines.rasterised_scene import UpliftInputs
@@ -165,7 +165,7 @@ def prepared(
     return AnswerScene(
         name,
         gaussians,
-        cache(lambda scale: region_sums(gaussians, cameras, regions, scale=scale)),
+        cache(lambda scale: region_sums(gaussians, cameras, regions, BuildSettings(scale=scale))),
         [regions.embeddings(level)[0] for level in regions.levels],
         [(frame, raster.project(gaussians, camera)) for frame, camera in frames],
         [camera for _, camera in frames],

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
+from types import ModuleType
 from typing import Any, ClassVar
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -22,14 +25,22 @@ from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
 from scoup.base.errors import looked_up
 from scoup.models.words import with_everyday
 from scoup.query.presence import PRESENT_FROM
+from scoup.uplift import constants
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import MethodSettings
+from scoup_lab.baselines.rasterised_scene import Codes
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup_lab.evaluate.relevancy_maps import localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES
 
+TABLES: tuple[ModuleType, ...] = (constants,)
+"""The tables of constants, one per room: those that a ``WITHOUT`` names can be left out."""
+WITHOUT = "without "
+"""Begins the name of the default way without a constant."""
+SETTINGS = ("desk", "table-real", "shelves-real", "hall-real", "yard-real")
+"""The scenes with real models on which constants are left out."""
 RULES = ("peak", "always", "asked", "localisation")
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
 COMPARED = (
@@ -56,12 +67,16 @@ class Answers(Study):
     above the threshold at which the answer changes least. asked: as `scoup query` answers; a text that it calls absent
     scores 0, and ways that are no field, which cannot judge presence, have none. localisation: by the protocol of
     LERF-OVS, 1 where the point is right. presence: scores of the labels, and of up to 40 absent words.
+
+    With --without, the default way is compared with itself without the constants named, one at a time.
     """
 
     scenes: tuple[str, ...] = (*DRAWS, *(f"{name}x2" for name in DRAWS), *LAYOUTS)
     """Draws of the kitchen, layouts of benchmarks.scenes with a seed, scenes of benchmarks.real_scenes."""
     ways: tuple[str, ...] = ("dense", "votes", "default")
     """Names of WAYS; paper takes minutes a scene and seed."""
+    without: tuple[str, ...] = ()
+    """Constants that TABLES can leave out, or all. Scenes are then SETTINGS, ways the default with and without each."""
     seeds: tuple[int, ...] = (2, 3, 4)
     """Of the codebook; scores are means over them."""
     epochs: int = 4000
@@ -72,27 +87,42 @@ class Answers(Study):
 
     rows_depend_on: ClassVar[tuple[str, ...]] = ("seeds", "epochs", "size")
 
+    def __post_init__(self) -> None:
+        if self.without:
+            names = [name for table in TABLES for name in table.WITHOUT]
+            names = names if self.without == ("all",) else list(self.without)
+            object.__setattr__(self, "scenes", SETTINGS)
+            object.__setattr__(self, "ways", ("default", *(WITHOUT + name for name in names)))
+
     def check(self) -> None:
         for name in self.ways:
-            looked_up("way", name, WAYS)
+            if name.startswith(WITHOUT):
+                table_of_constant(name.removeprefix(WITHOUT))
+            else:
+                looked_up("way", name, WAYS)
 
     def measure(self, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         for name in self.scenes:
             ways = [way for way in self.ways if f"{name}/{way}" not in known]
             scene = make_scene(name, self.data, self.size) if ways else None
+            kept: dict[BuildSettings, Codes] = {}  # no constant of the tables decides codes of regions
             for way in ways:
                 assert scene is not None
-                yield f"{name}/{way}", {"pairs": scene.pairs, "scores": self._scores(scene, way)}
+                yield f"{name}/{way}", {"pairs": scene.pairs, "scores": self._scores(scene, way, kept)}
 
-    def _scores(self, scene: AnswerScene, way: str) -> Record:
+    def _scores(self, scene: AnswerScene, way: str, kept: dict[BuildSettings, Codes]) -> Record:
         """Return per rule the IoU of each pair as means over seeds, and what it took."""
-        method, started = WAYS[way], time.perf_counter()
-        inputs = scene.inputs(scale_of(way))
+        name, started = way.removeprefix(WITHOUT), time.perf_counter()
+        without, method = name != way, WAYS["default" if name != way else way]
+        # The longer side of images without a limit is that of the cameras: region sums of this size are kept.
+        inputs = scene.inputs(1.0 if name == "AUTO_SIDE" else "auto" if without else scale_of(way))
+        inputs = replace(inputs, kept_codes=kept) if self.without else inputs
         build = BuildSettings(epochs=self.epochs)
         by_seed, size = [], 0.0
         for seed in self.seeds if method.random and way not in SLOW else self.seeds[:1]:
-            fitted = method.uplift(inputs, MethodSettings(seed, build))
-            by_seed.append(score(scene, fitted))
+            with left_out(name) if without else nullcontext():
+                fitted = method.uplift(inputs, MethodSettings(seed, build))
+                by_seed.append(score(scene, fitted))
             size = fitted.bytes_per_gaussian
         means = {
             rule: [round(mean(each), 3) for each in zip(*(of[rule] for of in by_seed), strict=True)]
@@ -134,7 +164,10 @@ class Answers(Study):
                     key: {rule: _difference(scores, pairs, each, (first, second), rule) for rule in RULES}
                     for key, each in sets.items()
                 }
-                for first, second in COMPARED
+                for first, second in (
+                    *COMPARED,
+                    *(("default", way) for way in self.ways if way.startswith(WITHOUT)),
+                )
                 if {first, second} <= set(self.ways)
             },
             "presence": presence_of_groups(scores, groups, self.ways),
@@ -147,6 +180,17 @@ class Answers(Study):
     def table(record: Record) -> str:
         keys = next(iter(record["ways"].values()))
         return "\n".join(f"\n{key}\n\n" + table_of(record, key) for key in keys)
+
+
+def table_of_constant(name: str) -> ModuleType:
+    """Return the table that can leave a constant out; an error for none."""
+    return looked_up("constant", name, {name: table for table in TABLES for name in table.WITHOUT})
+
+
+def left_out(name: str) -> AbstractContextManager[Any]:
+    """Give a constant the value at which it has no effect, while a block runs: modules read it when they need it."""
+    table = table_of_constant(name)
+    return patch.object(table, name, table.WITHOUT[name])
 
 
 def score(scene: AnswerScene, fitted: FittedMethod) -> Record:

@@ -161,11 +161,13 @@ def build_scene(n_gaussians: int, views: int, width: int, height: int, device: s
     there = gaussians.to(device)
     on_gpu = device.startswith("cuda")
     few = scoup.Cameras(list(cameras)[:2])
-    scoup.build(there, few, regions.select(few.names), embedding_model="simulated")  # compiles kernels
+    scoup.build(
+        there, few, regions.select(few.names), sources=scoup.FieldSources("simulated")
+    )  # compiles kernels
     if on_gpu:
         torch.cuda.reset_peak_memory_stats()
     clock, started = StageClock(), time.perf_counter()
-    field = scoup.build(there, cameras, regions, embedding_model="simulated", progress=clock)
+    field = scoup.build(there, cameras, regions, sources=scoup.FieldSources("simulated"), progress=clock)
     if on_gpu:
         torch.cuda.synchronize()
     seconds = time.perf_counter() - started

@@ -69,7 +69,8 @@ class LerfSized(Study):
             report(stage, done, total)
 
         clock = StageClock(watch)
-        settings = build_settings(self.preset, n_atoms=self.n_atoms, epochs=self.epochs, seed=self.seed)
+        changes = {"n_atoms": self.n_atoms, "epochs": self.epochs, "seed": self.seed}
+        settings = build_settings(self.preset, **changes, backend=self.backend)
         with torch_threads(self.threads):
             started = time.perf_counter()
             field = scoup.build(
@@ -77,8 +78,7 @@ class LerfSized(Study):
                 cameras,
                 regions,
                 settings=settings,
-                embedding_model="simulated",
-                backend=self.backend,
+                sources=scoup.FieldSources("simulated"),
                 progress=clock,
             )
             total = time.perf_counter() - started

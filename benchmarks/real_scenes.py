@@ -95,9 +95,8 @@ class RealScene:
 
     def field(self, views: Cameras | None = None) -> scoup.LanguageField:
         """Return the field of all or of some views, which desk's table encodes the texts for."""
-        built = scoup.build(
-            self.gaussians(), views or self.cameras, self.regions, embedding_model=self.encoder.name
-        )
+        sources = scoup.FieldSources(self.encoder.name)
+        built = scoup.build(self.gaussians(), views or self.cameras, self.regions, sources=sources)
         return built.with_encoder(self.encoder)
 
 

@@ -4,12 +4,10 @@
 
 Arguments: a scene folder with a splat, cameras and photographs, a segmenter, an embedder (docs/extract.md has their
 names), a text, the field to write, and, if the embedder has no text model, a word table. `scoup.build` does steps 2 to
-5 in one call, with checks and provenance.
+7 in one call, with provenance.
 """
 
 import sys
-
-import torch
 
 import scoup
 from scoup.extract import extract, find_photographs, open_embedder, open_segmenter
@@ -23,28 +21,32 @@ cameras = scoup.load_cameras(scene)
 # 1. Photographs to regions: masks at three levels, one embedding per region. A second run continues the first.
 extract(find_photographs(scene), f"{out}.regions", open_segmenter(segmenter), open_embedder(embedder))
 regions = scoup.load_regions(f"{out}.regions", cameras)
-embeddings = [regions.embeddings(level)[0] for level in regions.levels]  # S x [R, D]
+embeddings = scoup.RegionEmbeddings.load(regions)  # per level [R, D], of the regions of all views
+settings = scoup.BuildSettings()
 
-# 2. A codebook of 128 atoms per level, and a code of 4 atoms per region.
-books = [scoup.fit_codes(rows, n_atoms=128, k=4) for rows in embeddings]
-codebook = torch.stack([book.atoms for book in books])  # [S, L, D]
+# 2. Do splat and cameras fit? Renders of some views are compared with their photographs.
+scoup.check_scene(gaussians, cameras, settings)
 
-# 3. Rasterise each view once: how much each Gaussian contributes to each region. The rest is algebra on it, which you
+# 3. A codebook of 128 atoms per level, and a code of 4 atoms per region.
+codes = scoup.code_regions(embeddings, settings)
+
+# 4. Rasterise each view once: how much each Gaussian contributes to each region. The rest is algebra on it, which you
 # can repeat with other codes.
-sums = scoup.region_sums(gaussians, cameras, regions)
+sums = scoup.region_sums(gaussians, cameras, regions, settings)
 
-# 4. Lift the codes of the regions onto the Gaussians, and merge regions of many views into things.
-codes = scoup.vote(sums, [book.codes for book in books], codebook, rounds=2)
-things = scoup.find_things(sums, embeddings).table
+# 5. Merge the regions of many views into things.
+things = scoup.find_things(sums, embeddings.of_levels).table
 
-# 5. The field, as a file.
+# 6. Lift the codes of the regions onto the Gaussians.
+voted = scoup.vote(sums, codes.codes, codes.codebook, settings.rounds, settings.keep)
+
+# 7. The field, as a file.
 info = scoup.FieldInfo(regions.levels, embedder, sums.fingerprint, len(gaussians))
-parts = codes.indices, codes.weights, codebook
-table = words[0] if words else None
-field = scoup.LanguageField(*parts, info, gaussians, cameras=cameras, thing_table=things, words=table)
+field = scoup.pack(voted, codes.codebook, things, info, gaussians, cameras)
 field.save(out, overwrite=True)
 
-# 6. Ask it: once in the scene; a view draws that answer.
+# 8. Ask it: once in the scene; a view draws that answer.
+field = scoup.LanguageField.of(field, words[0] if words else None)
 answer = field.answer(text)
 print(answer)
 print(field.at(cameras[0]).show([answer])[0])

@@ -17,7 +17,7 @@ scene, words, thing = sys.argv[1:4]
 gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)
 regions = scoup.load_regions(scene, cameras)
-field = scoup.build(gaussians, cameras, regions, words=words)
+field = scoup.build(gaussians, cameras, regions, sources=scoup.FieldSources(words=words))
 
 for camera in cameras[:3]:
     answer = field.at(camera).answer(thing)

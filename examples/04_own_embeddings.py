@@ -45,8 +45,9 @@ for camera in cameras:
         means = np.stack([pixels[labels == number].mean(0) for number in range(count**2)])
         maps[camera.name][level] = scoup.RegionMap(labels, describe(means))  # pyright: ignore[reportArgumentType]
 
+settings = scoup.BuildSettings(check_fit=False)
 words = {name: describe(np.array(color, float)) for name, color in COLORS.items()}
-field = scoup.build(gaussians, cameras, scoup.Regions.from_maps(maps), check_fit=False).with_encoder(words)
+field = scoup.build(gaussians, cameras, scoup.Regions.from_maps(maps), settings).with_encoder(words)
 answer = field.at(cameras[0]).answer(word)
 print(
     f"{word} in {answer.view}: pixel {answer.point}, {answer.coverage:.0%} of the view, level {answer.level}"

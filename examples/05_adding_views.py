@@ -21,15 +21,17 @@ cameras = scoup.load_cameras(scene)
 regions = scoup.load_regions(scene, cameras)
 half = max(1, len(cameras) // 2)
 
+sources = scoup.FieldSources(words=words)
 sums = scoup.region_sums(gaussians, cameras[:half], regions)
-learned = scoup.build(gaussians, cameras[:half], regions, words=words, sums=sums)
+learned = scoup.build(gaussians, cameras[:half], regions, sources=sources, sums=sums)
 print(f"{half} views: {learned.location(thing)}")
 for count in range(half + 1, len(cameras) + 1):
     scene_so_far = (gaussians, cameras[:count], regions)
+    sums = scoup.region_sums(*scene_so_far, sums=sums)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        field = scoup.build(*scene_so_far, words=words, sums=sums, codebook=learned, check_fit=False)
+        field = scoup.build(*scene_so_far, sources=sources, sums=sums, codebook=learned)
     if any("the codebook explains" in str(each.message) for each in caught):  # things of a new kind
-        field = learned = scoup.build(*scene_so_far, words=words, sums=sums, check_fit=False)
+        field = learned = scoup.build(*scene_so_far, sources=sources, sums=sums)
         print("a new codebook was learned")
     print(f"{count} views: {field.location(thing)}")

@@ -21,7 +21,7 @@ gaussians = scoup.load_gaussians(scene)
 cameras = scoup.load_cameras(scene)
 regions = scoup.load_regions(scene, cameras)
 sums = scoup.region_sums(gaussians, cameras, regions)
-field = scoup.build(gaussians, cameras, regions, words=words, sums=sums)
+field = scoup.build(gaussians, cameras, regions, sources=scoup.FieldSources(words=words), sums=sums)
 inputs = UpliftInputs(sums, [regions.embeddings(level)[0] for level in regions.levels])
 dense = dense_uplift(inputs, MethodSettings(seed=0))
 

@@ -118,11 +118,9 @@ def interpreted(triton_interpreter: ProcessPoolExecutor) -> Callable[..., None]:
 @pytest.fixture
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras of a splat alone are chosen among few."""
-    for name, few in (
-        ("view_candidates.AZIMUTHS", 4), ("view_candidates.PLACES", 2), ("view_candidates.PARTS", 2),
-        ("view_candidates.DISTANCES", (0.65, 1.0)), ("own_views.PARENTS", 4),
-    ):  # fmt: skip
-        monkeypatch.setattr(f"scoup.extract.{name}", few)
+    fewer = {"AZIMUTHS": 4, "PLACES": 2, "PARTS": 2, "DISTANCES": (0.65, 1.0), "PARENTS": 4}
+    for name, few in fewer.items():
+        monkeypatch.setattr(f"scoup.extract.constants.{name}", few)
 
 
 @pytest.fixture(scope="session")

@@ -35,7 +35,12 @@ _HOMES = {
     "LanguageField": "scoup.query.language_field",
     "FieldInfo": "scoup.scene.field_info",
     "build": "scoup.query.language_field",
+    "RegionEmbeddings": "scoup.uplift.region_codes",
+    "code_regions": "scoup.uplift.region_codes",
+    "check_scene": "scoup.uplift.build",
+    "pack": "scoup.uplift.build",
     "BuildSettings": "scoup.uplift.build_settings",
+    "FieldSources": "scoup.uplift.provenance",
     "transfer": "scoup.uplift.transfer",
     "TextEncoder": "scoup.models.text",
     "Answer": "scoup.query.answer",
@@ -86,8 +91,13 @@ if TYPE_CHECKING:
     from scoup.scene.gaussians import Gaussians as Gaussians
     from scoup.scene.regions import RegionMap as RegionMap
     from scoup.scene.regions import Regions as Regions
+    from scoup.uplift.build import check_scene as check_scene
+    from scoup.uplift.build import pack as pack
     from scoup.uplift.build_settings import BuildSettings as BuildSettings
+    from scoup.uplift.provenance import FieldSources as FieldSources
     from scoup.uplift.rasterise import region_sums as region_sums
+    from scoup.uplift.region_codes import RegionEmbeddings as RegionEmbeddings
+    from scoup.uplift.region_codes import code_regions as code_regions
     from scoup.uplift.region_sums import RegionSums as RegionSums
     from scoup.uplift.things import find_things as find_things
     from scoup.uplift.transfer import transfer as transfer

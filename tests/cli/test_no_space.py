@@ -31,6 +31,7 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.uplift.build import build
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import region_sums
 from scoup.uplift.region_sums import RegionSums
 from support import small_scene
@@ -215,7 +216,9 @@ WRITERS: dict[str, Callable[[Scene, RegionSums], object]] = {
     "words.npz": lambda *_: save_table("words.npz", ["a", "b"], torch.eye(2)),
     "new.sums": lambda scene, _: region_sums(*scene, path="new.sums"),
     "kept.sums": lambda _, kept: kept.append("another", EMPTY),
-    f"temporary file in {tempfile.gettempdir()}": lambda scene, _: build(*scene, check_fit=False),
+    f"temporary file in {tempfile.gettempdir()}": lambda scene, _: build(
+        *scene, BuildSettings(check_fit=False)
+    ),
 }
 """What writes files without a verb, by the first file it writes."""
 

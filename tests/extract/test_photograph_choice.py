@@ -10,7 +10,6 @@ import torch
 
 from mask_samples import smooth_image
 from scoup.base.errors import InputError
-from scoup.extract import photograph_choice
 from scoup.extract.photograph_choice import (
     points_as_gaussians,
     rank_views,
@@ -52,7 +51,7 @@ def test_nearly_equal_views_are_not_both_taken() -> None:
 
 @pytest.mark.parametrize("few", [0, 6])
 def test_the_number_follows_from_the_scene(monkeypatch: pytest.MonkeyPatch, few: int) -> None:
-    monkeypatch.setattr(photograph_choice, "FEW", few)
+    monkeypatch.setattr("scoup.extract.constants.FEW", few)
     found = rank_views(DWELL, ball(), SHARP)
     assert {10, 11, 12} < set(found)
     assert max(4, few) <= len(found) < 10

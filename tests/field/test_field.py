@@ -12,6 +12,7 @@ from scoup.query.language_field import LanguageField, build
 from scoup.scene.codes import index_dtype
 from scoup.scene.field_info import FieldInfo
 from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.provenance import FieldSources
 from support import altered, random_gaussians, small_scene, unit
 from uplift.edits import joined
 
@@ -25,7 +26,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def field(scene) -> LanguageField:
-    return build(*scene, settings=QUICK, embedding_model="a/model")
+    return build(*scene, settings=QUICK, sources=FieldSources("a/model"))
 
 
 def test_unpainted_gaussians_have_empty_codes_and_render_as_nothing(scene):
@@ -72,8 +73,8 @@ def test_geometry_is_found_by_relative_path_and_checked(scene, tmp_path):
     (tmp_path / "scene").mkdir()
     splat = tmp_path / "scene" / "splat.ply"
     scoup.save_gaussians(gaussians, splat)
-    stored = scoup.load_gaussians(splat)
-    build(stored, cameras, regions, settings=QUICK, geometry_path=splat).save(tmp_path / "scene" / "f.scoup")
+    stored, sources = scoup.load_gaussians(splat), FieldSources(geometry_path=splat)
+    build(stored, cameras, regions, settings=QUICK, sources=sources).save(tmp_path / "scene" / "f.scoup")
     (tmp_path / "scene").rename(tmp_path / "moved")
     path = tmp_path / "moved" / "f.scoup"
     assert len(LanguageField.load(path).gaussians) == len(gaussians)
@@ -89,7 +90,8 @@ def test_links_to_a_field_lead_to_what_it_names(scene, tmp_path):
     gaussians, cameras, regions = scene
     splat = tmp_path / "scene" / "splat.ply"
     scoup.save_gaussians(gaussians, splat)
-    field = build(scoup.load_gaussians(splat), cameras, regions, settings=QUICK, geometry_path=splat)
+    sources = FieldSources(geometry_path=splat)
+    field = build(scoup.load_gaussians(splat), cameras, regions, settings=QUICK, sources=sources)
     (tmp_path / "store" / "deep").mkdir(parents=True)
     (tmp_path / "linked").symlink_to(tmp_path / "store" / "deep")
     for folder in ("store/deep", "linked"):
@@ -137,15 +139,17 @@ def test_parts_that_do_not_fit_are_refused(field):
     info = field.info
     good = (field.code_indices, field.code_weights, field.codebook)
     for bad, message in [
-        ((good[0][:, :2], good[1], good[2]), "must both be"),
-        ((good[0], good[1], good[2][:2]), "does not fit"),
+        ((good[0][:, :2], good[1], good[2]), r"code_indices is uint8 .*, expected"),
+        ((good[0], good[1][..., :1], good[2]), r"code_weights is float16 .*, expected"),
+        ((good[0], good[1], good[2][:2]), r"codebook is float32 .*, expected"),
+        ((good[0], good[1], good[2].bfloat16()), "bfloat16 cannot be used"),
         ((good[0].clone().fill_(8), good[1], good[2]), "beyond the 8 atoms"),
         ((good[0], -good[1], good[2]), "negative"),
         ((good[0], good[1], good[2] * torch.nan), "finite"),
     ]:
         with pytest.raises(InputError, match=message):
             LanguageField(*bad, info)
-    with pytest.raises(InputError, match="must both be"):
+    with pytest.raises(InputError, match=r"expected uint8 or uint16 .* with N = 3"):
         LanguageField(*good, FieldInfo(info.levels, "", info.fingerprint, 3))
 
 

@@ -15,7 +15,8 @@ from planted_wall import SETTINGS, planted_wall
 from scoup.base.errors import InputError
 from scoup.field import Field
 from scoup.query.language_field import LanguageField
-from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
+from scoup.scene.field_checks import MOST_THINGS
+from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from support import altered
 
@@ -26,7 +27,7 @@ PARTS = ("owners", "levels", "parents", "embeddings", "agreement", "n_regions", 
 def field() -> LanguageField:
     """With Gaussians and things that belong to none, too."""
     wall = planted_wall(views=3)
-    built = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS, check_fit=False)
+    built = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS)
     owners = things_of(built).owners.clone()
     owners[::7, 0] = owners[::11, 1] = NO_THING
     return with_things(built, replace(things_of(built), owners=owners))

@@ -22,7 +22,8 @@ from scoup.query.presence import LIKELY
 from scoup.query.refine import choose_views, refine
 from scoup.scene.cameras import Cameras
 from scoup.scene.names import Detections, NameTable
-from scoup.uplift.naming import EVEN_SCORE, things_in_view
+from scoup.uplift.constants import EVEN_SCORE
+from scoup.uplift.naming import things_in_view
 from support import altered
 
 MUG, OTHER_MUG, LAPTOP, LAMP, BALL = 1, 2, 3, 4, 5  # of ROOM

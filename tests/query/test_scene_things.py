@@ -78,7 +78,7 @@ def test_what_fits_better_comes_first() -> None:
 
 def test_things_of_two_levels_have_parents_that_contain_them() -> None:
     wall = planted_wall()
-    field = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS, check_fit=False)
+    field = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS)
     things = {thing.number: thing for thing in field.things()}
     parts = [thing for thing in things.values() if thing.level == "s"]
     assert len(parts) == 2 * COUNT

@@ -244,7 +244,7 @@ class Asked:
 @pytest.fixture(scope="module")
 def asked() -> Asked:
     wall = planted_wall()
-    field = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS, check_fit=False)
+    field = build(wall.gaussians, wall.cameras, wall.regions, SETTINGS)
     return Asked(wall, field, without_things(field))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
@@ -210,7 +211,7 @@ def check_build(rounds: int, device: str) -> None:
     gaussians, cameras, regions = small_scene(count=60, views=2, width=16, height=9, regions=4, dim=8)
     settings = build_settings("default", n_atoms=6, k=2, rounds=rounds)
     fields = [
-        build(there, cameras, regions, settings=settings, backend=backend)
+        build(there, cameras, regions, settings=replace(settings, backend=backend))
         for there, backend in ((gaussians.to(device), "triton"), (gaussians, "reference"))
     ]
     found, expected = fields

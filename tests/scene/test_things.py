@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup.scene.things import LEAST_SPREAD, MOST_THINGS, NO_THING, SURE_REGIONS, TENSORS, ThingTable
+from scoup.scene.field_checks import MOST_THINGS
+from scoup.scene.things import LEAST_SPREAD, NO_THING, SURE_REGIONS, TENSORS, ThingTable
 
 
 def parts(**changes: Any) -> dict[str, Any]:
@@ -52,22 +53,22 @@ def test_parts_of_another_type_or_shape_are_refused(name: str) -> None:
     if name != "owners":
         wrong.append(good[:-1])
     for each in wrong:
-        with pytest.raises(InputError, match="of things"):
+        with pytest.raises(InputError, match=r"things\.\w+ is .*, expected"):
             ThingTable(**parts(**{name: each}))
 
 
 @pytest.mark.parametrize(("name", "place", "value", "message"), [
-    ("owners", (2, 1), 5, "name one beyond the 5"),
-    ("owners", (2, 1), MOST_THINGS, "name one beyond the 5"),
-    ("owners", (0, 0), -2, "name one beyond the 5"),
-    ("parents", 0, 5, "name one beyond the 5"),
-    ("parents", 1, -7, "name one beyond the 5"),
+    ("owners", (2, 1), 5, "names a thing beyond the 5"),
+    ("owners", (2, 1), MOST_THINGS, "names a thing beyond the 5"),
+    ("owners", (0, 0), -2, "names a thing beyond the 5"),
+    ("parents", 0, 5, "names a thing beyond the 5"),
+    ("parents", 1, -7, "names a thing beyond the 5"),
     ("levels", 4, 2, "of a level beyond the 2"),
-    ("embeddings", (1, 3), math.nan, "embeddings of things contains values that are not finite"),
-    ("embeddings", (1, 3), math.inf, "embeddings of things contains values that are not finite"),
-    ("agreement", 2, math.nan, "agreement of things contains"),
-    ("mass", 0, -math.inf, "mass of things contains"),
-    ("stability", 1, math.nan, "stability of things contains"),
+    ("embeddings", (1, 3), math.nan, "things.embeddings contains values that are not finite"),
+    ("embeddings", (1, 3), math.inf, "things.embeddings contains values that are not finite"),
+    ("agreement", 2, math.nan, "things.agreement contains"),
+    ("mass", 0, -math.inf, "things.mass contains"),
+    ("stability", 1, math.nan, "things.stability contains"),
 ])  # fmt: skip
 def test_values_that_make_no_sense_are_refused(name: str, place: Any, value: float, message: str) -> None:
     tensor = parts()[name].clone()

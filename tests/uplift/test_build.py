@@ -68,7 +68,7 @@ def other_embeddings(regions: Regions) -> Regions:
 def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, whole, tmp_path, at, monkeypatch):
     gaussians, _, regions = scene
     path = tmp_path / "sums"
-    sums = open_sums(path, gaussians, regions)
+    sums = open_sums(path, gaussians, regions, QUICK)
 
     def press_ctrl_c(stage: str, done: int, _: int) -> None:
         if (stage, done) == at:
@@ -77,27 +77,29 @@ def test_an_interrupted_build_goes_on_and_gives_the_same_bytes(scene, whole, tmp
     with pytest.raises(KeyboardInterrupt):
         build(*scene, settings=QUICK, sums=sums, progress=press_ctrl_c)
     taken = {"region sums": 2, "vote": 4, "coding m": 0}[at[0]]
-    sums = open_sums(path, gaussians, regions)
+    sums = open_sums(path, gaussians, regions, QUICK)
     assert len(sums) == taken
     projected = []
     project = scoup.raster.project
     monkeypatch.setattr(
         scoup.raster, "project", lambda *a, **k: projected.append(a[1].name) or project(*a, **k)
     )
-    again = build(*scene, settings=QUICK, sums=sums, check_fit=False)
+    again = build(*scene, settings=dataclasses.replace(QUICK, check_fit=False), sums=sums)
     assert len(projected) == 4 - taken  # no view is done again
     assert saved(again, tmp_path / "resumed.scoup") == whole
 
 
 def test_what_changed_during_an_interruption_is_rasterised_again(scene, tmp_path):
     gaussians, cameras, regions = scene
-    sums = open_sums(tmp_path / "sums", gaussians, regions)
-    build(*scene, settings=QUICK, sums=sums)
+    sums = region_sums(*scene, path=tmp_path / "sums")
     changed = flipped(regions, cameras.names[1:2])
     moved = Cameras([cameras[0].resized(30, 20), *list(cameras)[1:]])
     before = dict(sums.views)
     again = build(gaussians, moved, changed, settings=QUICK, sums=sums)
-    assert [name for name in before if sums.views[name] is not before[name]] == list(cameras.names[:2])
+    assert sums.views == before  # what was passed stays as it is
+    grown = region_sums(gaussians, moved, changed, sums=sums)
+    assert [name for name in before if grown.views[name] is not before[name]] == list(cameras.names[:2])
+    assert set(RegionSums.open(tmp_path / "sums").views) == set(before)
     fresh = build(gaussians, moved, changed, settings=QUICK)
     assert saved(again, tmp_path / "a.scoup") == saved(fresh, tmp_path / "b.scoup")
     assert fresh.info.provenance["label_maps"] != build(*scene, settings=QUICK).info.provenance["label_maps"]
@@ -111,7 +113,7 @@ def test_a_damaged_view_is_made_again(scene, whole, tmp_path):
     before = snapshot(path)
     (path / view_file(cameras.names[1])).write_bytes(b"")
     with pytest.warns(ScoupWarning, match=r"view_01.*is not a file of region sums.*it is made again"):
-        sums = open_sums(path, gaussians, regions)
+        sums = open_sums(path, gaussians, regions, QUICK)
     assert saved(build(*scene, settings=QUICK, sums=sums), tmp_path / "b.scoup") == whole
     assert snapshot(path) == before
 
@@ -133,14 +135,14 @@ def test_processes_that_begin_one_folder_at_the_same_time(scene, tmp_path):
     gaussians, cameras, regions = scene
     path = tmp_path / "sums"
     first, second = (RegionSums.empty(gaussians, regions.levels, path=path) for _ in range(2))
-    add_views(first, gaussians, list(cameras)[:2], regions)
-    add_views(second, gaussians, list(cameras)[2:], regions)
+    region_sums(gaussians, cameras[:2], regions, sums=first)
+    region_sums(gaussians, cameras[2:], regions, sums=second)
     region_sums(gaussians, cameras, regions, path=tmp_path / "alone")
     assert snapshot(path) == snapshot(tmp_path / "alone")
     other = RegionSums.empty(random_gaussians(len(gaussians), 9), regions.levels)
     other.path = path
     with pytest.raises(InputError, match="another process adds views of another scene"):
-        add_views(other, gaussians, cameras, regions)
+        add_views(other, gaussians, list(cameras), regions)
 
 
 # ---- the codebook of an earlier field
@@ -165,6 +167,7 @@ def test_photographs_that_came_later(scene, tmp_path):
     sums = region_sums(gaussians, cameras[:2], regions, path=tmp_path / "sums")
     first = build(gaussians, cameras[:2], regions, settings=QUICK, sums=sums)
     before = dict(sums.views)
+    sums = region_sums(*scene, sums=sums)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScoupWarning)  # random embeddings
         grown = build(*scene, settings=dataclasses.replace(QUICK, n_atoms=5), sums=sums, codebook=first)
@@ -247,10 +250,10 @@ def test_sums_of_another_scene_are_refused(scene):
 def test_region_sums_are_those_of_scaled_cameras(scene, tmp_path, monkeypatch, scale, factor):
     """Also of odd sizes; the field keeps the cameras it was given."""
     gaussians, cameras, regions = scene
-    monkeypatch.setattr("scoup.uplift.rasterise.AUTO_SIDE", 23)
+    monkeypatch.setattr("scoup.uplift.constants.AUTO_SIDE", 23)
     odd = Cameras(camera.resized(41, 29) for camera in cameras)
-    sums = region_sums(gaussians, odd, regions, scale=scale, path=tmp_path / "sums")
-    whole = region_sums(gaussians, odd.scaled(factor), regions, scale=1.0)
+    sums = region_sums(gaussians, odd, regions, BuildSettings(scale=scale), path=tmp_path / "sums")
+    whole = region_sums(gaussians, odd.scaled(factor), regions, BuildSettings(scale=1.0))
     for level in range(len(regions.levels)):
         np.testing.assert_array_equal(sums.matrix(level).toarray(), whole.matrix(level).toarray())
     settings = dataclasses.replace(QUICK, scale=scale)
@@ -266,12 +269,20 @@ def test_region_sums_are_those_of_scaled_cameras(scene, tmp_path, monkeypatch, s
 def test_the_same_bytes_for_any_number_of_threads(scene, tmp_path, backend):
     for threads in (1, 3):
         with threads_of_torch(threads):
-            build(*scene, settings=QUICK, backend=backend).save(tmp_path / f"{threads}.scoup")
+            build(*scene, settings=dataclasses.replace(QUICK, backend=backend)).save(
+                tmp_path / f"{threads}.scoup"
+            )
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
 
 
 def test_backends_build_the_same_field(scene):
-    fields = [build(*scene, settings=QUICK, backend=backend) for backend in ("native", "reference")]
+    fields = [
+        build(*scene, settings=dataclasses.replace(QUICK, backend=backend))
+        for backend in ("native", "reference")
+    ]
+    assert fields[0].info.provenance == fields[1].info.provenance | {
+        "sharpness": fields[0].info.provenance["sharpness"]
+    }
     same = (fields[0].code_indices == fields[1].code_indices).all(-1)
     assert same.float().mean() > 0.999
     torch.testing.assert_close(fields[0].code_weights[same], fields[1].code_weights[same], atol=1e-3, rtol=0)

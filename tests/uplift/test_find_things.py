@@ -22,9 +22,10 @@ from scoup.scene.regions import RegionMap
 from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
-from scoup.uplift.merging import LEAST_IOU, LEAST_OVERLAP, ROOT_STEPS, merge_regions
+from scoup.uplift.constants import LEAST_IOU, LEAST_OVERLAP, LEAST_REGIONS
+from scoup.uplift.merging import ROOT_STEPS, merge_regions
 from scoup.uplift.rasterise import region_sums
-from scoup.uplift.things import LEAST_REGIONS, mean_embeddings
+from scoup.uplift.things import mean_embeddings
 from support import changed_regions, examples
 
 DECIDED = ("owners", "levels", "parents", "n_regions")
@@ -42,7 +43,7 @@ def things(wall: Wall) -> ThingTable:
 
 def built(wall: Wall, views: Sequence[str] | None = None, **how) -> Field:
     cameras = Cameras(camera for camera in wall.cameras if views is None or camera.name in views)
-    return build(wall.gaussians, cameras, wall.regions, SETTINGS, check_fit=False, **how)
+    return build(wall.gaussians, cameras, wall.regions, SETTINGS, **how)
 
 
 def of_field(field: Field) -> ThingTable:
@@ -322,12 +323,15 @@ def test_zero_embeddings_merge_as_others(wall: Wall, things: ThingTable) -> None
 
 @pytest.mark.parametrize(
     "settings",
-    [replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5), replace(SETTINGS, things=False)],
+    [
+        replace(BUILD_PRESETS["paper"], n_atoms=6, k=2, keep=2, epochs=5, check_fit=False),
+        replace(SETTINGS, things=False),
+    ],
     ids=["paper", "no things"],
 )
 def test_a_field_may_have_no_things(wall: Wall, settings: BuildSettings) -> None:
     assert not settings.things
-    assert build(wall.gaussians, wall.cameras, wall.regions, settings, check_fit=False).thing_table is None
+    assert build(wall.gaussians, wall.cameras, wall.regions, settings).thing_table is None
 
 
 # The same views give the same things, whichever way they came.
@@ -335,7 +339,7 @@ def test_a_field_may_have_no_things(wall: Wall, settings: BuildSettings) -> None
 
 def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> None:
     other = Cameras(reversed(list(wall.cameras)))
-    found = build(wall.gaussians, other, wall.regions, SETTINGS, check_fit=False)
+    found = build(wall.gaussians, other, wall.regions, SETTINGS)
     assert found.info.provenance["views"] != list(wall.cameras.names)
     assert_same(found.thing_table, things, (*DECIDED, "mass"))
     torch.testing.assert_close(of_field(found).embeddings, things.embeddings, atol=1e-3, rtol=0)
@@ -343,7 +347,7 @@ def test_the_order_of_views_does_not_matter(wall: Wall, things: ThingTable) -> N
 
 
 def test_of_many_views_some_make_the_things(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scoup.uplift.things.MOST_VIEWS", 2)
+    monkeypatch.setattr("scoup.uplift.constants.MOST_VIEWS", 2)
     fewer = of_field(built(wall))
     names = spread(sorted(camera.name for camera in wall.cameras), 2)
     assert_same(

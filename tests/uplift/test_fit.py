@@ -217,7 +217,7 @@ def test_a_build_is_checked_before_the_work(tmp_path: Path, monkeypatch: pytest.
     settings = scoup.BuildSettings(n_atoms=1, k=1, keep=1)
     field = scoup.build(gaussians, scoup.Cameras(cameras), regions, settings)
     wrong = scoup.Cameras(with_photographs_of(cameras, [*cameras[5:], *cameras[:5]]))
-    unchecked = scoup.build(gaussians, wrong, regions, settings, check_fit=False)
+    unchecked = scoup.build(gaussians, wrong, regions, replace(settings, check_fit=False))
     assert unchecked.code_weights.equal(field.code_weights)
     sums = scoup.region_sums(gaussians, wrong, regions)
     scoup.build(gaussians, wrong, regions, settings, sums=sums)  # what is continued was checked at its start
@@ -225,9 +225,9 @@ def test_a_build_is_checked_before_the_work(tmp_path: Path, monkeypatch: pytest.
     def too_late(*_, **__):
         raise AssertionError("work was done on a scene that does not fit")
 
-    monkeypatch.setattr("scoup.uplift.build.learn_region_codes", too_late)
+    monkeypatch.setattr("scoup.uplift.build.code_regions", too_late)
     with pytest.raises(InputError, match=r"a\.ply: does not fit the cameras"):
-        scoup.build(gaussians, wrong, regions, settings, geometry_path="a.ply")
+        scoup.build(gaussians, wrong, regions, settings, sources=scoup.FieldSources(geometry_path="a.ply"))
 
 
 def test_codes_of_hardly_any_gaussian():

@@ -10,11 +10,8 @@ import torch
 
 from query.planted_room import FRONT, planted_room
 from scoup.scene.names import Detections, NameTable
+from scoup.uplift.constants import BEST_SCORES, BEST_VIEWS, EVEN_SCORE, NAMING_IOU
 from scoup.uplift.naming import (
-    BEST_SCORES,
-    BEST_VIEWS,
-    EVEN_SCORE,
-    LEAST_OVERLAP,
     ThingsInView,
     count_votes,
     name_things,
@@ -65,7 +62,7 @@ def test_votes_are_those_of_a_plain_reading(seed: int) -> None:
             top[text] = max(top[text], score)
             for thing, other in enumerate(view.boxes.tolist()):
                 overlap = literal_iou([side / 2 for side in box], other)
-                if view.masks[thing].any() and overlap >= LEAST_OVERLAP:
+                if view.masks[thing].any() and overlap >= NAMING_IOU:
                     best[text, thing] = max(best[text, thing], score * overlap)
         for key, value in best.items():
             votes[key].append(value)

@@ -16,7 +16,8 @@ from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.transfer import NEAREST, source_rows, transfer
+from scoup.uplift.constants import NEAREST
+from scoup.uplift.transfer import source_rows, transfer
 from support import altered, random_gaussians, small_scene
 from uplift.edits import joined
 
@@ -24,7 +25,7 @@ from uplift.edits import joined
 @pytest.fixture(scope="module")
 def field() -> LanguageField:
     gaussians, cameras, regions = small_scene(count=200, views=3)
-    return build(gaussians, cameras, regions, BuildSettings(n_atoms=6, k=3, keep=3), check_fit=False)
+    return build(gaussians, cameras, regions, BuildSettings(n_atoms=6, k=3, keep=3, check_fit=False))
 
 
 def moved(gaussians: Gaussians, by: float) -> Gaussians:

@@ -17,8 +17,10 @@ from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.scene.things import NO_THING
+from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.constants import KEPT
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.trimming import KEPT, find_strays
+from scoup.uplift.trimming import find_strays
 
 
 def ball(count: int, middle: tuple[float, float, float], radius: float, seed: int = 0) -> NDArray[np.float32]:
@@ -101,7 +103,7 @@ def smeared() -> tuple[Gaussians, Cameras, Regions, torch.Tensor]:
 def test_no_thing_owns_strays() -> None:
     gaussians, cameras, regions, behind = smeared()
     sums = RegionSums.empty(gaussians, LEVELS)
-    field = build(gaussians, cameras, regions, SETTINGS, sums=sums, check_fit=False)
+    field = build(gaussians, cameras, regions, SETTINGS, sums=sums)
     assert field.thing_table is not None
     owners = field.thing_table.owners
     assert int(behind.sum()) >= 4
@@ -115,7 +117,7 @@ def test_a_build_adds_means_that_the_sums_lack() -> None:
     gaussians, cameras, regions, behind = smeared()
     sums = RegionSums.empty(gaussians, LEVELS)
     sums.means = None
-    field = build(gaussians, cameras, regions, SETTINGS, sums=sums, check_fit=False)
+    field = build(gaussians, cameras, regions, SETTINGS, sums=sums)
     assert field.thing_table is not None
     assert bool((field.thing_table.owners[behind] == NO_THING).all())
 
@@ -127,7 +129,9 @@ def test_the_teddy_bear_of_a_table_lies_at_one_place(data_folder: Path) -> None:
     if not scene.is_dir():
         pytest.skip(f"no table-20 in {data_folder}")
     gaussians, cameras = load_gaussians(scene / "point_cloud.splat"), load_cameras(scene)
-    field = build(gaussians, cameras, load_regions(scene / "language_features", cameras), check_fit=False)
+    field = build(
+        gaussians, cameras, load_regions(scene / "language_features", cameras), BuildSettings(check_fit=False)
+    )
     words = data_folder / "desk" / "desk_words.npz"
     field = field.with_encoder(words)
     bear = field.things(field.question("teddy bear", always=True))[0]

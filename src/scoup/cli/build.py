@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from scoup.scene.gaussians import Gaussians
     from scoup.scene.names import Detections
     from scoup.scene.regions import Regions
+    from scoup.uplift.build_settings import BuildSettings
     from scoup.uplift.region_sums import RegionSums
 
 CLIP_DIM = 512
@@ -106,9 +107,8 @@ class Build(BuildOptions, ViewOptions):
         if not (field.embedding_model or field.info.words):
             remedy = "build with --model, or pass --text to each question"
             warnings.warn(f"{out}: names nothing that can encode texts; {remedy}", ScoupWarning, stacklevel=2)
-        kept_sums = None if self.keep_sums is None else sums
         seconds = time.perf_counter() - started
-        report_field(console, field, out, kept_sums, self.device, seconds, extracted)
+        report_field(console, field, out, self.keep_sums, self.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
         console.say(whole + _suggestion(field, out))
         return None
@@ -143,16 +143,19 @@ class Build(BuildOptions, ViewOptions):
         """Build with progress; what an interruption leaves is reported."""
         from scoup.field import Field
         from scoup.uplift.build import build
+        from scoup.uplift.naming import name_field
+        from scoup.uplift.provenance import FieldSources
 
         self._report_resumed(console, sums, len(loaded.regions))
         codebook = None if self.codebook is None else Field.load(self.codebook)
         try:
             with console.progress() as progress:
-                return build(
-                    loaded.gaussians, loaded.cameras, loaded.regions, self.settings(loaded.raster_preset),
-                    embedding_model=loaded.model, words=loaded.words, geometry_path=loaded.source, sums=sums,
-                    codebook=codebook, concepts=loaded.concepts, check_fit=not self.no_check_fit, progress=progress,
+                field = build(
+                    loaded.gaussians, loaded.cameras, loaded.regions, self._settings(loaded),
+                    sources=FieldSources(loaded.model, loaded.words, loaded.source), sums=sums, codebook=codebook,
+                    progress=progress,
                 )  # fmt: skip
+            return field if loaded.concepts is None else name_field(field, *loaded.concepts)
         finally:
             if self.keep_sums is not None:
                 sums.flush()
@@ -176,6 +179,7 @@ class Build(BuildOptions, ViewOptions):
 
     def _write_part(self, console: Console) -> None:
         """Rasterise a part of the views, keep their region sums and report."""
+        from scoup.scene.cameras import Cameras
         from scoup.uplift.build import check_scene
         from scoup.uplift.rasterise import add_views, cameras_with_regions
 
@@ -189,16 +193,14 @@ class Build(BuildOptions, ViewOptions):
         loaded = self._load(console)
         started = time.perf_counter()
         views = cameras_with_regions(loaded.cameras, loaded.regions)
-        chosen = part.of(views)
+        chosen, settings = Cameras(part.of(views)), self._settings(loaded)
         with reserved_part(self.keep_sums, part):
             sums = self._open_sums(loaded, self.keep_sums)
-            check_fit = not self.no_check_fit and bool(chosen) and not len(sums)
-            check_scene(
-                loaded.gaussians, chosen, loaded.raster_preset, None, loaded.source, check_fit=check_fit
-            )
+            check_fit = bool(len(chosen)) and not len(sums)
+            check_scene(loaded.gaussians, chosen, settings, loaded.source, check_fit)
             self._report_resumed(console, sums, len(views))
             with console.progress() as progress:
-                add_views(sums, loaded.gaussians, chosen, loaded.regions, progress=progress)
+                add_views(sums, loaded.gaussians, list(chosen), loaded.regions, progress=progress)
             sums.flush()
         seconds = time.perf_counter() - started
         console.say(
@@ -249,15 +251,24 @@ class Build(BuildOptions, ViewOptions):
     def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
         from scoup.uplift.rasterise import open_sums
 
-        scale = self.settings(loaded.raster_preset).scale
-        return open_sums(folder, loaded.gaussians, loaded.regions, loaded.raster_preset, scale)
+        return open_sums(folder, loaded.gaussians, loaded.regions, self._settings(loaded))
+
+    def _settings(self, loaded: _Loaded) -> BuildSettings:
+        return replace(self.settings(loaded.raster_preset), check_fit=not self.no_check_fit)
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
+        from scoup.uplift.region_sums import view_files
+
         if self.keep_sums is None:
             return
-        before = console.kept()
-        console.kept = lambda: kept(f"{len(sums)} of {views} views") if len(sums) else before
+        before, folder = console.kept(), self.keep_sums
+
+        def report_kept() -> str:
+            stored = len(view_files(folder))
+            return kept(f"{stored} of {views} views") if stored else before
+
+        console.kept = report_kept
         if len(sums):
             console.say(f"{sums.path}: contains {counted(len(sums), 'view')} already")
 

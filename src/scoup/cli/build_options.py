@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from scoup.field import Field
     from scoup.scene.cameras import Cameras
     from scoup.scene.regions import Regions
-    from scoup.uplift.region_sums import RegionSums
 
 
 _SETTINGS = "n_atoms k keep rounds solver effort epochs tolerance seed scale"
@@ -122,13 +121,14 @@ def report_field(
     console: Console,
     field: Field,
     out: Path,
-    sums: RegionSums | None,
+    sums: Path | None,
     device: str,
     seconds: float,
     extraction: dict[str, Any],
 ) -> None:
-    """Report what was built; ``sums`` if they are kept, and the extraction if there was one."""
+    """Report what was built; the folder of ``sums`` that are kept, and the extraction if there was one."""
     from scoup.field.part_sizes import part_sizes
+    from scoup.uplift.region_sums import stored_bytes, view_files
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():
@@ -144,9 +144,11 @@ def report_field(
         f"{coded:,} of {counted(len(field), 'Gaussian')} coded, built in {seconds:.0f} s"
     )
     record: dict[str, Any] = {"field": out, **({"extraction": extraction} if extraction else {})}
-    if sums is not None and sums.path is not None:
-        console.say(f"{sums.path}: {sums.bytes / 1e6:.1f} MB of region sums, {counted(len(sums), 'view')}")
-        record |= {"sums": sums.path, "sums_bytes": sums.bytes}
+    if sums is not None:
+        console.say(
+            f"{sums}: {stored_bytes(sums) / 1e6:.1f} MB of region sums, {counted(len(view_files(sums)), 'view')}"
+        )
+        record |= {"sums": sums, "sums_bytes": stored_bytes(sums)}
     peak = _peak_gpu_memory(device)
     if peak is not None:
         console.say(f"peak memory on {device}: {peak / 1e9:.2f} GB")

@@ -147,8 +147,9 @@ class Extract(WritesCommon):
     ) -> list[Photograph] | None:
         """The photographs that matter; None for all, also where they cannot be compared and no number is passed."""
         from scoup.extract import choose_photographs
+        from scoup.extract.constants import FEW
         from scoup.extract.own_views import SHEET
-        from scoup.extract.photograph_choice import FEW, total_wanted
+        from scoup.extract.photograph_choice import total_wanted
         from scoup.io.regions.manifest import read_manifest
         from scoup.io.regions.store import RegionStore
         from scoup.io.scene_parts import find_splat

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.extract import constants
 from scoup.extract.grids import Box, coarse_to_fine, crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks
 from scoup.extract.overlaps import keep_by_boxes, keep_by_masks
@@ -20,7 +21,6 @@ from scoup.models.sam import EncodedImage, PointModel
 from scoup.scene.regions import LEVELS
 
 CHUNK_BYTES = 128 << 20  # of logits at the size of the image in memory at once
-MANY = 8  # see ``_known``
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def _known(points: Tensor, encoded: EncodedImage, coarse: list[_Coarse], last: b
         is_small = (found.channels[found.smallest] == 0).cpu()
         small += inside[is_small].sum(0)
         large += inside[~is_small].sum(0)
-    return (small > 0) | (large >= MANY) & last
+    return (small > 0) | (large >= constants.MANY) & last
 
 
 def _upscaled(

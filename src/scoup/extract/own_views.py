@@ -14,6 +14,7 @@ from scoup.base.atomic import remove
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress, reported
 from scoup.base.staging import staged
+from scoup.extract import constants
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras
 from scoup.extract.view_choice import Scores, ViewScorer, choose_views, clear_worth, gains_alone
 from scoup.io import load_cameras, save_png, write_transforms
@@ -24,12 +25,6 @@ from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.up import checked_direction, estimate_up_of_splat
 
-ROUNDS = 2  # of moving the best cameras a little
-PARENTS = 24
-CHILDREN = 4
-LEAST_GAIN = 0.02
-MOST_VIEWS = 64
-OPAQUE = 0.5  # opacity from which a Gaussian counts for the coverage
 LEAST_SIDE, MOST_SIDE, MOST_COUNT = 16, 8192, 1000
 TRANSFORMS, IMAGES, SHEET = "transforms.json", "images", "views.png"
 
@@ -75,10 +70,10 @@ def choose_cameras(
     upwards = estimate_up_of_splat(gaussians, rows) if up is None else checked_direction(up)
     matter = measure_matter(gaussians, rows, upwards)
     scorer = ViewScorer.of(prepare_gaussians(gaussians), matter)
-    draws = qmc.Halton(5, scramble=False).random(1 + ROUNDS * CHILDREN)[1:] * 2 - 1
+    draws = qmc.Halton(5, scramble=False).random(1 + constants.ROUNDS * constants.CHILDREN)[1:] * 2 - 1
     there = list(beside or ())
     cameras = [*there, *candidate_cameras(matter, width, height)]
-    total, numbers = len(cameras) + ROUNDS * PARENTS * CHILDREN, count_from(1)
+    total, numbers = len(cameras) + constants.ROUNDS * constants.PARENTS * constants.CHILDREN, count_from(1)
     progress("cameras", 0, total)
 
     def counted(some: list[Camera]) -> Iterator[Camera]:
@@ -87,15 +82,22 @@ def choose_cameras(
             progress("cameras", next(numbers), total)
 
     scores = scorer.scores(counted(cameras))
-    for near in torch.from_numpy(draws).split(CHILDREN):
+    for near in torch.from_numpy(draws).split(constants.CHILDREN):
         parents = choose_views(
-            clear_worth(scores, scorer.means, len(there)), scores.direction, PARENTS, there=range(len(there))
+            clear_worth(scores, scorer.means, len(there)),
+            scores.direction,
+            constants.PARENTS,
+            there=range(len(there)),
         )
         moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
         scores = Scores.joined([scores, scorer.scores(counted(moved))]) if moved else scores
     worth = clear_worth(scores, scorer.means, len(there))
-    least_gain = LEAST_GAIN * float(gains_alone(worth[len(there) :]).max()) if count is None else 0.0
-    chosen = choose_views(worth, scores.direction, count or MOST_VIEWS, least_gain, range(len(there)))
+    least_gain = (
+        constants.LEAST_VIEW_GAIN * float(gains_alone(worth[len(there) :]).max()) if count is None else 0.0
+    )
+    chosen = choose_views(
+        worth, scores.direction, count or constants.MOST_VIEWS, least_gain, range(len(there))
+    )
     if not chosen and not there:
         raise InputError("gaussians: nothing can be seen clearly (no view shows an opaque, sharp surface)")
     taken = {camera.stem for camera in there}
@@ -193,7 +195,7 @@ def save_views(
         )
     for name in set(before) - set(places.values()):
         remove(folder / name)
-    opaque = gaussians.opacities >= OPAQUE
+    opaque = gaussians.opacities >= constants.COVERING_OPACITY
     counted = seen[opaque if bool(opaque.any()) else gaussians.opacities > 0]
     once, often = (float((counted >= least).double().mean()) for least in (1, 3))
     return Coverage(once, often)

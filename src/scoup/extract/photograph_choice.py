@@ -14,6 +14,7 @@ from torch.nn.functional import normalize
 
 from scoup.base.errors import InputError, ScoupError
 from scoup.base.progress import Progress, no_progress, reported
+from scoup.extract import constants
 from scoup.extract.photographs import Photograph, read_ahead
 from scoup.extract.view_candidates import find_matter, measure_matter
 from scoup.extract.view_choice import ViewScorer, choose_views, gains_alone
@@ -26,12 +27,6 @@ from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.neighbours import nearest_points
 from scoup.uplift.fit import Verdict, fit_problem, measure_fit
-
-FEW = 24  # photographs that are always taken
-LEAST_GAIN = 0.006  # of what the best photograph gains alone
-NEIGHBOURS = 8  # photographs that show the most of the same
-SECTORS = 60  # of the directions from which a Gaussian is seen
-SHARP = 0.75  # quantile of their sharpness from which a photograph is as sharp as it can be
 
 
 def total_wanted(text: str | None, there: int) -> int | None:
@@ -114,7 +109,7 @@ def rank_views(
     is the sharpness of their photographs, ``count`` as for ``choose_photographs``."""
     matter = measure_matter(gaussians, find_matter(gaussians), torch.tensor([0.0, 0.0, 1.0]).double())
     scorer = ViewScorer.of(
-        prepare_gaussians(gaussians), matter, torch.from_numpy(spread_directions(SECTORS)).float()
+        prepare_gaussians(gaussians), matter, torch.from_numpy(spread_directions(constants.SECTORS)).float()
     )
     scores = scorer.scores(reported(cameras, "choice", len(cameras), progress))
     worth = scores.shown.float() * relative_sharpness(sharp, scores.shown.float())[:, None]
@@ -125,8 +120,10 @@ def rank_views(
     def greedy(most: int, least_gain: float = 0.0) -> list[int]:
         return choose_views(worth, scores.direction, most, least_gain, there)
 
-    beside = (FEW if count is None else count) - len(there)
-    chosen = greedy(len(cameras), LEAST_GAIN * float(alone.max())) if count is None else []
+    beside = (constants.FEW if count is None else count) - len(there)
+    chosen = (
+        greedy(len(cameras), constants.LEAST_PHOTOGRAPH_GAIN * float(alone.max())) if count is None else []
+    )
     if len(chosen) < beside:
         chosen = greedy(beside)
     taken = {*there, *chosen}
@@ -145,8 +142,10 @@ def relative_sharpness(sharp: Tensor, shown: Tensor) -> Tensor:
     """Return [V] the sharpness by that of photographs that show the same (``Scores.shown`` [V, M]), 0..1: content
     decides sharpness, too."""
     unit = normalize(shown, dim=1)
-    nearest = (unit @ unit.T).argsort(dim=1, descending=True, stable=True)[:, :NEIGHBOURS]
-    usual = sharp[nearest].quantile(SHARP, dim=1)
+    nearest = (unit @ unit.T).argsort(dim=1, descending=True, stable=True)[
+        :, : constants.PHOTOGRAPH_NEIGHBOURS
+    ]
+    usual = sharp[nearest].quantile(constants.SHARP, dim=1)
     return (sharp / usual.clamp(min=1e-9)).clamp(max=1)
 
 

@@ -11,26 +11,9 @@ import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
+from scoup.extract import constants
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-
-OPAQUE = 0.3  # opacity from which a Gaussian counts as matter
-LEAST_SHARE = 0.25  # of the Gaussians are matter, however transparent the splat is
-ANGLE_OF_VIEW = math.radians(65)  # across the image
-ELEVATIONS = (8.0, 25.0, 50.0, 75.0)  # degrees, of the circles around the scene
-AZIMUTHS = 12
-DISTANCES = (0.4, 0.65, 1.0)  # of that from which the whole scene fills the image
-PLACES = 20  # in free space
-HEADINGS = 8
-PITCHES = (-5.0, -25.0)  # degrees
-MOVE = (
-    0.15  # of the radius of the scene: how far a camera is moved along each axis to see whether it sees more
-)
-TURN = 15.0  # degrees, how far it is turned then
-LOWEST, HIGHEST = math.radians(-70), math.radians(30)  # pitch
-PARTS = 16  # of the matter, each with a half circle of cameras of its own
-AROUND_PART = 10  # cameras
-CELLS = 48  # along the longest side of the grid of free space
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +41,10 @@ def find_matter(gaussians: Gaussians) -> Tensor:
     usable = gaussians.finite() & (gaussians.opacities > 1 / 255)
     if not len(gaussians) or not bool(usable.any()):
         raise InputError("gaussians: nothing can be seen (no Gaussian is finite and opaque)")
-    level = min(OPAQUE, float(np.quantile(gaussians.opacities[usable].numpy(), 1 - LEAST_SHARE)))
+    level = min(
+        constants.MATTER_OPACITY,
+        float(np.quantile(gaussians.opacities[usable].numpy(), 1 - constants.LEAST_MATTER)),
+    )
     rows = (usable & (gaussians.opacities >= level)).nonzero().flatten()
     means, largest = gaussians.means[rows].double(), gaussians.scales[rows].amax(1).double()
     middle = means.median(0).values
@@ -96,7 +82,7 @@ def measure_matter(gaussians: Gaussians, rows: Tensor, up: Tensor) -> Matter:
 
 def candidate_cameras(matter: Matter, width: int, height: int) -> list[Camera]:
     """Return cameras on circles around the matter, and in all directions from places in its free space."""
-    focal = width / (2 * math.tan(ANGLE_OF_VIEW / 2))
+    focal = width / (2 * math.tan(constants.ANGLE_OF_VIEW / 2))
     opening = min(width, height) / focal
     poses = [*_around(matter, opening), *_around_parts(matter, opening), *_within(matter)]
     return [
@@ -118,9 +104,12 @@ def nearby_cameras(cameras: Sequence[Camera], matter: Matter, draws: Tensor) -> 
             math.asin(float(forward[2].clamp(-1, 1))),
         )
         for draw in draws:
-            place = eye + MOVE * matter.radius * draw[:3]
-            angle = heading + math.radians(TURN) * float(draw[3])
-            level = min(max(pitch + math.radians(TURN) * float(draw[4]), LOWEST), HIGHEST)
+            place = eye + constants.MOVE * matter.radius * draw[:3]
+            angle = heading + math.radians(constants.TURN) * float(draw[3])
+            level = min(
+                max(pitch + math.radians(constants.TURN) * float(draw[4]), constants.LOWEST),
+                constants.HIGHEST,
+            )
             aim = place + _way(angle, level)
             if (near := look(place, aim, matter, "", camera.width, camera.height, camera.fx)) is not None:
                 found.append(near)
@@ -153,10 +142,10 @@ def _around(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]:
     centre = (along.clamp(matter.low, matter.high)).mean(0)
     full = matter.radius / (opening / 2) * 0.9
     poses = []
-    for row, elevation in enumerate(ELEVATIONS):
-        for distance in DISTANCES:
-            for step in range(AZIMUTHS):
-                angle = 2 * math.pi * (step + 0.5 * (row % 2)) / AZIMUTHS
+    for row, elevation in enumerate(constants.ELEVATIONS):
+        for distance in constants.DISTANCES:
+            for step in range(constants.AZIMUTHS):
+                angle = 2 * math.pi * (step + 0.5 * (row % 2)) / constants.AZIMUTHS
                 level = math.radians(elevation)
                 poses.append((centre + distance * full * _way(angle, level), centre))
     return poses
@@ -165,7 +154,7 @@ def _around(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]:
 def _around_parts(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]:
     """Return poses at which one part of the matter each fills the image: where it is dense, parts are small."""
     along = matter.means[:: -(-len(matter.means) // 20_000)] @ matter.axes.T
-    count = min(PARTS, len(along))
+    count = min(constants.PARTS, len(along))
     centres = along[torch.arange(count) * len(along) // count].clone()
     for _ in range(12):
         nearest = torch.cdist(along, centres).argmin(1)
@@ -179,9 +168,9 @@ def _around_parts(matter: Matter, opening: float) -> list[tuple[Tensor, Tensor]]
         size = float((own - centre).norm(dim=1).quantile(0.9)) if len(own) else 0.0
         if size < 1e-9 * matter.radius:  # all at one place
             continue
-        for step in range(AROUND_PART):
-            angle = 2 * math.pi * (step + 0.37 * part) / AROUND_PART
-            level = math.radians(ELEVATIONS[(step + part) % len(ELEVATIONS)])
+        for step in range(constants.AROUND_PART):
+            angle = 2 * math.pi * (step + 0.37 * part) / constants.AROUND_PART
+            level = math.radians(constants.ELEVATIONS[(step + part) % len(constants.ELEVATIONS)])
             poses.append((centre + 1.3 * size / (opening / 2) * _way(angle, level), centre))
     return poses
 
@@ -193,7 +182,7 @@ def _within(matter: Matter) -> list[tuple[Tensor, Tensor]]:
 
     margin = 0.25 * (matter.high - matter.low) + 0.05 * matter.radius
     low, high = matter.low - margin, matter.high + margin
-    side = float((high - low).max()) / CELLS
+    side = float((high - low).max()) / constants.CELLS
     shape = ((high - low) / side).ceil().long().clamp(min=1)
     cells = ((matter.means @ matter.axes.T - low) / side).floor().long()
     inside = ((cells >= 0) & (cells < shape)).all(1)
@@ -205,9 +194,9 @@ def _within(matter: Matter) -> list[tuple[Tensor, Tensor]]:
     found = torch.minimum(found, shape - 1)
     free = torch.from_numpy(room[tuple(found.T.numpy())]) >= 0.1 * matter.radius
     poses = []
-    for number, place in enumerate(drawn[free][:PLACES]):
-        for step in range(HEADINGS):
-            angle = 2 * math.pi * (step + 0.37 * number) / HEADINGS
-            level = math.radians(PITCHES[(step + number) % 2])
+    for number, place in enumerate(drawn[free][: constants.PLACES]):
+        for step in range(constants.HEADINGS):
+            angle = 2 * math.pi * (step + 0.37 * number) / constants.HEADINGS
+            level = math.radians(constants.PITCHES[(step + number) % 2])
             poses.append((place, place + _way(angle, level)))
     return poses

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from scoup.extract import constants
 from scoup.extract.view_candidates import Matter
 from scoup.raster import PreparedGaussians, project, render_channels
 from scoup.scene.cameras import Camera
@@ -18,18 +19,7 @@ from scoup.scene.rotations import rotation_matrices
 
 MOST_COUNTED = 20_000  # Gaussians that are counted when views are compared
 SIDE = 160  # pixels of the longer side of a cheap render
-NEAR = 0.12  # of the radius of the scene: what is nearer is too near
-BLURRED = 0.06  # of the width of the image: standard deviation of a Gaussian that is too large to be sharp
-CLOSE = 2.0  # times the size at which all matter fills an image: Gaussians as large are near enough
-SMALLEST = 0.25  # quantile of sizes: smaller Gaussians need not be nearer than these
-FULL = 16  # power of the share of an image that is not empty, by that of the fullest view of a Gaussian
-LEAST_FULL = 0.2  # such a share: views that are emptier are never good
-STRICT = 8  # power of the share that is opaque, by that of the best view
-TURNED, SPAN = 0.2, 0.2  # logarithms of elongation: what counts as facing, and how fast the rest loses
-MOST_ELONGATED = 4.0
 FARTHEST = 1e15  # depth, whose square is in range
-NO_QUALITY = 1e-6  # of a view that shows nothing well: it is chosen where there is no other
-DIRECTIONS = 10.0  # from which each Gaussian is to be seen, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +56,16 @@ class Scores:
         are good wherever they were taken.
         """
         opaque, filled, elongation = self.pictures.T
-        solid = (opaque / opaque.quantile(0.98).clamp(min=1e-6)).clamp(max=1) ** STRICT
+        solid = (opaque / opaque.quantile(0.98).clamp(min=1e-6)).clamp(max=1) ** constants.STRICT
         full = (filled / filled.quantile(0.95).clamp(min=1e-6)).clamp(max=1)
-        good = elongation[solid * full**FULL > 0.3]
+        good = elongation[solid * full**constants.FULL > 0.3]
         facing = good.quantile(0.05) if len(good) else elongation.min()
-        turned = (elongation - facing - TURNED).clamp(min=0) / SPAN
+        turned = (elongation - facing - constants.TURNED).clamp(min=0) / constants.SPAN
         clear = (solid * torch.exp(-(turned**2)))[:, None]
         shown = self.shown.float()
         fullest = (shown / shown.amax(0).clamp(min=1e-6) * clear * full[:, None]).amax(0)
-        relative = (full[:, None] / fullest.clamp(min=LEAST_FULL)).clamp(max=1)
-        quality = relative**FULL * clear + NO_QUALITY
+        relative = (full[:, None] / fullest.clamp(min=constants.LEAST_FULL)).clamp(max=1)
+        quality = relative**constants.FULL * clear + constants.NO_QUALITY
         quality[:n_there] = 1.0
         return shown * quality
 
@@ -128,8 +118,8 @@ class ViewScorer:
         values = torch.empty(len(depth), 5)
         values[:, 0] = depth
         torch.mul(depth, depth, out=values[:, 1])
-        values[:, 2] = depth < NEAR * self.radius
-        values[:, 3] = self.sizes * (small.fx / small.width / BLURRED) > depth
+        values[:, 2] = depth < constants.NEAR * self.radius
+        values[:, 3] = self.sizes * (small.fx / small.width / constants.BLURRED) > depth
         values[:, 4] = self._elongation(small)
         image, alpha = render_channels(project(self.prepared, small), values)
         mean, square, _, _, elongation = (image / alpha.clamp(min=1e-6)[..., None]).unbind(-1)
@@ -139,7 +129,7 @@ class ViewScorer:
         shown, direction = self._shown(small, depth, mean, spread, solid & (near + blurred < 0.3))
         opaque = float((alpha > 0.9).sum()) / max(float((alpha > 0.05).sum()), 1.0)
         opaque *= max(0.0, 1 - 4 * float(near.mean())) * max(0.0, 1 - 2 * float(blurred.mean()))
-        along = float(elongation[solid].mean()) if bool(solid.any()) else MOST_ELONGATED
+        along = float(elongation[solid].mean()) if bool(solid.any()) else constants.MOST_ELONGATED
         return shown, direction, (opaque, float(alpha.mean()), along)
 
     def _elongation(self, camera: Camera) -> Tensor:
@@ -151,7 +141,7 @@ class ViewScorer:
         along = along.div_(square).clamp_(min=1e-20)
         across = ((xx + yy + zz).sub_(along)).div_(2).clamp_(min=1e-20)
         logarithm = along.div_(across).log_().mul_(0.5)
-        return logarithm.clamp_(-MOST_ELONGATED, MOST_ELONGATED).nan_to_num_(0)
+        return logarithm.clamp_(-constants.MOST_ELONGATED, constants.MOST_ELONGATED).nan_to_num_(0)
 
     def _shown(
         self, camera: Camera, depth: Tensor, mean: Tensor, spread: Tensor, clear: Tensor
@@ -168,9 +158,13 @@ class ViewScorer:
         visible = inside & clear.flatten()[pixel] & (z < there + reach)
         sizes = self.sizes[rows]
         shares = (
-            sizes.clamp(min=float(sizes.quantile(SMALLEST))) * (camera.fx / camera.width) / z.clamp(min=1e-6)
+            sizes.clamp(min=float(sizes.quantile(constants.SMALLEST)))
+            * (camera.fx / camera.width)
+            / z.clamp(min=1e-6)
         )
-        sharp = (shares / (CLOSE * self.full_size)).clamp(max=1) ** 2 * (2 - shares / BLURRED).clamp(0, 1)
+        sharp = (shares / (constants.CLOSE * self.full_size)).clamp(max=1) ** 2 * (
+            2 - shares / constants.BLURRED
+        ).clamp(0, 1)
         way = camera.position.float() - means
         direction = (way @ self.sectors.T).argmax(1).to(torch.uint8)
         return visible * sharp, direction
@@ -204,13 +198,13 @@ def choose_views(
     chosen: list[int] = []
     while len(chosen) < most:
         total = state.sum(1)
-        before = total.clamp(max=DIRECTIONS).sqrt()
+        before = total.clamp(max=constants.DIRECTIONS).sqrt()
         best, gain = -1, 0.0
         for view in bound.argsort(descending=True, stable=True).tolist():
             if bound[view] <= gain:
                 break
             more = (worth[view] - state.gather(1, sectors[view, :, None])[:, 0]).clamp(min=0)
-            bound[view] = ((total + more).clamp(max=DIRECTIONS).sqrt() - before).sum()
+            bound[view] = ((total + more).clamp(max=constants.DIRECTIONS).sqrt() - before).sum()
             if bound[view] > gain:
                 best, gain = view, float(bound[view])
         if best < 0 or gain < least_gain:
@@ -222,7 +216,7 @@ def choose_views(
 
 def gains_alone(worth: Tensor) -> Tensor:
     """Return [V], what each view gains where there is no other."""
-    return worth.clamp(max=DIRECTIONS).sqrt().sum(1)
+    return worth.clamp(max=constants.DIRECTIONS).sqrt().sum(1)
 
 
 def clear_worth(scores: Scores, means: Tensor, n_there: int) -> Tensor:
@@ -234,7 +228,7 @@ def clear_worth(scores: Scores, means: Tensor, n_there: int) -> Tensor:
 def not_from_behind(shown: Tensor, fronts: Tensor, n_there: int) -> Tensor:
     """Return [V], how good views are by the share of what they show whose front they see: few behind walls do."""
     share = (shown * fronts).sum(1) / shown.sum(1).clamp(min=1e-6)
-    found = (share / share.quantile(0.95).clamp(min=1e-6)).clamp(max=1) ** STRICT
+    found = (share / share.quantile(0.95).clamp(min=1e-6)).clamp(max=1) ** constants.STRICT
     found[:n_there] = 1.0
     return found
 

@@ -26,8 +26,9 @@ from scoup.field.renders import Vectors
 from scoup.io import load_gaussians
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import rows_of
-from scoup.scene.field_info import FieldInfo, check_codes, check_things
+from scoup.scene.field_info import FieldInfo, check_parts
 from scoup.scene.gaussians import Gaussians, chosen_rows
+from scoup.scene.names import NameTable
 from scoup.scene.things import ThingTable
 
 Value = TypeVar("Value")
@@ -75,9 +76,7 @@ class Field:
     ) -> None:
         self.code_indices, self.codebook = torch.as_tensor(code_indices), torch.as_tensor(codebook)
         self.code_weights = torch.as_tensor(code_weights).to(torch.float16)
-        check_codes(self.code_indices, self.code_weights, self.codebook, info)
-        if thing_table is not None:
-            check_things(thing_table, self.code_indices.shape, self.codebook.shape[2])
+        check_parts(self.code_indices, self.code_weights, self.codebook, info, thing_table)
         self.info, self.cameras, self.thing_table = info, cameras, thing_table
         self.geometry_path = geometry_path
         self.path: Path | None = None  # the file it was read from or last saved to
@@ -335,6 +334,22 @@ class Field:
         if len(gaussians) != len(self):
             raise InputError(f"{len(gaussians):,} Gaussians, but the field has codes of {len(self):,}")
         return self.moved_to(gaussians)
+
+    def with_names(self: Own, names: NameTable) -> Own:
+        """Return a field whose things have more names; of texts that have some, the new ones count.
+
+        Raises:
+            InputError: the field has no things.
+        """
+        table = self.thing_table
+        if table is None:
+            raise InputError(
+                f"{self.path or 'this field'}: contains no things to name; build it again with things"
+            )
+        every = names if table.names is None else table.names.joined(names)
+        named = self.changed(self._gaussians, thing_table=replace(table, names=every))
+        named.path = self.path
+        return named
 
     def moved_to(self: Own, gaussians: Gaussians, record: dict[str, Any] | None = None, **parts: Any) -> Own:
         """Return a field of other Gaussians, with other ``parts`` of its constructor; ``record`` goes into its

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -104,13 +104,8 @@ def refine(
         rendered += image is None
         views.append((camera, model.detect(_render(field, camera) if image is None else image, words)))
     names = name_things(field.gaussians, table, views, words, field.raster_preset)
-    named = field.changed(
-        field.gaussians,
-        thing_table=replace(table, names=names if table.names is None else table.names.joined(names)),
-    )
-    named.path = field.path
     looked_at = tuple(camera.name for camera, _ in views)
-    return Refined(named, words, looked_at, rendered, time.perf_counter() - started)
+    return Refined(field.with_names(names), words, looked_at, rendered, time.perf_counter() - started)
 
 
 def photographed_cameras(field: Field) -> Cameras:

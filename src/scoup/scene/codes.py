@@ -20,6 +20,14 @@ def index_dtype(n_atoms: int) -> torch.dtype:
     return torch.uint8 if n_atoms <= 256 else torch.uint16
 
 
+def tensor_array(tensor: Tensor) -> np.ndarray:
+    """Return a tensor as an array, on the CPU a view of it."""
+    try:
+        return tensor.detach().cpu().numpy()
+    except TypeError:
+        raise InputError(f"tensors of {tensor.dtype} cannot be used") from None
+
+
 def signed(indices: Tensor) -> Tensor:
     """Return uint16 as a view of int16: torch neither sets rows of uint16 nor, before 2.10, selects them."""
     return indices.view(torch.int16) if indices.dtype == torch.uint16 else indices

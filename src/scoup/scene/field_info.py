@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.scene.codes import index_dtype
+from scoup.scene.codes import tensor_array
+from scoup.scene.field_checks import CODES, check_codes
 from scoup.scene.things import ThingTable
 
 
@@ -41,40 +40,16 @@ class FieldInfo:
     """The word table that encodes texts; None: ``embedding_model`` does."""
 
 
-def check_codes(code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo) -> None:
-    """Check the codes of a field; see ``LanguageField``."""
-    shape = tuple(code_indices.shape)
-    if len(shape) != 3 or shape != tuple(code_weights.shape) or shape[0] != info.n_gaussians:
-        raise InputError(
-            f"code indices {list(shape)} and weights {list(code_weights.shape)} must both be "
-            f"[{info.n_gaussians}, S, K]"
-        )
-    if codebook.dim() != 3 or not len(codebook) == shape[1] == len(info.levels):
-        raise InputError(
-            f"codebook {list(codebook.shape)} does not fit {shape[1]} levels of codes and "
-            f"{len(info.levels)} level names"
-        )
-    if 0 in (*shape[1:], *codebook.shape):
-        raise InputError(f"codes {list(shape)} and codebook {list(codebook.shape)} are empty")
-    n_atoms = codebook.shape[1]
-    if code_indices.dtype != index_dtype(n_atoms):
-        raise InputError(f"code indices are {code_indices.dtype}, expected {index_dtype(n_atoms)}")
-    # The smallest and the largest are not finite if any is not, and need no copy of the weights.
-    low, high = torch.aminmax(code_weights) if code_weights.numel() else torch.zeros(2)
-    if not torch.isfinite(codebook).all() or not bool(torch.isfinite(low) & torch.isfinite(high)):
-        raise InputError("codebook or code weights have values that are not finite")
-    if low < 0:
-        raise InputError("a code weight is negative")
-    # torch finds no largest of uint16.
-    indices = code_indices if code_indices.dtype == torch.uint8 else code_indices.int()
-    if indices.numel() and int(indices.max()) >= n_atoms:
-        raise InputError(f"a code index is beyond the {n_atoms} atoms of the codebook")
-
-
-def check_things(things: ThingTable, codes: Sequence[int], dim: int) -> None:
-    """Check that things belong to codes [N, S, K] and embeddings of some size."""
-    if tuple(things.owners.shape) != tuple(codes[:2]) or things.embeddings.shape[1] != dim:
-        raise InputError(
-            f"things of {list(things.owners.shape)} Gaussians and levels and {things.embeddings.shape[1]} dimensions "
-            f"do not fit codes {list(codes)} of {dim} dimensions"
-        )
+def check_parts(
+    code_indices: Tensor, code_weights: Tensor, codebook: Tensor, info: FieldInfo, things: ThingTable | None
+) -> None:
+    """Check that codes, codebook, description and things of a field fit together; see ``LanguageField``."""
+    sides = {"N": info.n_gaussians, "S": len(info.levels)}
+    arrays = (tensor_array(part) for part in (code_indices, code_weights, codebook))
+    check_codes(dict(zip(CODES, arrays, strict=True)), sides)
+    if things is not None:
+        shapes = {"N S": things.owners.shape, "D": things.embeddings.shape[1:]}
+        for letters, shape in shapes.items():
+            wanted = [sides[letter] for letter in letters.split()]
+            if list(shape) != wanted:
+                raise InputError(f"things of [{letters}] = {list(shape)} do not fit codes of {wanted}")

@@ -10,6 +10,8 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
+from scoup.scene.codes import tensor_array
+from scoup.scene.field_checks import MOST_THINGS, NAMES, check_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,23 +46,14 @@ class NameTable:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        whole, real, count = torch.int32, torch.float32, len(self.votes)
-        kinds = {
-            "presence": (real, len(self)),
-            "rows": (whole, count),
-            "things": (whole, count),
-            "votes": (real, count),
-        }
-        for name, (dtype, length) in kinds.items():
-            part = getattr(self, name)
-            if part.dtype != dtype or part.shape != (length,):
-                raise InputError(f"{name} of names is {part.dtype} {list(part.shape)}")
         if len(set(self.texts)) < len(self.texts):
             raise InputError("two names of things are one text")
-        if len(self.rows) and not 0 <= int(self.rows.min()) <= int(self.rows.max()) < len(self.texts):
-            raise InputError(f"a vote names a text beyond the {len(self.texts)}")
-        if not bool(torch.isfinite(self.presence).all() & torch.isfinite(self.votes).all()):
-            raise InputError("names of things contain values that are not finite")
+        self.check(MOST_THINGS)
+
+    def check(self, count: int) -> None:
+        """Refuse parts that do not fit together, and names of things beyond ``count``."""
+        parts = (tensor_array(part) for part in (self.presence, self.rows, self.things, self.votes))
+        check_names(dict(zip(NAMES, parts, strict=True)), {"M": len(self.texts), "T": count})
 
     def __len__(self) -> int:
         return len(self.texts)

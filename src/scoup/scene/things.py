@@ -11,13 +11,12 @@ import torch
 from torch import Tensor
 
 from scoup.base.brief import brief
-from scoup.base.errors import InputError
+from scoup.scene.codes import tensor_array
+from scoup.scene.field_checks import THINGS_IN_MEMORY, check_things
 from scoup.scene.names import NameTable
 
 NO_THING = -1
 """The owner of a Gaussian that belongs to no thing of a level; also the parent of a thing without one."""
-MOST_THINGS = 65535
-"""Files hold their numbers in 16 bits, and one says that there is none."""
 LEAST_SPREAD = 1e-3
 """Of the cosines of a thing's regions with a text; things whose regions are all equal would have none."""
 SURE_REGIONS = 3
@@ -46,36 +45,11 @@ class ThingTable:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        count = self.levels.numel()
-        kinds = {
-            "owners": (torch.int32, 2),
-            "levels": (torch.uint8, 1),
-            "parents": (torch.int32, 1),
-            "embeddings": (torch.float16, 2),
-            "agreement": (torch.float32, 1),
-            "n_regions": (torch.int32, 1),
-            "mass": (torch.float32, 1),
-            "stability": (torch.float32, 1),
-        }
-        for name, (dtype, dims) in kinds.items():
-            part = getattr(self, name)
-            if part.dtype != dtype or part.dim() != dims or (name != "owners" and part.shape[0] != count):
-                raise InputError(
-                    f"{name} of things is {part.dtype} {list(part.shape)}, expected {dtype} of {count} things"
-                )
-        if count > MOST_THINGS:
-            raise InputError(f"{count:,} things; at most {MOST_THINGS:,} are possible")
-        for name in ("owners", "parents"):
-            numbers = getattr(self, name)
-            if bool(((numbers >= count) | (numbers < NO_THING)).any()):
-                raise InputError(f"{name} of things name one beyond the {count}")
-        if count and int(self.levels.max()) >= self.owners.shape[1]:
-            raise InputError(f"a thing is of a level beyond the {self.owners.shape[1]}")
-        for name in ("embeddings", "agreement", "mass", "stability"):
-            if not bool(torch.isfinite(getattr(self, name)).all()):
-                raise InputError(f"{name} of things contains values that are not finite")
-        if self.names is not None and len(self.names.things) and int(self.names.things.max()) >= count:
-            raise InputError(f"a name is of a thing beyond the {count}")
+        arrays = {f"things.{name}": tensor_array(getattr(self, name)) for name in TENSORS}
+        sides: dict[str, int] = {}
+        check_things(arrays, sides, THINGS_IN_MEMORY)
+        if self.names is not None:
+            self.names.check(sides["T"])
 
     def __len__(self) -> int:
         return len(self.levels)

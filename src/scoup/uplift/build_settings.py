@@ -22,7 +22,7 @@ def check_scale(scale: Scale) -> None:
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """Everything that decides what a build computes.
+    """Everything that decides what a build computes, and how.
 
     ``BUILD_PRESETS`` names two: "default", same as ``BuildSettings()``, and "paper".
 
@@ -56,11 +56,23 @@ class BuildSettings:
     side has 500 pixels, or the camera's if it is shorter."""
     things: bool = True
     """Merge the regions of all views into instances, which answer texts (``scoup.uplift.things``)."""
+    check_fit: bool = True
+    """Compare small renders of some views with their photographs first (``scoup.uplift.fit``)."""
+    backend: str | None = None
+    """Backend of rasteriser and vote; by default the fastest for the device."""
 
     @property
     def of_fit(self) -> dict[str, Any]:
         """The settings that decide the codebook (``fit_codes``)."""
         return {name: getattr(self, name) for name in _OF_FIT}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what decides the result, as JSON values: all but ``check_fit`` and ``backend``."""
+        return {
+            name: value
+            for name, value in dataclasses.asdict(self).items()
+            if name not in ("check_fit", "backend")
+        }
 
     def __post_init__(self) -> None:
         if not 1 <= self.k <= self.n_atoms or not 0 <= self.keep <= self.n_atoms:

@@ -17,19 +17,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scoup.uplift import constants
+
 Matrix = Any
 """A scipy CSR array, which type checkers know little of."""
 
-LEAST_IOU = 0.3  # clusters that overlap less are different things
-LEAST_OVERLAP = 0.05  # IoU below which regions count as apart: they touch, or one bleeds into the other
 ROOT_STEPS = 64.0  # whole numbers that stand for a square root of 1 pixel
 
 
 def merge_regions(
-    matrix: Matrix, views: NDArray[np.int64], least_iou: float = LEAST_IOU
+    matrix: Matrix, views: NDArray[np.int64], least_iou: float | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Cluster the regions of one level by ``matrix`` [N, R] float32, what each Gaussian contributes to each region, and
-    ``views`` [R] from 0; clusters that overlap less than ``least_iou`` stay apart.
+    ``views`` [R] from 0; clusters that overlap less than ``least_iou``, by
+    default ``LEAST_IOU``, stay apart.
 
     Returns:
         [R] int64 the cluster of each region, from 0, in the order of first regions; and [C] float64 the stability of
@@ -37,6 +38,7 @@ def merge_regions(
     """
     from scipy.sparse import csr_array
 
+    least_iou = constants.LEAST_IOU if least_iou is None else least_iou
     count = len(views)
     if not count:
         return np.zeros(0, np.int64), np.zeros(0)
@@ -52,7 +54,7 @@ def merge_regions(
     above = (first < second) & (views[first] != views[second])
     first, second, overlaps = first[above], second[above], overlap.data[above]
     union = reach[first, views[second]] + reach[second, views[first]] - overlaps
-    keep = overlaps > LEAST_OVERLAP * union
+    keep = overlaps > constants.LEAST_OVERLAP * union
     pairs = np.stack([first[keep], second[keep]], 1)
     labels = _agglomerate(pairs, overlaps[keep], union[keep], reach.copy(), views, least_iou)
     same = labels[first] == labels[second]

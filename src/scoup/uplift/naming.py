@@ -7,8 +7,9 @@ alone weighs little. A text is as present as the mean of its best scores says. M
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -18,15 +19,12 @@ from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.names import Detections, NameTable
 from scoup.scene.things import ThingTable
+from scoup.uplift import constants
 
-SIDE = 320  # longest side of the pictures in which things and detections are compared
+if TYPE_CHECKING:
+    from scoup.field.field import Own
+
 AT_A_TIME = 64  # things that are rendered together
-LEAST_PIXELS = 12  # of a thing in such a picture; smaller ones are not seen
-LEAST_OVERLAP = 0.55  # below it, thing and detection are different
-BEST_VIEWS, BEST_SCORES = 10, 5  # views that count for a vote, and for presence
-EVEN_SCORE = 0.05
-"""The mean score at which a text is as likely present as not. So, with the field's odds (``scoup.query.named``), one in
-twenty present texts has less than 0.37, the least of what is present."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +37,14 @@ class ThingsInView:
     @property
     def seen(self) -> Tensor:
         """Return which things have enough pixels, [T] boolean."""
-        return self.masks.sum((1, 2)) >= LEAST_PIXELS
+        return self.masks.sum((1, 2)) >= constants.NAMING_PIXELS
 
 
 def things_in_view(
     gaussians: Gaussians, table: ThingTable, camera: Camera, raster_preset: str, backend: str | None = None
 ) -> ThingsInView:
     """Return the things as a camera sees them, on the CPU."""
-    small = camera.scaled(min(1.0, SIDE / max(camera.width, camera.height)))
+    small = camera.scaled(min(1.0, constants.NAMING_SIDE / max(camera.width, camera.height)))
     projection = raster.project(gaussians, small, raster_preset, backend)
     ones = torch.ones(len(gaussians), 1, device=gaussians.device)
     alpha = raster.render_values(projection, ones)[..., 0].cpu()
@@ -113,7 +111,7 @@ def votes_in_view(view: ThingsInView, found: Detections, n_texts: int) -> ViewVo
     """Return the votes of the detections in one photograph, the best of each text for each thing."""
     count = max(1, len(view.masks))
     ious = overlaps(found, view)
-    row, thing = (ious >= LEAST_OVERLAP).nonzero(as_tuple=True)
+    row, thing = (ious >= constants.NAMING_IOU).nonzero(as_tuple=True)
     keys, place = (found.texts[row] * count + thing).unique(return_inverse=True)
     votes = torch.zeros(len(keys)).scatter_reduce_(0, place, found.scores[row] * ious[row, thing], "amax")
     tops = torch.zeros(n_texts).scatter_reduce_(0, found.texts, found.scores, "amax")
@@ -127,7 +125,7 @@ def count_votes(texts: Sequence[str], views: Sequence[ViewVotes]) -> NameTable:
     keys = torch.cat([view.rows * count + view.things for view in views])
     key, vote = _sums_of_best(keys, torch.cat([view.votes for view in views]))
     thing = key % count
-    votes = vote / seen_in[thing].clamp(2, BEST_VIEWS) if len(thing) else vote
+    votes = vote / seen_in[thing].clamp(2, constants.BEST_VIEWS) if len(thing) else vote
     presence = presence_of(torch.stack([view.tops for view in views]))
     return NameTable(tuple(texts), presence, (key // count).int(), thing.int(), votes)
 
@@ -149,10 +147,22 @@ def name_things(
     return count_votes(texts, counted)
 
 
+def name_field(
+    field: Own, texts: Sequence[str], found: Mapping[str, Detections], backend: str | None = None
+) -> Own:
+    """Return a field whose things are named by what a model found of texts in the photographs of its views (view ->
+    detections); the field itself where none of its views has any."""
+    table = field.thing_table
+    views = [(view, found[view.name]) for view in field.cameras or () if view.name in found]
+    if table is None or not views:
+        return field
+    return field.with_names(name_things(field.gaussians, table, views, texts, field.raster_preset, backend))
+
+
 def presence_of(scores: Tensor) -> Tensor:
     """Return how sure it is that photographs show texts, [M], from the best score of each in each view [V, M]."""
-    best = scores.sort(0, descending=True).values[:BEST_SCORES].mean(0)
-    return best / (best + EVEN_SCORE)
+    best = scores.sort(0, descending=True).values[: constants.BEST_SCORES].mean(0)
+    return best / (best + constants.EVEN_SCORE)
 
 
 def _sums_of_best(keys: Tensor, votes: Tensor) -> tuple[Tensor, Tensor]:
@@ -161,6 +171,6 @@ def _sums_of_best(keys: Tensor, votes: Tensor) -> tuple[Tensor, Tensor]:
     order = order[keys[order].argsort(stable=True)]
     different, counts = keys[order].unique_consecutive(return_counts=True)
     first = (counts.cumsum(0) - counts).repeat_interleave(counts)
-    counted = torch.arange(len(order)) - first < BEST_VIEWS
+    counted = torch.arange(len(order)) - first < constants.BEST_VIEWS
     of_key = torch.arange(len(different)).repeat_interleave(counts)
     return different, torch.zeros(len(different)).index_add_(0, of_key[counted], votes[order][counted])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from scoup.models.word_table import is_table, load_table
 from scoup.scene.regions import Regions
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
+from scoup.uplift.things import FoundThings
 
 
 def embedding_source(features: Path, regions: Regions, named: str | None = None) -> tuple[str, Path | None]:
@@ -46,6 +47,31 @@ def embedding_source(features: Path, regions: Regions, named: str | None = None)
     return made_by, Path(named)
 
 
+@dataclass(frozen=True)
+class FieldSources:
+    """What a field names of where it comes from.
+
+    Example:
+        >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
+        >>> sources = scoup.FieldSources(words="scene/text.npz", geometry_path="scene/point_cloud.ply")
+        >>> field = scoup.build(gaussians, cameras, scoup.load_regions("scene", cameras), sources=sources)
+        >>> field.answer("kettle").level in field.levels
+        True
+    """
+
+    embedding_model: str = ""
+    """Id of the model the embeddings come from; by default the one that the word table names."""
+    words: str | Path | None = None
+    """The word table that encodes texts in place of this model."""
+    geometry_path: str | Path | None = None
+    """File of the Gaussians. A field that names none is saved with its Gaussians."""
+
+    @property
+    def table(self) -> Path | None:
+        """``words`` as a path."""
+        return None if self.words is None else Path(self.words)
+
+
 def recorded_model(embedding_model: str, words: str | Path | None) -> str:
     """Return the embedding model for a field to record: the one given, or the one that its word table names."""
     return embedding_model if embedding_model or words is None else load_table(words).model
@@ -57,17 +83,18 @@ def build_record(
     sums: RegionSums,
     reports: Sequence[dict[str, Any]],
     sharpness: Tensor | None,
+    things: FoundThings | None,
 ) -> dict[str, Any]:
     """Return the record of a build.
 
     ``inputs`` is the ``region_codes.inputs_digest``, ``reports`` are those of the codes per level, ``sharpness`` [S] is
-    that of the rounds after the first.
+    that of the rounds after the first, ``things`` are the things found.
     """
     names = list(sums.views)
     label_maps = json.dumps({name: view.labels_digest for name, view in sums.views.items()}, sort_keys=True)
     record: dict[str, Any] = {
         "software": f"scoup {VERSION}",
-        "settings": asdict(settings),
+        "settings": settings.to_dict(),
         "inputs": inputs,
         "label_maps": hashlib.sha256(label_maps.encode()).hexdigest(),
         "views": names,
@@ -75,4 +102,6 @@ def build_record(
     }
     if sharpness is not None:
         record["sharpness"] = sharpness.tolist()
+    if things is not None:
+        record["strays"] = dict(zip(sums.levels, things.strays, strict=False))
     return record

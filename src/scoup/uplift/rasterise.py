@@ -22,24 +22,24 @@ from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.uplift.build_settings import Scale
+from scoup.uplift import constants
+from scoup.uplift.build_settings import BuildSettings, Scale, build_settings
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.array_file import ENDING, SCENE
 
 STAGE = "region sums"
-AUTO_SIDE = 500  # pixels; see docs/answers.md
 READERS = 4  # threads that read views ahead for a GPU; for a CPU there is one
 
 
-def region_sums(  # noqa: PLR0913  the public face: each keyword is one choice of the user
+def region_sums(
     gaussians: Gaussians,
     cameras: Cameras,
     regions: Regions,
-    raster_preset: str = "inria",
-    scale: Scale = "auto",
+    settings: BuildSettings | str = "default",
+    *,
     path: str | Path | None = None,
+    sums: RegionSums | None = None,
     part: Part = Part(),  # noqa: B008 - frozen
-    backend: str | None = None,
     progress: Progress = no_progress,
 ) -> RegionSums:
     """Rasterise every view that has regions once and keep the sums.
@@ -48,15 +48,16 @@ def region_sums(  # noqa: PLR0913  the public face: each keyword is one choice o
         gaussians: the trained scene.
         cameras: posed views; those without regions are skipped.
         regions: label maps; they are resized to the camera.
-        raster_preset, backend: see ``raster.project``.
-        scale: of the images, as in ``BuildSettings``.
+        settings: ``raster_preset``, ``scale`` and ``backend`` count.
         path: keep the sums in this folder. Views that it contains, with the same label maps and cameras, are not
             rasterised again.
+        sums: earlier sums of the scene, to which views are added in place of a folder; not changed, but the folder
+            that they are kept in is.
         part: of the views to rasterise; several processes may write the parts of one folder.
         progress: called for the stage "region sums".
 
     Raises:
-        InputError: no camera has regions, the folder is of another scene, or an argument is of a wrong type.
+        InputError: no camera has regions, folder or sums are of another scene, or an argument is of a wrong type.
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
@@ -69,32 +70,34 @@ def region_sums(  # noqa: PLR0913  the public face: each keyword is one choice o
         gaussians=(gaussians, Gaussians),
         cameras=(cameras, Cameras),
         regions=(regions, Regions),
+        sums=(sums, (RegionSums, type(None))),
         part=(part, Part),
     )
-    chosen = cameras_with_regions(cameras, regions)
-    place = None if path is None else Path(path)
-    sums = open_sums(place, gaussians, regions, raster_preset, scale)
-    add_views(sums, gaussians, part.of(chosen), regions, backend, progress)
-    sums.flush()
-    sums.rows = [regions.embeddings(level)[1] for level in regions.levels]
-    return sums
+    if sums is not None and path is not None:
+        raise InputError("pass `sums` or `path`, not both")
+    settings = build_settings(settings)
+    chosen = part.of(cameras_with_regions(cameras, regions))
+    if sums is not None:
+        check_sums(sums, gaussians, regions, settings)
+        return add_views(sums, gaussians, chosen, regions, settings.backend, progress)
+    sums = open_sums(None if path is None else Path(path), gaussians, regions, settings)
+    try:
+        return add_views(sums, gaussians, chosen, regions, settings.backend, progress)
+    finally:
+        sums.flush()
 
 
 def open_sums(
-    path: Path | None,
-    gaussians: Gaussians,
-    regions: Regions,
-    raster_preset: str = "inria",
-    scale: Scale = "auto",
+    path: Path | None, gaussians: Gaussians, regions: Regions, settings: BuildSettings
 ) -> RegionSums:
     """Return the region sums in a folder, to which views can be added; new ones where there are none, or in memory.
 
     Raises an InputError for a folder of another scene.
     """
     if path is None or not (path / f"{SCENE}{ENDING}").exists():
-        return RegionSums.empty(gaussians, regions.levels, raster_preset, path, scale)
+        return RegionSums.empty(gaussians, regions.levels, settings.raster_preset, path, settings.scale)
     sums = RegionSums.open(path, writable=True)
-    check_sums(sums, gaussians, regions, raster_preset, scale)
+    check_sums(sums, gaussians, regions, settings)
     return sums
 
 
@@ -105,11 +108,15 @@ def add_views(
     regions: Regions,
     backend: str | None = None,
     progress: Progress = no_progress,
-) -> None:
-    """Rasterise at their scale and append the views that the sums lack, or contain with other cameras or label maps.
+) -> RegionSums:
+    """Return the sums with these views: those that ``sums`` lack, or contain with other cameras or label maps, are
+    rasterised at their scale.
 
-    Interrupted at any moment, the sums contain the views that were complete.
+    ``sums`` are not changed. Interrupted at any moment, their folder contains the views that were complete.
     """
+    sums = sums.select(list(sums.views), lambda: [regions.embeddings(level)[1] for level in regions.levels])
+    if sums.means is None:
+        sums.means = gaussians.means.cpu()[sums.order]
     cameras = [at_scale(camera, sums.scale) for camera in cameras]
     prepared: raster.PreparedGaussians | None = None
     progress(STAGE, 0, len(cameras))
@@ -138,11 +145,14 @@ def add_views(
         if written is not None:
             written.result()
     release_memory()
+    return sums
 
 
 def at_scale(camera: Camera, scale: Scale) -> Camera:
     """Return the camera of the image that region sums are made of."""
-    return camera.scaled(min(1.0, AUTO_SIDE / max(camera.width, camera.height)) if scale == "auto" else scale)
+    return camera.scaled(
+        min(1.0, constants.AUTO_SIDE / max(camera.width, camera.height)) if scale == "auto" else scale
+    )
 
 
 def contains_view(sums: RegionSums, camera: Camera, combined: CombinedLabels) -> bool:
@@ -166,17 +176,15 @@ def read_labels(
         yield camera, future.result()
 
 
-def check_sums(
-    sums: RegionSums, gaussians: Gaussians, regions: Regions, raster_preset: str, scale: Scale
-) -> None:
-    """Raise an InputError for region sums of another scene; add means that the sums lack."""
+def check_sums(sums: RegionSums, gaussians: Gaussians, regions: Regions, settings: BuildSettings) -> None:
+    """Raise an InputError for region sums of another scene."""
     wrong = [
         what
         for what, same in (
             ("Gaussians", sums.fingerprint == gaussians.fingerprint()),
             (f"levels ({', '.join(sums.levels)})", sums.levels == tuple(regions.levels)),
-            (f"rasteriser preset ({sums.raster_preset})", sums.raster_preset == raster_preset),
-            (f"scale ({sums.scale})", sums.scale == scale),
+            (f"rasteriser preset ({sums.raster_preset})", sums.raster_preset == settings.raster_preset),
+            (f"scale ({sums.scale})", sums.scale == settings.scale),
         )
         if not same
     ]
@@ -185,8 +193,6 @@ def check_sums(
             f"{sums.path or 'the region sums'}: made with other {' and '.join(wrong)}; make them from the same splat, "
             "region features, `raster_preset` and `scale`, or omit them"
         )
-    if sums.means is None:
-        sums.means = gaussians.means.cpu()[sums.order]
 
 
 def cameras_with_regions(cameras: Cameras, regions: Regions) -> list[Camera]:

@@ -19,11 +19,11 @@ from scoup.base.version import VERSION
 from scoup.coding import CodingReport, fit_codes
 from scoup.coding.codebook import encode_rows
 from scoup.coding.report import report_on
-from scoup.scene.cameras import Camera
+from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.directions import normalise_embeddings
 from scoup.scene.regions import Regions, codes_problem
-from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.region_sums import Rows
 
 if TYPE_CHECKING:
@@ -37,7 +37,13 @@ MANY = 0.3
 
 @dataclass(frozen=True, eq=False)
 class RegionEmbeddings:
-    """The embeddings of the regions of all views."""
+    """The embeddings of the regions of all views.
+
+    Example:
+        >>> regions = scoup.load_regions("scene", scoup.load_cameras("scene"))
+        >>> len(scoup.RegionEmbeddings.load(regions).of_levels) == len(regions.levels)
+        True
+    """
 
     levels: tuple[str, ...]
     of_levels: Sequence[Tensor]  # S x [R, D] float32, one row per region of any view
@@ -79,14 +85,39 @@ class RegionCodes:
     reports: Sequence[dict[str, Any]]  # per level, report of the coding as JSON values
 
 
-def learn_region_codes(
+def code_regions(
     embeddings: RegionEmbeddings,
-    settings: BuildSettings,
-    device: torch.device,
+    settings: BuildSettings | str = "default",
+    codebook: Field | None = None,
+    device: torch.device | str = "cpu",
     progress: Progress = no_progress,
 ) -> RegionCodes:
-    """Learn a codebook and the codes of every level."""
+    """Learn a codebook per level, and code the regions of all views by it (``fit_codes``); or code them by the codebook
+    of an earlier field of the scene.
+
+    Args:
+        embeddings: of the regions.
+        settings: those of coding count; with a codebook only ``k``.
+        codebook: the earlier field.
+        device: where the codes are made; they are returned on the CPU.
+        progress: called for the stage "coding" of each level.
+
+    Raises:
+        InputError: a level has no embeddings that can be coded, or levels or sizes are not those of the codebook.
+
+    Warns:
+        ScoupWarning: the codebook explains many regions of a view badly.
+
+    Example:
+        >>> regions = scoup.load_regions("scene", scoup.load_cameras("scene"))
+        >>> codes = scoup.code_regions(scoup.RegionEmbeddings.load(regions), scoup.BuildSettings(n_atoms=8))
+        >>> codes.codebook.shape[:2]
+        torch.Size([3, 8])
+    """
+    settings, device = build_settings(settings), torch.device(device)
     embeddings.check()
+    if codebook is not None:
+        return _coded_by(codebook, embeddings, settings.k, device)
     learned: list[tuple[Tensor, SparseCodes, dict[str, Any]]] = []
     for level, rows in zip(embeddings.levels, embeddings.of_levels, strict=True):
         stage = f"coding {level}"
@@ -100,16 +131,7 @@ def learn_region_codes(
     return RegionCodes(torch.stack(atoms), codes, embeddings.rows, reports)
 
 
-def code_regions(embeddings: RegionEmbeddings, field: Field, k: int, device: torch.device) -> RegionCodes:
-    """Code the regions of every level with the codebook of a field.
-
-    Raises:
-        InputError: levels or sizes of the embeddings are not the field's.
-
-    Warns:
-        ScoupWarning: the codebook explains many regions of a view badly.
-    """
-    embeddings.check()
+def _coded_by(field: Field, embeddings: RegionEmbeddings, k: int, device: torch.device) -> RegionCodes:
     if embeddings.levels != field.levels:
         raise InputError(
             f"the regions have levels {list(embeddings.levels)}, the field of the codebook {list(field.levels)}; "
@@ -146,7 +168,7 @@ def _warn_of_badly_explained(badly: Tensor, places: Mapping[str, slice]) -> None
             f"the codebook explains more than {MANY:.0%} of the regions of {listed(names, 5)} badly; to learn a new "
             "one, build without `codebook`",
             ScoupWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 
@@ -156,13 +178,21 @@ def _to_dict(report: CodingReport) -> dict[str, Any]:
 
 
 def inputs_digest(
-    fingerprint: str, cameras: Sequence[Camera], embeddings: RegionEmbeddings, settings: Mapping[str, Any]
+    fingerprint: str,
+    cameras: Cameras,
+    embeddings: RegionEmbeddings,
+    settings: BuildSettings,
+    codebook: Field | None = None,
 ) -> str:
     """Return a SHA-256 of everything a result depends on but label maps, which have a digest per view.
 
-    ``fingerprint`` is that of the Gaussians, ``settings`` are JSON values.
+    ``fingerprint`` is that of the Gaussians, ``codebook`` the earlier field whose codebook is used.
     """
-    digest = hashlib.sha256(json.dumps([VERSION, fingerprint, settings], sort_keys=True).encode())
+    decisive = settings.to_dict()
+    if codebook is not None:
+        atoms = codebook.codebook.cpu().contiguous().numpy()
+        decisive["codebook"] = hashlib.sha256(atoms.data).hexdigest()
+    digest = hashlib.sha256(json.dumps([VERSION, fingerprint, decisive], sort_keys=True).encode())
     for camera in cameras:
         digest.update(json.dumps([camera.name, camera.fingerprint()]).encode())
     for level, of_level, rows in zip(embeddings.levels, embeddings.of_levels, embeddings.rows, strict=True):

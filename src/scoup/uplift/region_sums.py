@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,7 +65,6 @@ class RegionSums:
         path: folder they are, or will be, kept in; None in memory.
         writable: whether views can be added.
         views: view name -> entries.
-        rows: see ``Rows``; None unless ``region_sums`` or ``select`` set them.
         bytes: size in memory or on disk.
 
     Example:
@@ -96,9 +95,9 @@ class RegionSums:
         self.means = means
         self.scale: Scale = scale
         self.views: dict[str, ViewRecord] = {}
-        self.rows: Rows | None = None
+        self._rows: Rows | Callable[[], Rows] | None = None
         self._packer = Packer(self.order)
-        self._unflushed: list[Path] = []
+        self._unflushed: list[Path] = []  # of all sums that are selected from these: one folder
 
     @classmethod
     def empty(
@@ -151,20 +150,30 @@ class RegionSums:
                 scale=head.header["scale"],
             )
         sums.path, sums.writable, sums.bytes = path, writable, head.bytes
-        for file in sorted(path.glob(f"[!.]*{ENDING}")):
-            if file != scene:
-                try:
-                    sums._load(file)
-                except FileFormatError as error:
-                    if not writable:
-                        raise
-                    warnings.warn(f"{error}; it is made again", ScoupWarning, stacklevel=2)
+        for file in view_files(path):
+            try:
+                sums._load(file)
+            except FileFormatError as error:
+                if not writable:
+                    raise
+                warnings.warn(f"{error}; it is made again", ScoupWarning, stacklevel=2)
         sums.views = dict(sorted(sums.views.items()))
         return sums
 
     @property
     def n_gaussians(self) -> int:
         return len(self.order)
+
+    @property
+    def rows(self) -> Rows | None:
+        """See ``Rows``; None unless ``region_sums`` or ``select`` made these sums."""
+        if callable(self._rows):
+            self._rows = self._rows()
+        return self._rows
+
+    @rows.setter
+    def rows(self, rows: Rows | None) -> None:
+        self._rows = rows
 
     @property
     def n_buckets(self) -> int:
@@ -224,11 +233,12 @@ class RegionSums:
             flush_names(self.path)
         self._unflushed.clear()
 
-    def select(self, view_names: Iterable[str], rows: Rows) -> RegionSums:
-        """Return the sums of some views, sharing memory, with the rows of these views."""
+    def select(self, view_names: Iterable[str], rows: Rows | Callable[[], Rows]) -> RegionSums:
+        """Return the sums of some views, sharing memory, with the rows of these views, or what makes them when they are
+        first needed."""
         part = copy.copy(self)
         part.views = {name: self._require(name) for name in view_names}
-        part.rows = rows
+        part._rows = rows
         return part
 
     def matrix(self, level: int, rows: Mapping[str, slice] | None = None) -> csr_array:
@@ -301,6 +311,21 @@ class RegionSums:
         if view_name not in self.views:
             raise InputError(f"there are no region sums of the view {view_name!r}")
         return self.views[view_name]
+
+
+def stored_files(path: Path) -> list[Path]:
+    """Return the files of kept sums: that of the scene, and one per view."""
+    return sorted(path.glob(f"[!.]*{ENDING}"))
+
+
+def view_files(path: Path) -> list[Path]:
+    """Return the files of the views of kept sums."""
+    return [file for file in stored_files(path) if file.stem != SCENE]
+
+
+def stored_bytes(path: Path) -> int:
+    """Return the size of kept sums."""
+    return sum(file.stat().st_size for file in stored_files(path))
 
 
 @contextmanager

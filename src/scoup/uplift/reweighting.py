@@ -14,10 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-LEAST_FACTOR = 1e-6  # so that no Gaussian loses its code
-SHARPNESS = 3.0  # times the inverse of the median deviation
-LEAST_DEVIATION = 1e-3  # 1 - cosine; identical regions would make the sharpness infinite
-SAMPLED_VIEWS = 8
+from scoup.uplift import constants
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,4 +33,4 @@ def scene_sharpness(deviations: Sequence[Tensor]) -> Tensor:
     ``deviations`` has, per level, those of each pair of a Gaussian and a region in the sampled views.
     """
     medians = [of_level.median() if len(of_level) else of_level.new_ones(()) for of_level in deviations]
-    return SHARPNESS / torch.stack(medians).float().cpu().clamp(min=LEAST_DEVIATION)
+    return constants.SHARPNESS / torch.stack(medians).float().cpu().clamp(min=constants.LEAST_DEVIATION)

@@ -20,19 +20,14 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
-from scoup.scene.things import MOST_THINGS, NO_THING, ThingTable
+from scoup.scene.field_checks import MOST_THINGS
+from scoup.scene.things import NO_THING, ThingTable
+from scoup.uplift import constants
 from scoup.uplift.merging import Matrix, merge_regions
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.storage.entries import Entries
 from scoup.uplift.trimming import find_strays
 from scoup.uplift.vote import vote
-
-LEAST_SHARE = 0.05  # entries below this share of a Gaussian's largest do not decide
-MASS = 0.98  # the Gaussians that contribute this much of everything, largest first, decide what is merged
-MOST_VIEWS = 48  # of more views so many, evenly spread by name, decide; merging takes time with their square
-MOST_DECIDING = 300_000  # of more Gaussians only every second, third, ... decides; all have owners
-LEAST_REGIONS = 2  # a region that no other view confirms is not a thing
-INSIDE = 0.5  # share of a thing's Gaussians that its parent must own, too
 
 
 def find_things(
@@ -65,7 +60,7 @@ def find_things(
     """
     if sums.rows is None:
         raise InputError("the rows of each view are not known; use sums of `region_sums`, or select views")
-    names = spread(sorted(sums.rows[0]), MOST_VIEWS)
+    names = spread(sorted(sums.rows[0]), constants.MOST_VIEWS)
     entries = _keep_large_gaussians(_strong_entries(sums, names))
     found: list[_LevelThings] = []
     for number, (rows, of_level) in enumerate(zip(sums.rows, embeddings, strict=True)):
@@ -114,7 +109,7 @@ def _strong_entries(sums: RegionSums, names: Sequence[str]) -> _StrongEntries:
     kept = [(np.zeros(0, np.int32), np.zeros((0, len(sums.rows)), np.int32), np.zeros(0, np.float32))]
     for name, part, gaussians, weights, combinations in deciding:
         firsts = np.array([rows[name].start for rows in sums.rows])
-        strong = np.flatnonzero((weights >= LEAST_SHARE * largest[gaussians]) & (weights > 0))
+        strong = np.flatnonzero((weights >= constants.LEAST_SHARE * largest[gaussians]) & (weights > 0))
         table = np.where(part.table >= 0, part.table + firsts, -1).astype(np.int32)
         kept.append((gaussians[strong], table[combinations[strong]], weights[strong]))
     gaussians, regions, weights = (np.concatenate(parts) for parts in zip(*kept, strict=True))
@@ -125,7 +120,7 @@ def _deciding(part: Entries, count: int) -> tuple[NDArray[np.int32], NDArray[np.
     """Return (gaussian, weight, label tuple) of the entries whose Gaussians, of ``count``, decide."""
     part.check_numbers(count)
     gaussians = part.gaussians().astype(np.int32)
-    chosen = np.flatnonzero(gaussians % max(1, -(-count // MOST_DECIDING)) == 0)
+    chosen = np.flatnonzero(gaussians % max(1, -(-count // constants.MOST_DECIDING)) == 0)
     return gaussians[chosen], part.weights[chosen].astype(np.float32), part.combinations[chosen]
 
 
@@ -135,7 +130,7 @@ def _keep_large_gaussians(entries: _StrongEntries) -> _StrongEntries:
     mass = np.cumsum(entries.total[order])
     decides = np.zeros(len(entries.total), bool)
     if len(mass) and mass[-1] > 0:
-        decides[order[: int(np.searchsorted(mass, MASS * mass[-1])) + 1]] = True
+        decides[order[: int(np.searchsorted(mass, constants.MASS * mass[-1])) + 1]] = True
     mine = decides[entries.gaussians]
     return _StrongEntries(
         entries.gaussians[mine], entries.regions[mine], entries.weights[mine], entries.total
@@ -179,7 +174,7 @@ def _things_of_level(
     region_mass = np.asarray(matrix.sum(0)).ravel()
     sizes = np.bincount(labels[order], minlength=1)
     mass = np.bincount(labels[order], region_mass[order], len(sizes))
-    things = np.flatnonzero((sizes >= LEAST_REGIONS) & (mass > 0))
+    things = np.flatnonzero((sizes >= constants.LEAST_REGIONS) & (mass > 0))
     things = things[np.argsort(-mass[things], kind="stable")][:most]
     place = np.full(len(sizes), -1)
     place[things] = np.arange(len(things))
@@ -251,7 +246,7 @@ def _number_things(found: Sequence[_LevelThings], owners: NDArray[np.int64]) -> 
         both = (fine >= 0) & (coarse >= 0)
         keys, counts = np.unique(fine[both] * max(1, sizes[number + 1]) + coarse[both], return_counts=True)
         thing, parent = np.divmod(keys, max(1, sizes[number + 1]))
-        inside = counts > INSIDE * own[thing]  # true of one parent at most
+        inside = counts > constants.INSIDE * own[thing]  # true of one parent at most
         parents[first[number] + thing[inside]] = first[number + 1] + parent[inside]
     numbered = np.where(owners >= 0, owners + first[:-1], NO_THING)
     embeddings, agreement, n_regions, mass, stability = (

@@ -15,8 +15,7 @@ from scoup.field.field import Field, Own
 from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.things import NO_THING
-
-NEAREST = 4  # Gaussians of the field that are tried for each Gaussian of the splat
+from scoup.uplift import constants
 
 
 def transfer(field: Own, gaussians: Gaussians, *, geometry_path: str | Path | None = None) -> Own:
@@ -72,7 +71,7 @@ def source_rows(before: Gaussians, after: Gaussians) -> Tensor:
     found = np.full(len(after), -1)
     if len(old) and len(new):
         places, targets = (part.means.double().cpu().numpy() for part in (before, after))
-        count = min(NEAREST, len(old))
+        count = min(constants.NEAREST, len(old))
         of_query = KDTree(places[old]).query(targets[new], k=count, workers=-1)
         far, near = (np.asarray(part).reshape(len(new), count) for part in of_query)
         inside = far <= before.scales.amax(1).double().cpu().numpy()[old[near]]

@@ -6,11 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.scene.neighbours import linked_parts, nearest_points
+from scoup.uplift import constants
 
-PER_SIZE = 24  # cells along a thing, if it has enough Gaussians to fill them
-SPACING = 3.0  # least edge of a cell, in sizes of the thing divided by the root of its number of Gaussians
-KEPT = 0.25  # connected parts with this share of the weight of the largest stay: a thing seen in pieces
-NEIGHBOURS, TOUCHING = 8, 1.8  # each cell is linked to so many of its nearest, if they share a corner
 SAMPLED = 1000  # Gaussians of a thing, about which decide its size
 FARTHEST = 1 << 14  # cells from its middle; those beyond count as there
 APART = 1 << 17  # cells between the middles of two things
@@ -37,7 +34,7 @@ def find_strays(
     ends = np.append(starts[1:], len(members))
     places = [_place(points[a:b], weights[a:b]) for a, b in zip(starts, ends, strict=True)]
     middles, sizes = np.array([middle for middle, _ in places]), np.array([size for _, size in places])
-    edges = sizes * np.maximum(1 / PER_SIZE, SPACING / np.sqrt(ends - starts))
+    edges = sizes * np.maximum(1 / constants.PER_SIZE, constants.SPACING / np.sqrt(ends - starts))
     along = (points - middles[thing]) / edges[thing][:, None]
     cells = np.floor(along.clip(-FARTHEST, FARTHEST)).astype(np.int64) + FARTHEST
     keys = thing << 45 | cells[:, 0] << 30 | cells[:, 1] << 15 | cells[:, 2]
@@ -48,7 +45,7 @@ def find_strays(
     of_part[part] = thing
     body = np.zeros(len(things))
     np.maximum.at(body, of_part, weight)
-    strays[members] = (weight < KEPT * body[of_part])[part]
+    strays[members] = (weight < constants.KEPT * body[of_part])[part]
     return strays
 
 
@@ -72,5 +69,5 @@ def _touching_parts(filled: Numbers) -> Numbers:
     """Return the number of the connected part of each cell, by its thing and its place in 15 bits per axis."""
     cells = np.stack([filled >> shift & (1 << 15) - 1 for shift in (30, 15, 0)], 1).astype(np.float64)
     cells[:, 0] += (filled >> 45) * APART
-    nearest, lengths = nearest_points(cells, min(NEIGHBOURS, len(cells) - 1))
-    return linked_parts(nearest, lengths, TOUCHING)
+    nearest, lengths = nearest_points(cells, min(constants.NEIGHBOURS, len(cells) - 1))
+    return linked_parts(nearest, lengths, constants.TOUCHING)

@@ -21,8 +21,9 @@ from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
 from scoup.raster import restored
 from scoup.scene.codes import SparseCodes, index_dtype, signed, stable_products
+from scoup.uplift import constants
 from scoup.uplift.region_sums import RegionSums
-from scoup.uplift.reweighting import SAMPLED_VIEWS, EarlierRound, scene_sharpness
+from scoup.uplift.reweighting import EarlierRound, scene_sharpness
 from scoup.uplift.storage.entries import BUCKET, Entries
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def vote(
         indices, weights = one_round(keep or codes[0].k, earlier, last=False)
         if earlier is None:
             earlier = EarlierRound(indices, weights, torch.zeros(len(codes)))
-            sample = prepare(spread(list(views), SAMPLED_VIEWS))
+            sample = prepare(spread(list(views), constants.SAMPLED_VIEWS))
             deviations = sample.deviations(earlier, range(sums.n_buckets))
             earlier = replace(earlier, sharpness=scene_sharpness(deviations))
         earlier = replace(earlier, indices=indices, weights=weights)

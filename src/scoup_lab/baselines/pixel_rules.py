@@ -25,6 +25,7 @@ from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
+from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.rasterise import cameras_with_regions, region_sums
 from scoup.uplift.region_sums import RegionSums
 
@@ -61,7 +62,7 @@ class AllPixels:
         self, gaussians: Gaussians, cameras: Cameras, regions: Regions, raster_preset: str = "inria"
     ) -> RegionSums:
         """Return region sums of all views."""
-        return region_sums(gaussians, cameras, regions, raster_preset, scale=1.0)
+        return region_sums(gaussians, cameras, regions, BuildSettings(raster_preset=raster_preset, scale=1.0))
 
 
 ALL_PIXELS = AllPixels()

@@ -15,6 +15,7 @@ from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query.language_field import LanguageField, build
 from scoup.query.question import Question, TextVectors
 from scoup.uplift.build_settings import BuildSettings
+from scoup.uplift.provenance import FieldSources
 from scoup_lab.bench.measure import Stopwatch
 from scoup_lab.evaluate.metrics import any_inside, iou
 from scoup_lab.evaluate.scores import PairScore, SceneScore
@@ -77,8 +78,7 @@ def _built(folder: Path, seed: int, progress: Progress) -> LanguageField:
         cameras,
         load_regions(folder, cameras),
         settings=BuildSettings(seed=seed),
-        words=folder / "text.npz",
-        geometry_path=splat,
+        sources=FieldSources(words=folder / "text.npz", geometry_path=splat),
         progress=progress,
     )
 

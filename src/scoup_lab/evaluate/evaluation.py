@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -16,7 +16,7 @@ from scoup.query.language_field import LanguageField
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings
-from scoup.uplift.provenance import embedding_source
+from scoup.uplift.provenance import FieldSources, embedding_source
 from scoup.uplift.rasterise import open_sums
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.scenes import SceneFiles
@@ -72,10 +72,8 @@ class Evaluation(ABC, Generic[Scene, Result]):
                 scene.cameras,
                 regions,
                 settings=settings,
-                embedding_model=model,
-                words=words,
-                geometry_path=scene.splat,
-                sums=open_sums(work / "sums", gaussians, regions, settings.raster_preset, settings.scale),
+                sources=FieldSources(model, words, scene.splat),
+                sums=open_sums(work / "sums", gaussians, regions, settings),
                 progress=progress,
             )
             field.save(path, overwrite=True)
@@ -85,6 +83,6 @@ class Evaluation(ABC, Generic[Scene, Result]):
 def _stored(path: Path, gaussians: Gaussians, settings: BuildSettings) -> LanguageField:
     """Return a field that is built already, on the device of its Gaussians."""
     field = LanguageField.load(path, gaussians).to(gaussians.device)
-    if field.info.provenance.get("settings") != asdict(settings):
+    if field.info.provenance.get("settings") != settings.to_dict():
         raise InputError(f"{path}: was built with other settings; use another folder, or rebuild the fields")
     return field

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +81,7 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
     def reports(self, results: dict[str, PixelResult], described: dict[str, Any]) -> list[Report]:
         """See ``Evaluation``: one by each protocol."""
         found = list(results.values())
-        shared = {**described, "build": asdict(self.build)}
+        shared = {**described, "build": self.build.to_dict()}
         published, levels = self.protocol.scenes, found[0].levels
         scores = tuple(each.score for each in found)
         stem = self.stems[0]

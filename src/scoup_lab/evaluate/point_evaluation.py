@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,7 @@ class PointEvaluation(Evaluation[SceneFiles, Counts]):
 
     def reports(self, results: dict[str, Counts], described: dict[str, Any]) -> list[Report]:
         """See ``Evaluation``: one by each list of classes."""
-        settings = {**described, "build": asdict(self.build), "level": self.level or "best"}
+        settings = {**described, "build": self.build.to_dict(), "level": self.level or "best"}
         return [
             PointScores.of(classes, results, settings).report(stem)
             for classes, stem in zip(self.class_lists, self.stems, strict=True)

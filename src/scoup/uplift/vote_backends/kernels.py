@@ -11,9 +11,9 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from scoup.uplift import reweighting
+from scoup.uplift import constants
 
-LEAST_FACTOR = tl.constexpr(reweighting.LEAST_FACTOR)
+LEAST_FACTOR = tl.constexpr(constants.LEAST_FACTOR)
 
 
 @triton.jit(do_not_specialize=["n_levels", "n_atoms"])

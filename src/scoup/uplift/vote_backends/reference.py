@@ -10,7 +10,8 @@ from torch import Tensor
 
 from scoup.base.errors import InputError
 from scoup.scene.codes import SparseCodes, check_atoms, index_dtype, signed
-from scoup.uplift.reweighting import LEAST_FACTOR, EarlierRound
+from scoup.uplift import constants
+from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET
 from scoup.uplift.vote import BATCHES, CodedEntries
 
@@ -83,7 +84,7 @@ class Vote:
                 if earlier is not None:
                     cosines = self._cosines(earlier, level, first + place, row)
                     factor = torch.exp(earlier.sharpness[level] * (cosines - 1).clamp(max=0))
-                    share = share * factor.clamp(min=LEAST_FACTOR)
+                    share = share * factor.clamp(min=constants.LEAST_FACTOR)
                 target = place[:, None] * n_atoms + codes.indices.long()[row]
                 sums[:, level] += (
                     torch.zeros(count * n_atoms, device=self._device)
