@@ -52,7 +52,7 @@ VERBS = {
     "select": ("select", "f.scoup", "kettle", "--always", "--out", "a.ply"),
     "render": ("render", "f.scoup", "--out", "pictures", "--camera", "all"),
     "animation": ("render", "f.scoup", "--out", "a.gif", "--camera", "all"),
-    "regions": ("regions", "scene", "--view", "view_00", "--width", "300", "--out", "a.png"),
+    "regions": ("extract", "scene", "--show", "view_00"),
     "demo": ("demo", *SMALL, "--out", "demo"),
     "synthetic": ("eval", "synthetic", "lerf-ovs", "data", *SMALL, "--scenes", "1", "--labelled", "1"),
     "bench": ("bench", "--n-gaussians", "100", "--width", "24", "--height", "16", "--repeats", "1", "--stages",

@@ -39,7 +39,6 @@ SCOUP = Family(
         "demo": "scoup_lab.cli.demo:Demo",
         "views": "scoup.cli.views:MakeViews",
         "extract": "scoup.cli.extract:Extract",
-        "regions": "scoup.cli.regions:ShowRegions",
         "words": "scoup.cli.words:MakeWords",
         "convert": "scoup.cli.convert:Convert",
         "build": "scoup.cli.build:Build",

@@ -47,7 +47,7 @@ class Extract(WritesCommon):
         "model": "segmenter embedder segmenter_revision embedder_revision list_models",
         "words": "concepts concept_model",
         "mask": "preset points_per_side",
-        "output": "out part",
+        "output": "out part show",
     }
 
     scene: Annotated[tyro.conf.Positional[Path | None], arg(metavar="SCENE")] = None
@@ -91,11 +91,16 @@ class Extract(WritesCommon):
     part: OptionalText = None
     """I/N, such as 1/4: extract only every N-th photograph from the I-th on. Parts may be made in any order, on any
     machine that sees the folder."""
+    show: Annotated[OptionalText, arg(metavar="VIEW")] = None
+    """Extract nothing: draw the regions of this view, which --out contains, beside its photograph, as VIEW_regions.png
+    here."""
 
     def run(self, console: Console) -> None:
-        """Extract and report, or list the models."""
+        """Extract and report, list the models, or draw regions."""
         if self.list_models:
             _list_models(console)
+        elif self.show is not None:
+            self._draw(console, self.show)
         else:
             console.result(self.make(console))
 
@@ -107,19 +112,18 @@ class Extract(WritesCommon):
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
 
-        if self.scene is None:
-            raise InputError("pass the folder of the scene, or --list")
-        if is_splat(self.scene):
-            remedy = f"{command('build', self.scene)} makes views of it first"
-            raise InputError(f"{self.scene}: is a splat, expected photographs; {remedy}")
+        scene = self._scene()
+        if is_splat(scene):
+            remedy = f"{command('build', scene)} makes views of it first"
+            raise InputError(f"{scene}: is a splat, expected photographs; {remedy}")
         check_number("--max-height", self.max_height, 0)
         words = self._words()  # a mistake shows before the long work
         if self.views != "all":
             total_wanted(self.views, 0)
         segmenter_name, settings = self._masks(console, self.device)
-        photographs = find_photographs(self.scene, self.images)
+        photographs = find_photographs(scene, self.images)
         part = Part() if self.part is None else Part.parse(self.part)
-        out = self.out or usual_features(self.scene)
+        out = self.out or usual_features(scene)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             segmenter_name,
@@ -143,6 +147,40 @@ class Extract(WritesCommon):
         if words:
             record["concepts"] = self._look_for_words(console, chosen, words, out, part)
         return {"out": out, "photographs": len(photographs), "chosen": len(chosen), **record}
+
+    def _scene(self) -> Path:
+        if self.scene is None:
+            raise InputError("pass the folder of the scene, or --list")
+        return self.scene
+
+    def _draw(self, console: Console, view: str) -> None:
+        """Draw the regions of a view at all levels, with their numbers where there is room."""
+        from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
+        from scoup.io.camera_sources import scene_folder
+        from scoup.io.regions.store import RegionStore
+        from scoup.pictures import regions_sheet
+
+        scene = self._scene()
+        camera = load_cameras(scene, self.images, distorted="undistort", missing_images="keep")[view]
+        picture = Path(f"{camera.stem}_regions.png")
+        check_output(picture, self.overwrite)
+        folder = self.out or scene_folder(scene)
+        regions = load_regions(folder, [camera])
+        manifest = RegionStore.open(folder).manifest
+        settings = manifest.settings if manifest else {}
+        made = " and ".join(str(settings[key]) for key in ("segmenter", "embedder") if key in settings)
+        labels, embeddings = regions.load_view(camera.name, camera.width, camera.height)
+        remark = f"made with {made}" if made else ""
+        sheet = regions_sheet(load_image(camera), labels, regions.levels, camera.name, remark)
+        save_png(sheet, picture, self.overwrite)
+        counts = {level: len(rows) for level, rows in zip(regions.levels, embeddings, strict=True)}
+        shares = ((plane >= 0).float().mean() for plane in labels)
+        covered = {level: round(float(share), 4) for level, share in zip(counts, shares, strict=True)}
+        listed = [
+            f"{level}: {counted(counts[level], 'region')}, {covered[level]:.0%} covered" for level in counts
+        ]
+        console.say(f"{picture}: {camera.name} ({', '.join(listed)})")
+        console.result({"out": picture, "view": camera.name, "regions": counts, "covered": covered})
 
     def _choose(
         self, console: Console, photographs: Sequence[Photograph], out: Path
