@@ -24,7 +24,7 @@ class MakeViews(WritesCommon):
     """
 
     option_groups: ClassVar[OptionGroups] = {
-        "view": "views width height up keep_axes beside",
+        "view": "views width height up keep_axes",
         "output": "out",
     }
 
@@ -43,8 +43,6 @@ class MakeViews(WritesCommon):
     """The direction that is up in the splat. Default: estimated from its floors and tables."""
     keep_axes: Flag = False
     """Take the up direction in the axes of the file, for .spz and glTF of programs that keep the numbers of the PLY."""
-    beside: OptionalPath = None
-    """A scene whose photographs show a part of the splat: they are copied to OUT, and the views show the rest."""
 
     def run(self, console: Console) -> None:
         """Choose, render, report."""
@@ -61,7 +59,7 @@ class MakeViews(WritesCommon):
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import load_cameras, load_gaussians, splat_source
+        from scoup.io import load_gaussians, splat_source
         from scoup.io.camera_sources import find_cameras, has_cameras
         from scoup.io.splats.axes import turned, turned_direction
 
@@ -71,22 +69,16 @@ class MakeViews(WritesCommon):
         check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
         if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
-        beside = None if self.beside is None else load_cameras(self.beside, distorted="undistort")
-        if beside is not None and not any(camera.image_path for camera in beside):
-            raise InputError(
-                f"{self.beside}: has no photographs, only cameras; name a scene with photographs"
-            )
         gaussians = load_gaussians(source)
         up = self.up
         if self.keep_axes and (axis := found.kind.axis) is not None:
             up = turned_direction(up or estimated_up(turned(gaussians, axis)), axis)
         how = {"width": self.width, "height": self.height, "count": self.views, "up": up}
         with console.progress() as progress:
-            cameras = choose_cameras(gaussians, beside=beside, progress=progress, **how)
-            shown = save_views(gaussians, cameras, out, beside, self.overwrite, progress)
-        there = f" beside {counted(len(beside), 'photograph')}" if beside is not None else ""
+            cameras = choose_cameras(gaussians, progress=progress, **how)
+            shown = save_views(gaussians, cameras, out, self.overwrite, progress)
         console.say(
-            f"{out}: {counted(len(cameras), 'view')}{there}; {shown.once:.1%} of the opaque Gaussians are in one or "
+            f"{out}: {counted(len(cameras), 'view')}; {shown.once:.1%} of the opaque Gaussians are in one or "
             f"more, {shown.often:.1%} in three or more"
         )
         return {"scene": out, "views": len(cameras), "coverage": shown.once, "coverage_by_three": shown.often}
