@@ -55,7 +55,6 @@ SCOUP = Family(
         "compare": "scoup.cli.compare:CompareCaptures",
         "info": "scoup.cli.info:Info",
         "eval": "scoup_lab.cli.evaluate:EVAL",
-        "bench": "scoup_lab.cli.bench:Bench",
     },
 )
 
