@@ -34,13 +34,13 @@ def photographs() -> None:
 
 def test_extract_then_build(here) -> None:
     photographs()
-    record = run_json("extract", "scene", *FREE, "--max-height", "0")
+    record = run_json("extract", "scene", *FREE)
     assert (record["made"], record["kept"], record["skipped"]) == (4, 0, {})
     assert record["embedding_model"] == "colors"
     assert set(record["stages"]) == {"decode", "segment", "embed", "write"}
     settings = json.loads(Path("scene/language_features", MANIFEST).read_text())["settings"]
-    assert (settings["segmenter"], settings["max_height"]) == ("felzenszwalb", None)
-    again = run_json("extract", "scene", *FREE, "--max-height", "0")
+    assert (settings["segmenter"], settings["max_height"]) == ("felzenszwalb", 1080)
+    again = run_json("extract", "scene", *FREE)
     assert (again["made"], again["kept"]) == (0, 4)
     code, out, _ = run("extract", "scene", *FREE, "--overwrite")
     assert code == 0
@@ -72,6 +72,7 @@ def test_regions_picture(here) -> None:
     run_json("extract", "scene", *FREE)
     record = run_json("extract", "scene", "--show", "view_02")
     assert record["view"] == "view_02.png"
+    assert "view_02_regions.png: already exists" in refused("extract", "scene", "--show", "view_02")
     assert all(record["regions"][level] >= 1 for level in "sml")
     with Image.open("view_02_regions.png") as picture:
         assert picture.size[0] == 1800

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from cli_support import FREE, QUICK, refused, run, run_json, snapshot
-from scoup.cli.views import MakeViews
+from scoup.cli.views import MakeViews, OwnViews
 from scoup.field.language_field import LanguageField
 from scoup.io import load_cameras, load_gaussians, save_gaussians, write_transforms
 
@@ -95,7 +95,8 @@ def test_views_that_are_not_whole_are_replaced_on_request(monkeypatch: pytest.Mo
     run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
     Path("alone_views/transforms.json").unlink()
     monkeypatch.setattr(
-        "scoup.cli.views.MakeViews", partial(MakeViews, width=24, height=18, views=2, up=(0, -1, 0))
+        "scoup.cli.views.MakeViews",
+        partial(MakeViews, view=OwnViews(width=24, height=18, views=2, up=(0, -1, 0))),
     )
     build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
     assert "alone_views/views.png: already exists; pass --overwrite" in refused(*build)

@@ -81,7 +81,7 @@ def run(arguments: list[str]) -> int:
             said = in_one_line(refusal.getvalue()) + "; see scoup --help, or scoup VERB --help"
             Console(Common(as_json=True)).fail(said, code)
         return code
-    return run_verb(verb, verb.run)
+    return run_verb(verb.common, verb.run)
 
 
 def entry() -> None:
