@@ -44,7 +44,7 @@ def test_kitchen_from_files_to_scores(data_folder: Path, tmp_path: Path):
 
     field = scoup.LanguageField.load(out)
     assert field.cameras is not None
-    cameras = field.cameras
+    cameras = scoup.load_cameras(kitchen, downscale=4)
     frames = match_frames(read_labels(kitchen / "label"), cameras)
     encoder = scoup.TextEncoder.open(data_folder / "clip" / "text_vit_b16_laion2b.npz")
     canonical = encoder.canonical()
