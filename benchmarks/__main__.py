@@ -26,6 +26,7 @@ STUDIES = Family(
         "extract": "benchmarks.extract:Extraction",
         "photographs": "benchmarks.photographs:Photographs",
         "query": "benchmarks.query:Query",
+        "stages": "benchmarks.stages:Stages",
         "viewer": "benchmarks.viewer:ViewerCost",
         "archive": "benchmarks.archive:Archives",
         "archive-times": "benchmarks.archive_times:ArchiveTimes",

@@ -33,6 +33,7 @@ from benchmarks.laptop import Laptop
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.photographs import Photographs
 from benchmarks.query import Query
+from benchmarks.stages import Stages
 from benchmarks.study import Study
 from benchmarks.things import Things
 from benchmarks.viewer import ViewerCost
@@ -107,23 +108,6 @@ README_COLUMNS = {
 }
 
 
-def bench() -> str:
-    """Return the stages of the rasteriser as `scoup bench` measured them."""
-    ratios = {
-        (each["gaussians"], each["stage"], each["threads"]): 1 / each["time_over_reference"]
-        for each in record("bench")["ratios"]
-    }
-    body: dict[tuple[int, str], list[str]] = {}
-    for row in record("bench")["rows"]:
-        if row["backend"] != "reference":
-            stage = row["gaussians"], row["stage"]
-            cells = body.setdefault(stage, [f"{row['gaussians']:,}", row["stage"]])
-            cells += [f"{1e3 * row['median_s']:.1f}", f"{ratios[(*stage, row['threads'])]:.1f} x"]
-    threads = dict.fromkeys(row["threads"] for row in record("bench")["rows"])
-    head = [head for each in threads for head in (f"ms, threads: {each}", "reference takes")]
-    return markdown(["Gaussians", "stage", *head], [*body.values()])
-
-
 STUDIES: dict[str, tuple[type[Study], str]] = {
     "things": (Things, "things"),
     "lerf sized": (LerfSized, "lerf_sized"),
@@ -133,6 +117,7 @@ STUDIES: dict[str, tuple[type[Study], str]] = {
     "laptop": (Laptop, "laptop"),
     "photographs": (Photographs, "photographs"),
     "query": (Query, "query"),
+    "stages": (Stages, "stages"),
     "viewer": (ViewerCost, "viewer"),
     "archive": (Archives, "archive"),
     "archive times": (ArchiveTimes, "archive_times"),
@@ -147,13 +132,12 @@ TABLES: dict[str, Callable[[], str]] = {
     "scales": lambda: scales(record),
     "baselines": lambda: baselines(record),
     "ablations": lambda: ablations(record),
-    "bench": bench,
     **{name: lambda of=of: of[0].table(record(of[1])) for name, of in STUDIES.items()},
 }
 """By name."""
 HIDDEN = {
     "extract": "at level [sml]",
-    "bench": "100,000",
+    "stages": "100,000|backend",
     "things": r"table-4|shelves-2|kitchen-22|AP at IoU 0.75|bytes per .*|"
     r"(right of|behind|under|near|between|inside): .*",
     "baselines": "visible-centre-pixel|top-contributors",

@@ -26,7 +26,7 @@ from scoup.raster import render_colors
 from support import small_scene, unit
 
 WORDS = ("kettle", "mug", "wooden table")
-QUICK = ("--n-atoms", "8", "--effort", "fast")
+QUICK = ("--n-atoms", "8")
 """Options that make a build quick."""
 FREE = ("--segmenter", "felzenszwalb", "--embedder", "colors")
 """Options of an extraction without models."""

@@ -28,7 +28,7 @@ from scoup.scene.gaussians import Gaussians
 from support import random_gaussians, small_scene, unit
 
 FORMATS = Path(__file__).parent / "frozen" / "formats"
-CODES = ("--n-atoms", 8, "--effort", "fast")
+CODES = ("--n-atoms", 8)
 
 
 def write_scene(folder: Path) -> None:
@@ -78,7 +78,8 @@ def main(out: Path) -> None:
     write_scene(scene)
     build = ("build", scene, "--model", scene / "words.npz", *CODES, "--out")
     verb(*build, out / "field.scoup", "--embed-geometry", "--keep-sums", out / "sums")
-    verb(*build, out / "field_8_bits.scoup", "--weight-bits", 8)
+    verb(*build, out / "field_8_bits.scoup")
+    LanguageField.load(out / "field_8_bits.scoup").save(out / "field_8_bits.scoup", True, weight_bits=8)
     for name in ("field", "field_8_bits"):
         found = answers(LanguageField.load(out / f"{name}.scoup"))
         np.savez_compressed(out / f"{name}.npz", **found)  # pyright: ignore[reportArgumentType]

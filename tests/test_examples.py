@@ -92,7 +92,7 @@ def test_cut_out_a_thing(scene, field, tmp_path):
 @pytest.fixture(scope="module")
 def field(scene: Path) -> Path:
     path = scene.parent / "f.scoup"
-    assert run("build", scene, "--out", path, "--n-atoms", 8, "--effort", "fast")[0] == 0
+    assert run("build", scene, "--out", path, "--n-atoms", 8)[0] == 0
     return path
 
 

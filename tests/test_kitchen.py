@@ -37,7 +37,7 @@ def test_kitchen_from_files_to_scores(data_folder: Path, tmp_path: Path):
             (features / name).rename(regions_kept / name)
     splat = kitchen / "scene" / "model.splat"
     command = ("build", kitchen, "--gaussians", splat, "--features", regions_kept, "--out", out)
-    code, printed, err = run(*command, "--downscale", 4, "--epochs", 200)
+    code, printed, err = run(*command)
     assert code == 0, err
     assert "16 of 24" in err  # cameras without features are counted
     assert "8 views" in printed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 from typing import Any
 
 import pytest
@@ -12,10 +13,12 @@ from benchmarks.compare import Compare
 from benchmarks.lerf_sized import LerfSized
 from benchmarks.query import STAGES, Query
 from benchmarks.scenes import scene_of
+from benchmarks.stages import Stages
 from benchmarks.study import Record, Study, run
 from benchmarks.things import PAIRS, Things
 from benchmarks.true_counts import true_counts
 
+from scoup import raster
 from scoup_lab.bench import usable_backends
 
 SMALL: dict[str, Any] = {"width": 30, "height": 20}
@@ -42,6 +45,34 @@ def test_what_it_costs_to_ask() -> None:
     least = ran(Query(n_gaussians=200, n_atoms=8, repeats=2, verb_repeats=1, **SMALL))["least"]
     assert set(least) == set(STAGES)
     assert least["query, new camera"] > least["project"]
+
+
+def test_stages_are_compared_with_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    backends = dict.fromkeys(("other", "reference"), raster.BACKENDS["reference"])
+    monkeypatch.setattr(raster, "BACKENDS", {**backends, "broken": "scoup.none"})
+    before, stages = torch.get_num_threads(), ("project", "sums")
+    found = ran(Stages(n_gaussians=(60, 120), repeats=1, threads=(1, 2), stages=stages, **SMALL))
+    assert torch.get_num_threads() == before
+    median = {
+        (count, row["stage"], row["backend"], row["threads"]): row["median_s"]
+        for count, rows in found["rows"].items()
+        for row in rows
+    }
+    assert set(median) == set(product(("60", "120"), stages, backends, (1, 2)))
+    head, _, first, *lines, reason = Stages.table(found).splitlines()
+    assert "threads: 2" in head
+    assert len(lines) == 2 * len(stages) - 1
+    ratio = median["60", "project", "reference", 1] / median["60", "project", "other", 1]
+    assert [cell.strip() for cell in first.split("|")[1:6:2]] == ["60", "other", f"{ratio:.1f} x"]
+    assert reason == "backend broken does not work here: No module named 'scoup.none'"
+
+
+def test_stages_of_the_reference_alone() -> None:
+    found = ran(
+        Stages(n_gaussians=(60,), repeats=1, threads=(1,), backends=("reference",), stages=("vote",), **SMALL)
+    )
+    assert [row["backend"] for row in found["rows"]["60"]] == ["reference"]
+    assert "| reference |" in Stages.table(found)
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def test_version():
 
 
 @pytest.mark.parametrize(
-    "arguments", [("nonsense",), ("build",), ("build", "s", "--epochs", "many"), ("info", "x", "--nonsense")]
+    "arguments", [("nonsense",), ("build",), ("build", "s", "--n-atoms", "many"), ("info", "x", "--nonsense")]
 )
 def test_what_cannot_be_parsed_is_bad_input(arguments):
     code, out, err = run(*arguments)

@@ -14,7 +14,7 @@ from tests.fuzzing.mutation import damage
 from cli_support import run, snapshot, write_scene
 from support import examples
 
-BUILD = ("--solver", "adam", "--epochs", "2", "--n-atoms", "4", "--k", "4", "--quiet", "--overwrite")
+BUILD = ("--n-atoms", "4", "--k", "4", "--quiet", "--overwrite")
 # Two views suffice, and the fewer the quicker.
 GONE = [f"{folder}/view_0{number}{end}" for number in (2, 3) for folder, end in
         (("images", ".png"), ("language_features", "_s.npy"), ("language_features", "_f.npy"))]  # fmt: skip
@@ -77,4 +77,4 @@ def test_verbs(sound, tmp_path, verb, target, seed):
     # The field has its geometry embedded, so the splat is read only where it is named.
     given = ("--gaussians", file) if target == "splat" else ()
     ask = ("query", scene / "f.scoup", "kettle", "--out", tmp_path / "answers", *given)
-    check(tmp_path, *ask, "--quiet", "--overwrite", "--scale", "0.5")
+    check(tmp_path, *ask, "--quiet", "--overwrite")

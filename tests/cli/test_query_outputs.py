@@ -69,9 +69,10 @@ def test_places_in_metres():
 
 
 @pytest.mark.parametrize("motion", ["path", "turntable"])
-def test_videos(motion):
+def test_videos(motion, monkeypatch):
+    monkeypatch.setattr("scoup.cli.query.FRAMES", 5)
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
-    options = ("--video", motion, "--frames", "5", "--out", "a", "--always")
+    options = ("--video", motion, "--out", "a", "--always")
     record = run_json("query", "f.scoup", *TEXTS, *options)
     assert record["videos"] == [f"a/{text}_{motion}.mp4" for text in TEXTS]
     for path in record["videos"]:

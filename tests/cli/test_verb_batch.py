@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_support import FREE, QUICK, refused, run, run_json, write_scene
+from cli_support import FREE, refused, run, run_json, write_scene
 from scoup.query.language_field import LanguageField
 
 pytest.importorskip("duckdb", reason="duckdb is not installed (pip install 'scoup[archive]')")
@@ -26,7 +26,7 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     Path("scans/broken/point_cloud.ply").write_bytes(b"ply\n")
     table = Path("scans/a/words.npz").resolve()
     options = ("--out", "fields", "--archive", "archive", "--jobs", "2")
-    command = ("batch", "scans", *options, "--model", table, *QUICK)
+    command = ("batch", "scans", *options, "--model", table)
     code, out, _ = run(*command, "--json")
     said = json.loads(out)
     assert code == 2
@@ -38,7 +38,7 @@ def test_a_folder_of_scans_becomes_fields_and_an_archive(
     assert "scans/broken/point_cloud.ply" in rows[2][3]
     for name in "ab":
         assert not said["scans"][name]["kept"]
-        assert LanguageField.load(f"fields/{name}.scoup").n_atoms == 8
+        assert LanguageField.load(f"fields/{name}.scoup").n_atoms == 128
     listed = run_json("archive", "archive", "--list")
     assert [each["scan"] for each in listed["scans"]] == ["a", "b"]
 
@@ -62,7 +62,7 @@ def test_builds_get_the_options_that_were_passed(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(
         "scoup.cli.batch._in_processes", lambda commands, jobs: iter(seen.update(commands) or ())
     )
-    passed = [*FREE, "--embed-geometry", *QUICK]
+    passed = [*FREE, "--embed-geometry", "--preset", "paper"]
     run_json("batch", "scans", "--out", "fields", *passed)
     start, rest = seen["a"][:4], seen["a"][4:]
     assert start == ["build", "scans/a", "--out", "fields/a.scoup"]
@@ -72,7 +72,7 @@ def test_builds_get_the_options_that_were_passed(tmp_path: Path, monkeypatch: py
 def test_fields_that_name_no_words_are_not_archived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_scene(tmp_path / "scans" / "a")
-    code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive", *QUICK)
+    code, out, _ = run("batch", "scans", "--out", "fields", "--archive", "scans.archive")
     assert code == 2
     assert "a: fields/a.scoup: names no embedding model; pass a word table or model as --text" in out
 

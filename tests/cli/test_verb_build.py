@@ -54,23 +54,21 @@ def test_the_record_for_machines():
 
 
 def test_settings_reach_the_field():
-    settings = (
-        "--k 2 --keep 3 --seed 5 --raster-preset gsplat --tolerance 0.5 --epochs 20 --rounds 2 --solver adam"
-    )
+    settings = "--k 2 --raster-preset gsplat --preset paper"
     files = "--gaussians scene/point_cloud.ply --features scene/language_features --images scene/images --scale 0.5"
     run_json(*BUILD, *settings.split(), *files.split())
     field = LanguageField.load("a.scoup")
     settings = field.info.provenance["settings"]
     assert settings["raster_preset"] == field.info.raster_preset == "gsplat"
-    expected = {"k": 2, "keep": 3, "seed": 5, "epochs": 20, "n_atoms": 8, "tolerance": 0.5, "scale": 0.5}
+    expected = {"k": 2, "keep": 4, "rounds": 1, "solver": "adam", "n_atoms": 8, "scale": 0.5}
     assert {name: settings[name] for name in expected} == expected
-    assert field.code_indices.shape == (150, 3, 3)
+    assert field.code_indices.shape == (150, 3, 4)
 
 
 def test_region_sums_are_kept_on_request_and_built_from_again(monkeypatch):
     Path("a.sums").mkdir()
     Path("a.sums/file").write_bytes(b"precious")
-    record = run_json(*BUILD, "--keep-sums", "a.sums", "--seed", "5", "--rounds", "3")
+    record = run_json(*BUILD, "--keep-sums", "a.sums", "--k", "3")
     assert record["sums"] == "a.sums"
     assert record["sums_bytes"] == sum(path.stat().st_size for path in Path("a.sums").iterdir()) - len(
         "precious"
@@ -84,7 +82,7 @@ def test_region_sums_are_kept_on_request_and_built_from_again(monkeypatch):
         raise AssertionError("nothing is rasterised")
 
     monkeypatch.setattr("scoup.raster.project", no_look)
-    run_json("build", "scene", *QUICK, "--out", "b.scoup", "--sums", "a.sums", "--seed", "5", "--rounds", "3")
+    run_json("build", "scene", *QUICK, "--out", "b.scoup", "--sums", "a.sums", "--k", "3")
     assert Path("b.scoup").read_bytes() == Path("a.scoup").read_bytes()
     assert snapshot(Path("a.sums")) == before
 
@@ -106,13 +104,6 @@ def test_parts_in_processes_of_their_own():
     next(Path("parts").glob("view.view_01*")).unlink()
     message = refused("build", "scene", *QUICK, "--out", "b.scoup", "--sums", "parts")
     assert "parts: lacks the view 'view_01.png'" in message
-
-
-def test_scaled_photographs_scale_the_cameras():
-    run_json(*BUILD, "--downscale", "2")
-    cameras = LanguageField.load("a.scoup").cameras
-    assert cameras is not None
-    assert (cameras[0].width, cameras[0].height) == (20, 15)
 
 
 def test_distorted_cameras_on_request():
@@ -158,9 +149,9 @@ def test_a_table_leaves_the_model_that_its_features_or_it_names():
 
 
 def test_bytes_of_codes_and_codebook():
-    assert run(*BUILD, "--weight-bits", 8, "--embed-geometry")[0] == 0
+    assert run(*BUILD, "--embed-geometry")[0] == 0
     record = run_json("info", "a.scoup")
-    assert record["bytes_of_codes_a_gaussian"] == 3 * 4 * 2
+    assert record["bytes_of_codes_a_gaussian"] == 3 * 4 * 3
     assert record["bytes_of_codebook"] == 3 * 8 * 16 * 4
 
 

@@ -21,7 +21,7 @@ from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 pytestmark = pytest.mark.slow
 
 QUICK = ("--n-atoms", 16)
-LERF = ("eval", "lerf-ovs", "lerf-ovs", "--scenes", "table", "--sheets", "none")
+LERF = ("eval", "lerf-ovs", "lerf-ovs", "--scenes", "table")
 SCANNET = ("eval", "scannet", "scannet", *QUICK)
 STUDY = ("lerf-ovs", "--scenes", "table")
 
@@ -86,8 +86,9 @@ def test_built_once_scored_by_other_rules(here: Path) -> None:
     assert "--overwrite" in refused(*LERF, *QUICK)
     run_json(*LERF, *QUICK, "--overwrite")
     assert miou("scoup") == first
-    assert "rebuild the fields" in refused(*LERF, "--n-atoms", 8, "--overwrite")
-    run_json(*LERF, "--n-atoms", 8, "--overwrite", "--rebuild")
+    assert "remove the field" in refused(*LERF, "--n-atoms", 8, "--overwrite")
+    field.unlink()
+    run_json(*LERF, "--n-atoms", 8, "--overwrite")
     assert field.stat().st_mtime_ns != made
 
 
@@ -95,7 +96,7 @@ def test_published_rows_stand_beside_scenes_of_the_published_names(here: Path) -
     root = here / "named"
     shutil.copytree(here / "lerf-ovs" / "table", root / "ramen")
     shutil.copytree(here / "lerf-ovs" / "label" / "table", root / "label" / "ramen")
-    record = run_json("eval", "lerf-ovs", root, *QUICK, "--sheets", "none")["reports"]["lerf-ovs_scoup"]
+    record = run_json("eval", "lerf-ovs", root, *QUICK)["reports"]["lerf-ovs_scoup"]
     assert record["published_percent"][0]["miou"] == 64.4
 
 
@@ -142,7 +143,7 @@ def test_ablations(here: Path) -> None:
 
 
 def test_consistency(here: Path) -> None:
-    record = run_json("eval", "consistency", *STUDY, "--epochs", 2)
+    record = run_json("eval", "consistency", *STUDY)
     assert record["matched_by"] == {"table": "Gaussians"}
     assert {row["features"] for row in record["results"]} == {"raw", "autoencoder", "sparse codes"}
     for row in record["results"]:

@@ -34,13 +34,13 @@ def photographs() -> None:
 
 def test_extract_then_build(here) -> None:
     photographs()
-    record = run_json("extract", "scene", *FREE, "--max-height", "0")
+    record = run_json("extract", "scene", *FREE)
     assert (record["made"], record["kept"], record["skipped"]) == (4, 0, {})
     assert record["embedding_model"] == "colors"
     assert set(record["stages"]) == {"decode", "segment", "embed", "write"}
     settings = json.loads(Path("scene/language_features", MANIFEST).read_text())["settings"]
-    assert (settings["segmenter"], settings["max_height"]) == ("felzenszwalb", None)
-    again = run_json("extract", "scene", *FREE, "--max-height", "0")
+    assert (settings["segmenter"], settings["max_height"]) == ("felzenszwalb", 1080)
+    again = run_json("extract", "scene", *FREE)
     assert (again["made"], again["kept"]) == (0, 4)
     code, out, _ = run("extract", "scene", *FREE, "--overwrite")
     assert code == 0
@@ -70,17 +70,19 @@ def test_extract_from_photographs_alone(here) -> None:
 def test_regions_picture(here) -> None:
     photographs()
     run_json("extract", "scene", *FREE)
-    record = run_json("regions", "scene", "--view", "view_02", "--width", "600")
+    record = run_json("extract", "scene", "--show", "view_02")
     assert record["view"] == "view_02.png"
+    assert "view_02_regions.png: already exists" in refused("extract", "scene", "--show", "view_02")
     assert all(record["regions"][level] >= 1 for level in "sml")
     with Image.open("view_02_regions.png") as picture:
-        assert picture.size[0] == 600
+        assert picture.size[0] == 1800
         assert len(picture.convert("RGB").getcolors(1 << 20)) > 20
-    options = ("--view", "view_00.png", "--features", "scene/language_features", "--out", "d.png")
-    assert "100% covered" in run("regions", "scene", *options)[1]
+    Path("scene/language_features").rename("regions")
+    options = ("--show", "view_00.png", "--out", "regions")
+    assert "100% covered" in run("extract", "scene", *options)[1]
     Path("scene/images/view_03.png").unlink()
-    Path("scene/language_features/view_03.regions").unlink()
-    said = refused("regions", "scene", "--view", "view_03")
+    Path("regions/view_03.regions").unlink()
+    said = refused("extract", "scene", "--show", "view_03", "--out", "regions")
     there = "it has view_00.regions, view_01.regions, view_02.regions; make them with scoup extract"
     assert f"has no regions of view_03.png: expected view_03.regions; {there}" in said
 

@@ -75,9 +75,6 @@ def test_the_sheet_and_single_pictures():
     assert record["sheets"] == ["f_queries/sheet.png"]
     assert "files" not in run_json(*ask, "--out", "again")["answers"][0]
     assert Path("again/sheet.png").read_bytes() == Path("f_queries/sheet.png").read_bytes()
-    large = run_json(*ask, "--out", "large", "--scale", "2", "--pictures", "all")["answers"][0]
-    with Image.open(large["files"]["mask"]) as picture:
-        assert picture.size == (80, 60)
     bare = run_json(*ask, "--out", "bare", "--pictures", "none")
     assert "files" not in bare["answers"][0]
     assert bare["sheets"] == []

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
-import torch
 from PIL import Image
 
 from cli_support import FREE, QUICK, refused, run, run_json, snapshot
-from scoup.cli.views import MakeViews
+from scoup.cli.views import MakeViews, OwnViews
 from scoup.io import load_cameras, load_gaussians, save_gaussians, write_transforms
 from scoup.query.language_field import LanguageField
-from scoup.scene.cameras import Cameras
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -54,43 +51,6 @@ def test_photographs_whose_cameras_are_replaced_stay() -> None:
     shutil.rmtree("scene/sparse")
     run_json("views", SPLAT, *SMALL, "--views", 1, "--out", "scene", "--overwrite")
     assert set(before) < set(Path("scene/images").iterdir())
-
-
-def test_views_beside_photographs_keep_them() -> None:
-    given = load_cameras("scene")
-    record = run_json("views", SPLAT, *SMALL, "--views", 2, "--beside", "scene", "--out", "more")
-    assert record["views"] == 2
-    together = load_cameras("more")
-    assert len(together) == len(given) + 2
-    for camera in given:
-        assert camera.image_path is not None
-        copied = together[camera.name]
-        assert copied.image_path is not None
-        assert copied.image_path.read_bytes() == camera.image_path.read_bytes()
-        assert torch.allclose(copied.viewmat, camera.viewmat, atol=1e-5)
-
-
-def test_photographs_beside_keep_their_distortion() -> None:
-    bent = Cameras(
-        replace(camera, distortion=(0.1, 0.0, 0.0, 0.0), image_path=None) for camera in load_cameras("scene")
-    )
-    write_transforms(bent, "bent/transforms.json")
-    shutil.copytree("scene/images", "bent/images")
-    run_json("views", SPLAT, *SMALL, "--views", 1, "--beside", "bent", "--out", "more")
-    assert "pass --undistort" in refused("build", "more", "--gaussians", SPLAT)
-    together = load_cameras("more", distorted="undistort")
-    assert {camera.name: camera.distortion for camera in together} == {
-        "own_000.png": (),
-        **{camera.name: camera.distortion for camera in bent},
-    }
-
-
-def test_cameras_without_photographs_have_nothing_to_be_beside() -> None:
-    shutil.rmtree("scene/images")
-    code, _, said = run("views", SPLAT, *SMALL, "--beside", "scene", "--out", "more")
-    assert code == 2
-    assert "error: scene: has no photographs, only cameras" in said
-    assert not Path("more").exists()
 
 
 @pytest.mark.slow  # views of the usual size
@@ -135,7 +95,8 @@ def test_views_that_are_not_whole_are_replaced_on_request(monkeypatch: pytest.Mo
     run_json("views", SPLAT, *SMALL, "--views", 2, "--out", "alone_views")
     Path("alone_views/transforms.json").unlink()
     monkeypatch.setattr(
-        "scoup.cli.views.MakeViews", partial(MakeViews, width=24, height=18, views=2, up=(0, -1, 0))
+        "scoup.cli.views.MakeViews",
+        partial(MakeViews, view=OwnViews(width=24, height=18, views=2, up=(0, -1, 0))),
     )
     build = ("build", SPLAT, *FREE, *QUICK, "--out", "alone.scoup")
     assert "alone_views/views.png: already exists; pass --overwrite" in refused(*build)

@@ -259,12 +259,11 @@ def test_the_commit_of_a_model_stays_while_work_goes_on(tmp_path: Path, monkeypa
     write_manifest(tmp_path, RegionManifest("some/clip", record))
     settings = MaskSettings()
     registry.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path)
-    registry.open_pair("sam-vit-h", "some/clip", settings, ("mine", None), resumed=tmp_path)
     registry.open_pair("sam-vit-b", "some/clip", settings, resumed=tmp_path)
     registry.open_pair("sam-vit-h", "some/clip", settings, resumed=None)
     registry.open_pair("sam-vit-h", "some/clip", settings, resumed=tmp_path / "nowhere")
-    assert [revision for _, revision in opened[::2]] == ["abc", "mine", None, None, None]
-    assert [revision for _, revision in opened[1::2]] == [None] * 5
+    assert [revision for _, revision in opened[::2]] == ["abc", None, None, None]
+    assert [revision for _, revision in opened[1::2]] == [None] * 4
 
 
 def test_parts_make_together_what_one_makes_alone(tmp_path: Path) -> None:

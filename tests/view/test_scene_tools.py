@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("agent")
     write_scene(place / "scene")
     table = place / "scene" / "words.npz"
-    options = ("--n-atoms", "8", "--effort", "fast", "--model", table)
+    options = ("--n-atoms", "8", "--model", table)
     code, _, err = run("build", place / "scene", *options, "--out", place / "f.scoup")
     assert code == 0, err
     return place

@@ -39,7 +39,6 @@ SCOUP = Family(
         "demo": "scoup_lab.cli.demo:Demo",
         "views": "scoup.cli.views:MakeViews",
         "extract": "scoup.cli.extract:Extract",
-        "regions": "scoup.cli.regions:ShowRegions",
         "words": "scoup.cli.words:MakeWords",
         "convert": "scoup.cli.convert:Convert",
         "build": "scoup.cli.build:Build",
@@ -56,7 +55,6 @@ SCOUP = Family(
         "compare": "scoup.cli.compare:CompareCaptures",
         "info": "scoup.cli.info:Info",
         "eval": "scoup_lab.cli.evaluate:EVAL",
-        "bench": "scoup_lab.cli.bench:Bench",
     },
 )
 
@@ -83,7 +81,7 @@ def run(arguments: list[str]) -> int:
             said = in_one_line(refusal.getvalue()) + "; see scoup --help, or scoup VERB --help"
             Console(Common(as_json=True)).fail(said, code)
         return code
-    return run_verb(verb, verb.run)
+    return run_verb(verb.common, verb.run)
 
 
 def entry() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -19,7 +19,6 @@ from scoup.cli.options import (
     OptionalNumber,
     OptionalPath,
     OptionalText,
-    OptionGroups,
     WritesCommon,
     arg,
 )
@@ -29,19 +28,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchArchive(WritesCommon):
-    """Find things in many scans at once, or add, remove and list the scans of an archive: a folder with a Parquet file
-    per scan. It works on the CPU, whatever --device says."""
+class ScanOptions:
+    """Options that change or list the scans."""
 
-    option_groups: ClassVar[OptionGroups] = {
-        "scan": "add remove list_scans columns",
-        "search": "image where top at_least presence text page",
-    }
-
-    folder: Annotated[tyro.conf.Positional[Path], arg(metavar="DIR")]
-    """Folder of the archive; made when the first scan is added."""
-    question: tyro.conf.Positional[OptionalText] = None
-    """What to find: a text, or a phrase such as "mug left of the laptop"."""
     add: Annotated[tuple[Path, ...], arg(metavar="FIELD [FIELD ...]")] = ()
     """Add .scoup files as scans, each named as its file; a scan that is there is replaced, but keeps its columns."""
     remove: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ()
@@ -50,6 +39,12 @@ class SearchArchive(WritesCommon):
     """List the scans."""
     columns: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(name="set", metavar="NAME=VALUE")] = ()
     """With --add, a column of the scans for --where, such as floor=2; repeat it for several."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """Options of a search."""
+
     image: OptionalPath = None
     """Find what looks like the object in a picture, in place of TEXT. Needs the embedding model of the archive."""
     where: OptionalText = None
@@ -66,38 +61,54 @@ class SearchArchive(WritesCommon):
     """Write what was found to this HTML file, with pictures. Each thing links to itself in the page of its scan that
     scoup view FIELD.scoup --export FIELD.html wrote, if there is one."""
 
+
+@dataclass(frozen=True, kw_only=True)
+class SearchArchive:
+    """Find things in many scans at once, or add, remove and list the scans of an archive: a folder with a Parquet file
+    per scan."""
+
+    folder: Annotated[tyro.conf.Positional[Path], arg(metavar="DIR")]
+    """Folder of the archive; made when the first scan is added."""
+    question: tyro.conf.Positional[OptionalText] = None
+    """What to find: a text, or a phrase such as "mug left of the laptop"."""
+    scan: ScanOptions = ScanOptions()
+    search: SearchOptions = SearchOptions()
+    common: WritesCommon = WritesCommon()
+
     def run(self, console: Console) -> None:
         """Add, remove, list, search."""
         from scoup.archive.archive import Archive
 
-        is_search = self.question is not None or self.image is not None
-        changes = bool(self.add), bool(self.remove), self.list_scans
-        if sum((*changes, self.question is not None, self.image is not None)) != 1:
+        scan, search = self.scan, self.search
+        is_search = self.question is not None or search.image is not None
+        changes = bool(scan.add), bool(scan.remove), scan.list_scans
+        if sum((*changes, self.question is not None, search.image is not None)) != 1:
             raise InputError(f"{self.folder}: pass one of TEXT, --image, --add, --remove and --list")
-        columns = _own_columns(self.columns)
-        if columns and not self.add:
+        columns = _own_columns(scan.columns)
+        if columns and not scan.add:
             raise InputError("--set is for --add")
-        if self.page is not None and not is_search:
+        if search.page is not None and not is_search:
             raise InputError("--page is for TEXT and --image")
-        archive = Archive(self.folder, self.text)
+        archive = Archive(self.folder, search.text)
         if is_search:
             return self._search(archive, console)
-        if len({path.stem for path in self.add}) < len(self.add):
+        if len({path.stem for path in scan.add}) < len(scan.add):
             raise InputError(
-                f"expected .scoup files with different names, got {', '.join(map(str, self.add))}"
+                f"expected .scoup files with different names, got {', '.join(map(str, scan.add))}"
             )
         with console.progress() as progress:
-            for number, path in enumerate(self.add, 1):
+            for number, path in enumerate(scan.add, 1):
                 archive.add(path, **columns)
-                progress("add", number, len(self.add))
-        for name in self.remove:
+                progress("add", number, len(scan.add))
+        for name in scan.remove:
             archive.remove(name)
-        return _list(archive, console, self.list_scans)
+        return _list(archive, console, scan.list_scans)
 
     def _search(self, archive: Archive, console: Console) -> None:
-        if self.page is not None:
-            check_output(self.page, self.overwrite)
-        question = str(self.image or self.question)
+        page, overwrite = self.search.page, self.common.overwrite
+        if page is not None:
+            check_output(page, overwrite)
+        question = str(self.search.image or self.question)
         found = self._found(archive)
         counts = Counter(each.scan for each in found)
         for each in found:
@@ -105,22 +116,23 @@ class SearchArchive(WritesCommon):
             console.say(f"{score}{each.text}: {each.describe()}")
         total = f"{counted(len(found), 'thing')} in {counted(len(counts), 'scan')}"
         console.say(f"{question}: {total if found else 'nothing found'}")
-        if self.page is not None:
+        if page is not None:
             from scoup.archive.results_page import results_page
 
-            write_text(self.page, results_page(question, found, self.page), self.overwrite)
-            console.say(f"{self.page}: written")
+            write_text(page, results_page(question, found, page), overwrite)
+            console.say(f"{page}: written")
         console.result(
             {"question": question, "scans": dict(counts), "things": [each.to_dict() for each in found]}
         )
 
     def _found(self, archive: Archive) -> list[FoundThing]:
-        if self.image is None:
+        search = self.search
+        if search.image is None:
             assert self.question is not None
-            return archive.find(self.question, self.where, self.top, self.at_least, self.presence)
-        if self.at_least is not None or self.presence is not None:
+            return archive.find(self.question, search.where, search.top, search.at_least, search.presence)
+        if search.at_least is not None or search.presence is not None:
             raise InputError("--at-least and --presence are for texts")
-        return archive.find_image(self.image, self.where, self.top)
+        return archive.find_image(search.image, search.where, search.top)
 
 
 def _own_columns(pairs: tuple[str, ...]) -> dict[str, str | int | float]:

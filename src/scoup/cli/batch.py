@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import tyro
 
@@ -22,9 +22,9 @@ from scoup.base.atomic import reserved_output, write_text
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, MissingFileError, ScoupError
 from scoup.base.html import html
-from scoup.cli.build_options import BuildOptions
+from scoup.cli.build_options import BuildOptions, passed_options
 from scoup.cli.console import Console, command, with_options
-from scoup.cli.options import Model, OptionalPath, OptionalText, OptionGroups, arg, check_number
+from scoup.cli.options import AllCommon, Model, OptionalPath, OptionalText, arg, check_number, titled
 
 REPORT, PAGE = "batch.json", "batch.html"
 RETRIES = 3  # of a scan whose worker was killed
@@ -41,17 +41,12 @@ Ended: TypeAlias = "tuple[int, str, float]"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch(BuildOptions):
+class Batch:
     """Build the field of every scan in a folder; scans without regions are extracted first.
 
     The same command resumes: it makes only fields that are missing. A scan that fails stops no other; batch.json and
     batch.html in the folder of the fields say how each went.
     """
-
-    option_groups: ClassVar[OptionGroups] = {
-        "scan": "jobs ray",
-        "output": "out archive text",
-    }
 
     scans: Annotated[tyro.conf.Positional[Path], arg(metavar="SCANS")]
     """Folder with a folder per scan: a splat and its scene, as for scoup build."""
@@ -66,6 +61,8 @@ class Batch(BuildOptions):
     ray: Annotated[OptionalText, arg(metavar="ADDRESS")] = None
     """Build on the Ray cluster at this address in place of --jobs: a scan per CPU, with --device cuda per GPU. All
     nodes need scoup, and this folder, SCANS and --out under the same paths."""
+    method: Annotated[BuildOptions, titled("field")] = BuildOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> int:
         """Build what is missing, add it to the archive, report."""
@@ -78,14 +75,14 @@ class Batch(BuildOptions):
         archive = None if self.archive is None else Archive(self.archive, self.text)
         records: dict[str, dict[str, Any]] = {}
         # Ray prints to standard output, too.
-        for_json = redirect_stdout(sys.stderr) if self.as_json else nullcontext()
+        for_json = redirect_stdout(sys.stderr) if self.common.as_json else nullcontext()
         with reserved_output(self.out / REPORT, overwrite=True), console.progress() as progress, for_json:
             for name, record in self._built([folder.name for folder in folders]):
                 file = self.out / f"{name}.scoup"
                 if archive is not None and "error" not in record:
                     try:
                         added = archive.folder / f"{name}.parquet"
-                        if self.overwrite or not added.exists() or _time(added) < _time(file):
+                        if self.common.overwrite or not added.exists() or _time(added) < _time(file):
                             archive.add(file)
                     except ScoupError as error:
                         record["error"] = with_options(str(error))
@@ -125,7 +122,7 @@ class Batch(BuildOptions):
         missing: dict[str, list[str]] = {}
         for name in names:
             file = self.out / f"{name}.scoup"
-            if file.exists() and not self.overwrite:
+            if file.exists() and not self.common.overwrite:
                 record = {key: value for key, value in before.get(name, {}).items() if key != "error"}
                 yield name, {**record, "kept": True}
             else:
@@ -133,7 +130,7 @@ class Batch(BuildOptions):
                 missing[name] = ["build", *files, *self._options(), "--json"]
         ends = _in_processes(missing, self.jobs)
         if self.ray is not None and missing:
-            ends = _on_cluster(missing, self.ray, self.device)
+            ends = _on_cluster(missing, self.ray, self.common.device)
         for name, (code, text, seconds) in ends:
             said = _parsed(text)
             record: dict[str, Any] = {"kept": False, "warnings": said.get("warnings", [])}
@@ -144,9 +141,8 @@ class Batch(BuildOptions):
 
     def _options(self) -> list[str]:
         """Return the options of the build that were passed."""
-        passed = ["--device", self.device, "--overwrite"]
-        for option in self.given():
-            value = getattr(self, option[2:].replace("-", "_"))
+        passed = ["--device", self.common.device, "--overwrite"]
+        for option, value in passed_options(self.method).items():
             passed += [option] if value is True else [option, str(value)]
         return passed
 

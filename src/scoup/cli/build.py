@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -15,9 +15,17 @@ from scoup.base.atomic import reserved_output, reserved_part
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.base.parts import Part
-from scoup.cli.build_options import BuildOptions, ViewOptions, check_field_output, report_field
+from scoup.cli.build_options import (
+    BuildOptions,
+    CodingOptions,
+    SceneOptions,
+    SumOptions,
+    check_field_output,
+    passed_options,
+    report_field,
+)
 from scoup.cli.console import Console, command, kept
-from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionalText, OptionGroups, arg
+from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath, arg, titled
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -46,7 +54,7 @@ class _Loaded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Build(BuildOptions, ViewOptions):
+class Build:
     """Build a language field from a trained splat, its cameras, and photographs.
 
     SCENE is an output folder of COLMAP, nerfstudio or Inria's code. Photographs without regions are cut into regions
@@ -54,32 +62,15 @@ class Build(BuildOptions, ViewOptions):
     it are rendered and cut into regions, in <out>_views.
     """
 
-    option_groups: ClassVar[OptionGroups] = {
-        "scene": "gaussians raster_preset",
-        "coding": "codebook",
-        "region sum": "keep_sums sums part",
-        "output": "out",
-    }
-
     scene: Annotated[tyro.conf.Positional[Path], arg(metavar="SCENE")]
     """Folder with cameras (and usually the photographs), or a cameras file; or a splat alone."""
-    gaussians: OptionalPath = None
-    """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
     out: OptionalPath = None
     """The field to write, a .scoup file. Default: <name of SCENE>.scoup here."""
-    raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
-    """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
-    codebook: OptionalPath = None
-    """An earlier field of the scene, whose codebook codes the regions; only --k of the options of coding counts then.
-    For photographs that came later. Default: a new codebook is learned."""
-    keep_sums: OptionalPath = None
-    """Folder for the region sums, one file per view. Views that it contains unchanged are not rasterised again, so the
-    same command resumes a build that was ended, and takes in new photographs. Default: a temporary folder."""
-    sums: OptionalPath = None
-    """Build from the region sums in this folder, written by --keep-sums, without rasterising."""
-    part: OptionalText = None
-    """I/N, such as 1/4: only rasterise every N-th view from the I-th on, into the folder of --keep-sums. Parts may be
-    made in any order, on any machine; afterwards, build with --sums."""
+    parts: Annotated[SceneOptions, titled("scene")] = SceneOptions()
+    method: Annotated[BuildOptions, titled("field")] = BuildOptions()
+    coding: CodingOptions = CodingOptions()
+    region_sums: Annotated[SumOptions, titled("region sum")] = SumOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Make what the scene lacks, build, save and report."""
@@ -88,56 +79,59 @@ class Build(BuildOptions, ViewOptions):
 
         if is_splat(self.scene):
             return self._of_splat(console).run(console)
-        if self.sums is not None and self.keep_sums is not None:
+        if self.region_sums.sums is not None and self.region_sums.keep_sums is not None:
             raise InputError(
                 "pass --sums to build from region sums, or --keep-sums to add what they lack, not both"
             )
-        if self.part is not None:
+        if self.region_sums.part is not None:
             return self._write_part(console)
         out = self.out or Path(f"{scene_folder(self.scene).resolve().name}.scoup")
-        check_field_output(out, self.overwrite)
+        check_field_output(out, self.common.overwrite)
         begun = time.perf_counter()
         extracted = self._extract(console)
         loaded = self._load(console)
         started = time.perf_counter()
-        with reserved_output(out, self.overwrite) as work:
+        with reserved_output(out, self.common.overwrite) as work:
             sums = self._region_sums(loaded, work / "sums")
             field = self._build(console, loaded, sums)
-            field.save(out, self.overwrite, self.embed_geometry, self.weight_bits)
+            field.save(out, self.common.overwrite, self.method.embed_geometry)
         if not (field.embedding_model or field.info.words):
             remedy = "build with --model, or pass --text to each question"
             warnings.warn(f"{out}: names nothing that can encode texts; {remedy}", ScoupWarning, stacklevel=2)
-        seconds = time.perf_counter() - started
-        report_field(console, field, out, self.keep_sums, self.device, seconds, extracted)
+        kept_sums, seconds = self.region_sums.keep_sums, time.perf_counter() - started
+        report_field(console, field, out, kept_sums, self.common.device, seconds, extracted)
         whole = f"{time.perf_counter() - begun:.0f} s in all; " if extracted else ""
         console.say(whole + _suggestion(field, out))
         return None
 
     def _extract(self, console: Console) -> dict[str, Any]:
         """Cut the photographs into regions unless that is done; returns what the result says of it."""
-        from scoup.cli.extract import Extract
+        from scoup.cli.extract import Extract, ModelOptions, PhotographOptions
         from scoup.extract.pipeline import lacks_views
         from scoup.io.scene_parts import find_splat, usual_features
 
-        named = self.segmenter is not None or self.embedder is not None
-        if self.features is not None:
+        named = self.method.segmenter is not None or self.method.embedder is not None
+        if self.parts.features is not None:
             if named:
                 raise InputError(
                     "--segmenter and --embedder make regions, --features names some; pass either"
                 )
             return {}
-        made, embedder = usual_features(self.scene), self.embedder or CLIP_MODEL
-        if self.sums is not None:
+        made, embedder = usual_features(self.scene), self.method.embedder or CLIP_MODEL
+        if self.region_sums.sums is not None:
             return {}
-        if not named and made.is_dir() and not lacks_views(made, self.scene, self.images, embedder):
+        if not named and made.is_dir() and not lacks_views(made, self.scene, self.parts.images, embedder):
             return {}
         # Mistakes show before the long work.
-        source = find_splat(self.scene, self.gaussians)
+        source = find_splat(self.scene, self.parts.gaussians)
         self.settings(source.preset)
-        self.load_cameras(self.scene)
-        models = {"segmenter": self.segmenter, "embedder": embedder}
-        scene = {"scene": self.scene, "gaussians": self.gaussians, "images": self.images}
-        return Extract(**scene, device=self.device, **models).make(console)
+        self.parts.load_cameras(self.scene)
+        return Extract(
+            scene=self.scene,
+            photographs=PhotographOptions(gaussians=self.parts.gaussians, images=self.parts.images),
+            models=ModelOptions(segmenter=self.method.segmenter, embedder=embedder),
+            common=AllCommon(device=self.common.device),
+        ).make(console)
 
     def _build(self, console: Console, loaded: _Loaded, sums: RegionSums) -> Field:
         """Build with progress; what an interruption leaves is reported."""
@@ -147,7 +141,7 @@ class Build(BuildOptions, ViewOptions):
         from scoup.uplift.provenance import FieldSources
 
         self._report_resumed(console, sums, len(loaded.regions))
-        codebook = None if self.codebook is None else Field.load(self.codebook)
+        codebook = None if self.coding.codebook is None else Field.load(self.coding.codebook)
         try:
             with console.progress() as progress:
                 field = build(
@@ -157,25 +151,25 @@ class Build(BuildOptions, ViewOptions):
                 )  # fmt: skip
             return field if loaded.concepts is None else name_field(field, *loaded.concepts)
         finally:
-            if self.keep_sums is not None:
+            if self.region_sums.keep_sums is not None:
                 sums.flush()
 
     def _of_splat(self, console: Console) -> Build:
         """Make views of a splat alone; returns the build of this scene."""
         from scoup.cli.views import make_views
 
-        if self.part is not None:
+        if self.region_sums.part is not None:
             raise InputError(f"{self.scene}: make its scene first, with scoup views and scoup extract")
-        if self.gaussians is not None:
+        if self.parts.gaussians is not None:
             raise InputError(f"{self.scene}: is a splat; pass the scene, and the splat with --gaussians")
         out = self.out or Path(f"{self.scene.stem}.scoup")
-        check_field_output(out, self.overwrite)
+        check_field_output(out, self.common.overwrite)
         folder = out.with_name(f"{out.stem}_views")
-        make_views(console, self.scene, folder, self.overwrite)
+        make_views(console, self.scene, folder, self.common.overwrite)
         # Named, so that an extraction that was interrupted is resumed.
-        return replace(
-            self, scene=folder, gaussians=self.scene, out=out, embedder=self.embedder or CLIP_MODEL
-        )
+        parts = replace(self.parts, gaussians=self.scene)
+        method = replace(self.method, embedder=self.method.embedder or CLIP_MODEL)
+        return replace(self, scene=folder, out=out, parts=parts, method=method)
 
     def _write_part(self, console: Console) -> None:
         """Rasterise a part of the views, keep their region sums and report."""
@@ -183,19 +177,18 @@ class Build(BuildOptions, ViewOptions):
         from scoup.uplift.build import check_scene
         from scoup.uplift.rasterise import add_views, cameras_with_regions
 
-        part = Part.parse(self.part or "")
-        if self.keep_sums is None:
+        part, folder = Part.parse(self.region_sums.part or ""), self.region_sums.keep_sums
+        if folder is None:
             raise InputError("--part needs the folder for the region sums: pass --keep-sums")
-        later = [option for option in self.given() if option != "--scale"]
-        later += [*(["--codebook"] if self.codebook else []), *(["--out"] if self.out else [])]
+        later = [*passed_options(self.method), *passed_options(self.coding), *(["--out"] if self.out else [])]
         if later:
             raise InputError(f"--part writes region sums only; pass {', '.join(later)} to scoup build --sums")
         loaded = self._load(console)
         started = time.perf_counter()
         views = cameras_with_regions(loaded.cameras, loaded.regions)
         chosen, settings = Cameras(part.of(views)), self._settings(loaded)
-        with reserved_part(self.keep_sums, part):
-            sums = self._open_sums(loaded, self.keep_sums)
+        with reserved_part(folder, part):
+            sums = self._open_sums(loaded, folder)
             check_fit = bool(len(chosen)) and not len(sums)
             check_scene(loaded.gaussians, chosen, settings, loaded.source, check_fit)
             self._report_resumed(console, sums, len(views))
@@ -204,17 +197,19 @@ class Build(BuildOptions, ViewOptions):
             sums.flush()
         seconds = time.perf_counter() - started
         console.say(
-            f"{self.keep_sums}: part {part.number} of {part.count}, {counted(len(chosen), 'view')} of {len(views):,}, "
-            f"in {seconds:.0f} s; with all parts there: {command('build', self.scene, '--sums', self.keep_sums)}"
+            f"{folder}: part {part.number} of {part.count}, {counted(len(chosen), 'view')} of {len(views):,}, "
+            f"in {seconds:.0f} s; with all parts there: {command('build', self.scene, '--sums', folder)}"
         )
         console.result(
-            {
-                "sums": self.keep_sums,
-                "views": len(chosen),
-                "of_views": len(views),
-                "seconds": round(seconds, 2),
-            }
+            {"sums": folder, "views": len(chosen), "of_views": len(views), "seconds": round(seconds, 2)}
         )
+
+    def settings(self, raster_preset: str) -> BuildSettings:
+        """Return the preset with the options passed."""
+        from scoup.uplift.build_settings import build_settings
+
+        changes = {"n_atoms": self.coding.n_atoms, "k": self.coding.k, "scale": self.region_sums.scale}
+        return build_settings(self.method.preset, **changes, raster_preset=raster_preset)
 
     def _load(self, console: Console) -> _Loaded:
         """Read the scene."""
@@ -223,13 +218,13 @@ class Build(BuildOptions, ViewOptions):
         from scoup.io.scene_parts import find_splat
         from scoup.uplift.provenance import embedding_source
 
-        splat = find_splat(self.scene, self.gaussians)
+        splat = find_splat(self.scene, self.parts.gaussians)
         source = splat.path
-        raster_preset = splat.preset if self.raster_preset == "auto" else self.raster_preset
+        raster_preset = splat.preset if self.parts.raster_preset == "auto" else self.parts.raster_preset
         self.settings(raster_preset)  # a mistake shows before the long work
-        gaussians = load_gaussians(source).to(self.device)
-        cameras, regions, features = self.load_views(self.scene)
-        model, words = embedding_source(features, regions, self.model)
+        gaussians = load_gaussians(source).to(self.common.device)
+        cameras, regions, features = self.parts.load_views(self.scene)
+        model, words = embedding_source(features, regions, self.method.model)
         if words is None:
             model = model or _usual_model(regions)
         console.say(
@@ -244,9 +239,9 @@ class Build(BuildOptions, ViewOptions):
         """The sums named, or those in a temporary folder."""
         from scoup.uplift.region_sums import RegionSums
 
-        if self.sums is not None:
-            return RegionSums.open(self.sums)
-        return self._open_sums(loaded, self.keep_sums or temporary)
+        if self.region_sums.sums is not None:
+            return RegionSums.open(self.region_sums.sums)
+        return self._open_sums(loaded, self.region_sums.keep_sums or temporary)
 
     def _open_sums(self, loaded: _Loaded, folder: Path) -> RegionSums:
         from scoup.uplift.rasterise import open_sums
@@ -254,15 +249,15 @@ class Build(BuildOptions, ViewOptions):
         return open_sums(folder, loaded.gaussians, loaded.regions, self._settings(loaded))
 
     def _settings(self, loaded: _Loaded) -> BuildSettings:
-        return replace(self.settings(loaded.raster_preset), check_fit=not self.no_check_fit)
+        return replace(self.settings(loaded.raster_preset), check_fit=not self.parts.no_check_fit)
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
         from scoup.uplift.region_sums import view_files
 
-        if self.keep_sums is None:
+        if self.region_sums.keep_sums is None:
             return
-        before, folder = console.kept(), self.keep_sums
+        before, folder = console.kept(), self.region_sums.keep_sums
 
         def report_kept() -> str:
             stored = len(view_files(folder))

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base.atomic import check_output
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.cli.console import Console
-from scoup.cli.option_groups import borrow_options
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon, arg
-from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings, build_settings
+from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, arg
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -20,21 +18,9 @@ if TYPE_CHECKING:
     from scoup.scene.regions import Regions
 
 
-_SETTINGS = "n_atoms k keep rounds solver effort epochs tolerance seed scale"
-
-
 @dataclass(frozen=True, kw_only=True)
-@borrow_options(BUILD_PRESETS["default"], _SETTINGS, paper=BUILD_PRESETS["paper"])
-class BuildOptions(WritesCommon):
+class BuildOptions:
     """How a field is made."""
-
-    option_groups: ClassVar[OptionGroups] = {
-        "scene without regions": "segmenter embedder",
-        "region sum": "scale",
-        "coding": "n_atoms k solver effort epochs tolerance",
-        "vote": "keep rounds",
-        "output": "weight_bits embed_geometry",
-    }
 
     model: OptionalText = None
     """Model of the region embeddings, which queries use too, or a word table made with it, which queries then use.
@@ -46,41 +32,53 @@ class BuildOptions(WritesCommon):
     """Embedder for a scene without regions, as for scoup extract."""
     preset: Literal["default", "paper"] = "default"
     """default gives the best answers (128 atoms, exact coding, two rounds of the vote); paper is the method as
-    published (64 atoms, Adam, one round). Options of coding and vote override it."""
-    weight_bits: Literal[8, 16] = 16
-    """Bits of a stored code weight."""
+    published (64 atoms, Adam, one round)."""
     embed_geometry: Flag = False
     """Embed the Gaussians in the field's file, so that it needs no other file."""
 
-    def settings(self, raster_preset: str) -> BuildSettings:
-        """Return the preset with the options passed."""
-        changes = {name: getattr(self, name) for name in _SETTINGS.split()}
-        return build_settings(self.preset, **changes, raster_preset=raster_preset)
 
-    def given(self) -> list[str]:
-        """Return the options of this class that were passed, as written on the command line."""
-        own = BuildOptions.__annotations__.keys() - {"option_groups"}
-        return [
-            "--" + field.name.replace("_", "-")
-            for field in fields(self)
-            if field.name in own and getattr(self, field.name) != field.default
-        ]
+@dataclass(frozen=True, kw_only=True)
+class CodingOptions:
+    """How embeddings are coded."""
+
+    n_atoms: OptionalInteger = None
+    """Atoms in the codebook of each level (L). Default: 128; paper: 64."""
+    k: OptionalInteger = None
+    """Atoms in the code of a region (K). Default: 4."""
+    codebook: OptionalPath = None
+    """An earlier field of the scene, whose codebook codes the regions; only --k of the options of coding counts then.
+    For photographs that came later. Default: a new codebook is learned."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewOptions(WritesCommon):
-    """Options for the views of a scene: their files and their size."""
+class SumOptions:
+    """How region sums are made, and where they are kept."""
 
-    option_groups: ClassVar[OptionGroups] = {
-        "scene": "features images downscale undistort dataparser_transforms no_check_fit"
-    }
+    scale: Annotated[float | None, arg(metavar="NUMBER")] = None
+    """Size of the images that region sums are made of, relative to the cameras', above 0 and up to 1. Default: the
+    longer side has 500 pixels, or the camera's if it is shorter; paper: 1."""
+    keep_sums: OptionalPath = None
+    """Folder for the region sums, one file per view. Views that it contains unchanged are not rasterised again, so the
+    same command resumes a build that was ended, and takes in new photographs. Default: a temporary folder."""
+    sums: OptionalPath = None
+    """Build from the region sums in this folder, written by --keep-sums, without rasterising."""
+    part: OptionalText = None
+    """I/N, such as 1/4: only rasterise every N-th view from the I-th on, into the folder of --keep-sums. Parts may be
+    made in any order, on any machine; afterwards, build with --sums."""
 
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """The parts of a scene."""
+
+    gaussians: OptionalPath = None
+    """The trained splat: .ply, .splat, .spz, .glb and more, or a gsplat checkpoint. Default: the one in SCENE."""
+    raster_preset: Literal["auto", "inria", "gsplat"] = "auto"
+    """Rasteriser constants the splat was trained with; auto: gsplat for its checkpoints, else inria."""
     features: OptionalPath = None
     """Folder of region features. Default: SCENE/language_features."""
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    downscale: Annotated[Literal[1, 2, 4, 8] | None, arg()] = None
-    """Work at 1/N of the full image size: faster and coarser. Default: the size of the photographs found."""
     undistort: Flag = False
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     dataparser_transforms: OptionalPath = None
@@ -92,12 +90,9 @@ class ViewOptions(WritesCommon):
         """Return the cameras of a scene."""
         from scoup.io import load_cameras
 
+        distorted = "undistort" if self.undistort else "refuse"
         return load_cameras(
-            scene,
-            self.images,
-            self.downscale,
-            "undistort" if self.undistort else "refuse",
-            dataparser_transforms=self.dataparser_transforms,
+            scene, self.images, distorted=distorted, dataparser_transforms=self.dataparser_transforms
         )
 
     def load_views(self, scene: Path) -> tuple[Cameras, Regions, Path]:
@@ -108,6 +103,14 @@ class ViewOptions(WritesCommon):
         cameras = self.load_cameras(scene)
         features = find_features(scene, self.features)
         return cameras, load_regions(features, cameras), features
+
+
+def passed_options(options: Any) -> dict[str, Any]:
+    """Return the options of a group that were passed, as written on the command line, with their values."""
+    values = {field.name: (getattr(options, field.name), field.default) for field in fields(options)}
+    return {
+        f"--{name.replace('_', '-')}": value for name, (value, default) in values.items() if value != default
+    }
 
 
 def check_field_output(out: Path, overwrite: bool) -> None:

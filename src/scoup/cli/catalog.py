@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated
 
 from scoup.base.counts import counted
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups
-from scoup.cli.query_options import FrameOptions, NamingOptions, check_metres
+from scoup.cli.options import AllCommon, FieldFile, OptionalNumber, OptionalPath, titled
+from scoup.cli.query_options import FrameOptions, TextOptions, WordOptions, check_metres, output_folder
 
 SHOWN = 12  # things printed; the files contain all
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakeCatalog(NamingOptions, FrameOptions):
+class MakeCatalog:
     """Name the things in a scene with words, and write a scene graph (catalog.json), a table (catalog.csv) and a page
     with pictures (index.html)."""
 
-    option_groups: ClassVar[OptionGroups] = {"output": "out metres_per_unit"}
-
+    field: FieldFile
+    """The .scoup file."""
     out: OptionalPath = None
     """Folder to write. Default: <name of FIELD>_catalog here."""
     metres_per_unit: OptionalNumber = None
     """Length of the scene's unit in metres: the table is in metres, the scene graph has both."""
+    words: WordOptions = WordOptions()
+    directions: FrameOptions = FrameOptions()
+    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Name, relate and write."""
@@ -32,14 +36,14 @@ class MakeCatalog(NamingOptions, FrameOptions):
         from scoup.view.vocabulary import read_words
 
         check_metres(self.metres_per_unit)
-        out = self.output_folder(self.out, "catalog")
-        field = self.open_field()
-        question = field.naming_question(read_words(self.words))
+        out = output_folder(self.out, self.field, "catalog")
+        field = self.opening.open(self.field, self.common.device)
+        question = field.naming_question(read_words(self.words.words))
         field.encoder.close()  # models are large
-        catalog = field.catalog(question, self.open_frame(field))
+        catalog = field.catalog(question, self.directions.frame(field))
         cameras = list(field.cameras or ())
         files = catalog_files(catalog, cameras)
-        with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
+        with staged(out, files, self.common.overwrite) as hidden, console.progress() as progress:
             save_catalog(field, catalog, hidden, cameras, self.metres_per_unit, progress)
         largest = sorted(catalog.things, key=lambda thing: -thing.n_gaussians)[:SHOWN]
         for thing in largest:

@@ -2,42 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
 from scoup.base.counts import counted
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.options import OptionalNumber, OptionalPath, OptionGroups, arg
-from scoup.cli.query_options import NamingOptions, check_metres
+from scoup.cli.options import AllCommon, OptionalNumber, OptionalPath, arg, titled
+from scoup.cli.query_options import FieldOptions, TextOptions, WordOptions, check_metres, output_folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompareCaptures(NamingOptions):
-    """Find the objects that were added, removed or moved between two captures of one place, and write them as
-    compare.json and a page with pictures (index.html)."""
+class CaptureOptions(TextOptions):
+    """Options of verbs that open two fields."""
 
-    option_groups: ClassVar[OptionGroups] = {
-        "field": "new_gaussians transform",
-        "output": "out metres_per_unit",
-    }
-
-    field: Annotated[tyro.conf.Positional[Path], arg(metavar="OLD")]
-    """The .scoup file of the first capture."""
-    new: Annotated[tyro.conf.Positional[Path], arg(metavar="NEW")]
-    """The .scoup file of the second one, with embeddings of the same model."""
     new_gaussians: OptionalPath = None
     """The splat that NEW was built on; --gaussians is that of OLD. Default: the one NEW names."""
     transform: OptionalPath = None
     """Text or JSON file with 4 x 4 numbers: the rotation, scale and translation from the frame of NEW to that of OLD.
     Default: the frames are the same."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareCaptures:
+    """Find the objects that were added, removed or moved between two captures of one place, and write them as
+    compare.json and a page with pictures (index.html)."""
+
+    old: Annotated[tyro.conf.Positional[Path], arg(metavar="OLD")]
+    """The .scoup file of the first capture."""
+    new: Annotated[tyro.conf.Positional[Path], arg(metavar="NEW")]
+    """The .scoup file of the second one, with embeddings of the same model."""
     out: OptionalPath = None
     """Folder to write. Default: <name of NEW>_changes here."""
     metres_per_unit: OptionalNumber = None
     """Length of the unit of OLD in metres."""
+    opening: Annotated[CaptureOptions, titled("field")] = CaptureOptions()
+    words: WordOptions = WordOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Compare and write."""
@@ -46,15 +50,16 @@ class CompareCaptures(NamingOptions):
         from scoup.query.compare_files import PAGE, RECORD, save_comparison
         from scoup.view.vocabulary import read_words
 
+        opening, device = self.opening, self.common.device
         check_metres(self.metres_per_unit)
-        second = replace(self, field=self.new, gaussians=self.new_gaussians)
-        out = second.output_folder(self.out, "changes")
-        transform = None if self.transform is None else read_similarity(self.transform)
-        old = self.open_field()
-        new = second.open_field("--new-gaussians").with_encoder(old.encoder)
-        found = compare(old, new, read_words(self.words), transform)
+        out = output_folder(self.out, self.new, "changes")
+        transform = None if opening.transform is None else read_similarity(opening.transform)
+        old = opening.open(self.old, device)
+        new = FieldOptions(gaussians=opening.new_gaussians).open(self.new, device, "--new-gaussians")
+        new = new.with_encoder(old.encoder)
+        found = compare(old, new, read_words(self.words.words), transform)
         old.encoder.close()
-        with staged(out, [RECORD, PAGE], self.overwrite) as hidden, console.progress() as progress:
+        with staged(out, [RECORD, PAGE], self.common.overwrite) as hidden, console.progress() as progress:
             save_comparison(old, new, found, hidden, self.metres_per_unit, progress)
         for change in found.changes:
             thing = change.new or change.old

@@ -122,7 +122,7 @@ def run_verb(common: Common, run: Callable[[Console], int | None]) -> int:
         warnings.simplefilter("always", ScoupWarning)
         original, warnings.showwarning = warnings.showwarning, show
         try:
-            check_device(common.device)
+            check_device(getattr(common, "device", "cpu"))
             code = run(console) or 0
             with _printing():
                 sys.stdout.flush()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -12,7 +12,7 @@ from scoup.base.counts import counted
 from scoup.base.errors import FileFormatError, InputError
 from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, WritesCommon, arg
+from scoup.cli.options import Flag, OptionalPath, OptionalText, WritesCommon, arg, titled
 
 if TYPE_CHECKING:
     from scoup.field import Field
@@ -23,7 +23,34 @@ _CHECKPOINTS = (".pth", ".ckpt")  # of LangSplat
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(WritesCommon):
+class RegionOptions:
+    """Options for region features."""
+
+    to: Annotated[
+        Literal["compact", "langsplat"] | None,
+        arg(metavar="{compact,langsplat}"),
+    ] = None
+    """Layout to write. Default: the one that SOURCE does not have."""
+    bits: Literal[16, 32] = 16
+    """Bits of a stored embedding number in the compact layout."""
+    autoencoder: OptionalPath = None
+    """LangSplat's best_ckpt.pth, which decodes language_features_dim3 and its checkpoints."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureOptions:
+    """Options for features of Gaussians."""
+
+    gaussians: OptionalPath = None
+    """The splat that the features belong to, in its order."""
+    n_atoms: int = 128
+    """Atoms of each codebook that features are coded by."""
+    k: int = 4
+    """Atoms of a Gaussian's code."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convert:
     """Convert splats, region features or fields of other systems; the kinds of SOURCE and TARGET decide.
 
     A splat (a file, or a folder with one) becomes another, of the format that the ending of TARGET means, such as .ply,
@@ -36,12 +63,6 @@ class Convert(WritesCommon):
     LangSplatV2 or Occam's LGS becomes a field; for a folder NAME_1, those of NAME_2 and NAME_3 are read, too.
     """
 
-    option_groups: ClassVar[OptionGroups] = {
-        "splat": "keep_axes",
-        "regions": "bits autoencoder",
-        "field": "gaussians n_atoms k seed",
-    }
-
     source: Annotated[tyro.conf.Positional[Path], arg(metavar="SOURCE")]
     """Splat, folder of region features, array of features, or checkpoint."""
     target: Annotated[tyro.conf.Positional[Path], arg(metavar="TARGET")]
@@ -50,18 +71,9 @@ class Convert(WritesCommon):
     """Do not convert the axes of .spz, glTF and OpenUSD: for files of programs that keep the numbers of the PLY."""
     model: OptionalText = None
     """Id of the model that made the embeddings, or a word table. Default: the one that SOURCE names, if any."""
-    bits: Literal[16, 32] = 16
-    """Bits of a stored embedding number."""
-    autoencoder: OptionalPath = None
-    """LangSplat's best_ckpt.pth, which decodes language_features_dim3 and its checkpoints."""
-    gaussians: OptionalPath = None
-    """The splat that the features belong to, in its order."""
-    n_atoms: int = 128
-    """Atoms of each codebook that features are coded by."""
-    k: int = 4
-    """Atoms of a Gaussian's code."""
-    seed: int = 0
-    """Seed of the codebook."""
+    regions: RegionOptions = RegionOptions()
+    features: Annotated[FeatureOptions, titled("field")] = FeatureOptions()
+    common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
         """Convert and report."""
@@ -91,11 +103,11 @@ class Convert(WritesCommon):
     def _convert_splat(self, console: Console) -> None:
         from scoup.io import check_output, load_gaussians, save_gaussians
 
-        check_output(self.target, self.overwrite)
+        check_output(self.target, self.common.overwrite)
         if self.target.exists() and self.source.exists() and self.target.samefile(self.source):
             raise InputError(f"{self.target}: is the source; use another name")
         gaussians = load_gaussians(self.source, self.keep_axes)
-        save_gaussians(gaussians, self.target, self.overwrite, self.keep_axes)
+        save_gaussians(gaussians, self.target, self.common.overwrite, self.keep_axes)
         size = self.target.stat().st_size
         console.say(
             f"{self.target}: {counted(len(gaussians), 'Gaussian')}, SH degree {gaussians.sh_degree}, "
@@ -109,7 +121,13 @@ class Convert(WritesCommon):
         decode = self._decoder()
         with console.progress() as progress:
             report = convert_regions(
-                self.source, self.target, self.bits, self.model, self.overwrite, progress, decode
+                self.source,
+                self.target,
+                self.regions.bits,
+                self.model,
+                self.common.overwrite,
+                progress,
+                decode,
             )
         before, after = (size / report.views / 1e3 for size in (report.bytes_before, report.bytes_after))
         console.say(
@@ -128,19 +146,18 @@ class Convert(WritesCommon):
         from scoup.io import load_gaussians, splat_source
         from scoup.uplift.foreign import field_from_features, read_features
 
-        check_field_output(self.target, self.overwrite)
-        if self.gaussians is None:
+        check_field_output(self.target, self.common.overwrite)
+        if self.features.gaussians is None:
             raise InputError(f"{self.source}: name the splat that the features belong to with --gaussians")
-        splat = splat_source(self.gaussians)
+        splat = splat_source(self.features.gaussians)
         gaussians, features = load_gaussians(splat.path), read_features(self.source)
         with console.progress() as progress:
             field = field_from_features(
                 gaussians,
                 features,
-                self.n_atoms,
-                self.k,
+                self.features.n_atoms,
+                self.features.k,
                 **self._encoder(),
-                seed=self.seed,
                 raster_preset=splat.preset,
                 progress=progress,
             )
@@ -150,18 +167,17 @@ class Convert(WritesCommon):
     def _convert_checkpoints(self, console: Console) -> None:
         from scoup.uplift.foreign import field_from_langsplat, langsplat_levels
 
-        check_field_output(self.target, self.overwrite)
+        check_field_output(self.target, self.common.overwrite)
         paths = langsplat_levels(self.source)
         for path in paths:
             console.say(f"{path}: read")
         with console.progress() as progress:
             field = field_from_langsplat(
                 paths,
-                self.k,
+                self.features.k,
                 **self._encoder(),
                 decode=self._decoder(),
-                n_atoms=self.n_atoms,
-                seed=self.seed,
+                n_atoms=self.features.n_atoms,
                 progress=progress,
             )
         self._save(console, field, embed_geometry=True)
@@ -169,7 +185,7 @@ class Convert(WritesCommon):
     def _decoder(self) -> Decoder | None:
         from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 
-        return None if self.autoencoder is None else read_autoencoder(self.autoencoder)
+        return None if self.regions.autoencoder is None else read_autoencoder(self.regions.autoencoder)
 
     def _encoder(self) -> dict[str, Any]:
         """The model and word table that the field is to name."""
@@ -184,7 +200,7 @@ class Convert(WritesCommon):
         return {"words": self.model}
 
     def _save(self, console: Console, field: Field, embed_geometry: bool) -> None:
-        field.save(self.target, self.overwrite, embed_geometry=embed_geometry)
+        field.save(self.target, self.common.overwrite, embed_geometry=embed_geometry)
         cosines = field.info.provenance.get("mean_cosine", {})
         levels = [
             f"{level} (mean cosine {cosines[level]:.3f})" if level in cosines else level

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -18,13 +18,12 @@ from scoup.base.parts import Part
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import (
     CLIP_MODEL,
+    AllCommon,
     OptionalInteger,
     OptionalPath,
     OptionalText,
-    OptionGroups,
-    WritesCommon,
     arg,
-    check_number,
+    titled,
 )
 
 if TYPE_CHECKING:
@@ -33,25 +32,13 @@ if TYPE_CHECKING:
     from scoup.extract import ExtractReport, MaskSettings
     from scoup.extract.photographs import Photograph
 
+MAX_HEIGHT = 1080  # of photographs, in pixels: taller ones are reduced first, as LangSplat does
+
 
 @dataclass(frozen=True, kw_only=True)
-class Extract(WritesCommon):
-    """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
+class PhotographOptions:
+    """Which photographs are taken."""
 
-    To resume after an interruption, run the same command again; changed photographs are processed again. Models are
-    fetched on first use into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
-    """
-
-    option_groups: ClassVar[OptionGroups] = {
-        "photograph": "views gaussians images max_height",
-        "model": "segmenter embedder segmenter_revision embedder_revision list_models",
-        "words": "concepts concept_model",
-        "mask": "preset points_per_side",
-        "output": "out part",
-    }
-
-    scene: Annotated[tyro.conf.Positional[Path | None], arg(metavar="SCENE")] = None
-    """Folder with cameras and photographs, or of photographs alone."""
     views: OptionalText = None
     """How many photographs to extract: a number, more beside those chosen before (+40), or all. Default: up to 24 all;
     of more, those that show the scene sharply and from new directions, by renders of its splat or COLMAP's points."""
@@ -59,41 +46,76 @@ class Extract(WritesCommon):
     """The trained splat by which photographs are chosen. Default: the one in SCENE."""
     images: OptionalPath = None
     """Folder of the photographs. Default: images, images_2, images_4 or images_8 in SCENE."""
-    out: OptionalPath = None
-    """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelOptions:
+    """The models."""
+
     segmenter: OptionalText = None
     """A segmenter of --list, such as sam2.1-tiny; a folder or hub id of a SAM; or felzenszwalb: regions of even colour,
     no model. Default: sam-vit-h on a GPU, as LangSplat; mobile-sam without one."""
     embedder: str = CLIP_MODEL
     """An embedder of --list; any CLIP, SigLIP or TIPSv2 by folder or hub id, with dense: before it for one pass over
     the photograph instead of one for each region; or colors: no model; cannot be queried by text."""
+    list_models: Annotated[bool, arg(name="list")] = False
+    """Print a table of segmenters, embedders and models with words, and whether their weights are on this machine; do
+    nothing else."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConceptOptions:
+    """Words that are looked for."""
+
     concepts: OptionalText = None
     """Also look for words in the photographs, by which scoup build names things: a file with one word per line, or
     everyday, for about a thousand everyday words."""
     concept_model: str = "owlv2"
     """The model for --concepts, of --list."""
-    segmenter_revision: OptionalText = None
-    """Branch, tag or commit of the segmenter. The commit is recorded, and used again on resuming."""
-    embedder_revision: OptionalText = None
-    """Branch, tag or commit of the embedder, likewise."""
-    list_models: Annotated[bool, arg(name="list")] = False
-    """Print a table of segmenters, embedders and models with words, and whether their weights are on this machine; do
-    nothing else."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskOptions:
+    """How masks are made."""
+
     preset: Annotated[Literal["langsplat", "fast"] | None, arg()] = None
     """langsplat: its rules to the letter. fast: one grid of points instead of five, no points in masks found before,
     early filters, 16 bits where the device can. Default: langsplat on a GPU, fast without one."""
     points_per_side: OptionalInteger = None
     """Points along each side of a grid. Default: 32."""
-    max_height: int = 1080
-    """Reduce taller photographs to this height first; 0: never."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extract:
+    """Cut the photographs of a scene into regions at three levels, and give each region an embedding.
+
+    To resume after an interruption, run the same command again; changed photographs are processed again. Models are
+    fetched on first use into the cache of Hugging Face; --segmenter felzenszwalb --embedder colors needs none.
+    """
+
+    scene: Annotated[tyro.conf.Positional[Path | None], arg(metavar="SCENE")] = None
+    """Folder with cameras and photographs, or of photographs alone."""
+    out: OptionalPath = None
+    """Folder for the regions, which scoup convert turns into LangSplat's files. Default: SCENE/language_features, where
+    scoup build looks."""
     part: OptionalText = None
     """I/N, such as 1/4: extract only every N-th photograph from the I-th on. Parts may be made in any order, on any
     machine that sees the folder."""
+    show: Annotated[OptionalText, arg(metavar="VIEW")] = None
+    """Extract nothing: draw the regions of this view, which --out contains, beside its photograph, as VIEW_regions.png
+    here."""
+    photographs: Annotated[PhotographOptions, titled("photograph")] = PhotographOptions()
+    models: Annotated[ModelOptions, titled("model")] = ModelOptions()
+    words: ConceptOptions = ConceptOptions()
+    masks: Annotated[MaskOptions, titled("mask")] = MaskOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
-        """Extract and report, or list the models."""
-        if self.list_models:
+        """Extract and report, list the models, or draw regions."""
+        if self.models.list_models:
             _list_models(console)
+        elif self.show is not None:
+            self._draw(console, self.show)
         else:
             console.result(self.make(console))
 
@@ -105,34 +127,38 @@ class Extract(WritesCommon):
         from scoup.extract.registry import open_pair
         from scoup.io.scene_parts import usual_features
 
-        if self.scene is None:
-            raise InputError("pass the folder of the scene, or --list")
-        if is_splat(self.scene):
-            remedy = f"{command('build', self.scene)} makes views of it first"
-            raise InputError(f"{self.scene}: is a splat, expected photographs; {remedy}")
-        check_number("--max-height", self.max_height, 0)
+        scene = self._scene()
+        if is_splat(scene):
+            remedy = f"{command('build', scene)} makes views of it first"
+            raise InputError(f"{scene}: is a splat, expected photographs; {remedy}")
         words = self._words()  # a mistake shows before the long work
-        if self.views != "all":
-            total_wanted(self.views, 0)
-        segmenter_name, settings = self._masks(console, self.device)
-        photographs = find_photographs(self.scene, self.images)
+        if self.photographs.views != "all":
+            total_wanted(self.photographs.views, 0)
+        segmenter_name, settings = self._masks(console, self.common.device)
+        photographs = find_photographs(scene, self.photographs.images)
         part = Part() if self.part is None else Part.parse(self.part)
-        out = self.out or usual_features(self.scene)
+        out = self.out or usual_features(scene)
         started = time.perf_counter()
         segmenter, embedder = open_pair(
             segmenter_name,
-            self.embedder,
+            self.models.embedder,
             settings,
-            (self.segmenter_revision, self.embedder_revision),
-            self.device,
-            None if self.overwrite else out,
+            self.common.device,
+            None if self.common.overwrite else out,
         )
-        height = self.max_height or None
         views = self._choose(console, photographs, out)
         chosen = views or photographs
         with _extracting(console, out, part) as progress:
             report = extract(
-                chosen, out, segmenter, embedder, height, self.overwrite, part, progress, views is not None
+                chosen,
+                out,
+                segmenter,
+                embedder,
+                MAX_HEIGHT,
+                self.common.overwrite,
+                part,
+                progress,
+                views is not None,
             )
         seconds = time.perf_counter() - started
         _say(console, report, out, seconds, part)
@@ -141,6 +167,42 @@ class Extract(WritesCommon):
         if words:
             record["concepts"] = self._look_for_words(console, chosen, words, out, part)
         return {"out": out, "photographs": len(photographs), "chosen": len(chosen), **record}
+
+    def _scene(self) -> Path:
+        if self.scene is None:
+            raise InputError("pass the folder of the scene, or --list")
+        return self.scene
+
+    def _draw(self, console: Console, view: str) -> None:
+        """Draw the regions of a view at all levels, with their numbers where there is room."""
+        from scoup.io import check_output, load_cameras, load_image, load_regions, save_png
+        from scoup.io.camera_sources import scene_folder
+        from scoup.io.regions.store import RegionStore
+        from scoup.pictures import regions_sheet
+
+        scene = self._scene()
+        camera = load_cameras(scene, self.photographs.images, distorted="undistort", missing_images="keep")[
+            view
+        ]
+        picture = Path(f"{camera.stem}_regions.png")
+        check_output(picture, self.common.overwrite)
+        folder = self.out or scene_folder(scene)
+        regions = load_regions(folder, [camera])
+        manifest = RegionStore.open(folder).manifest
+        settings = manifest.settings if manifest else {}
+        made = " and ".join(str(settings[key]) for key in ("segmenter", "embedder") if key in settings)
+        labels, embeddings = regions.load_view(camera.name, camera.width, camera.height)
+        remark = f"made with {made}" if made else ""
+        sheet = regions_sheet(load_image(camera), labels, regions.levels, camera.name, remark)
+        save_png(sheet, picture, self.common.overwrite)
+        counts = {level: len(rows) for level, rows in zip(regions.levels, embeddings, strict=True)}
+        shares = ((plane >= 0).float().mean() for plane in labels)
+        covered = {level: round(float(share), 4) for level, share in zip(counts, shares, strict=True)}
+        listed = [
+            f"{level}: {counted(counts[level], 'region')}, {covered[level]:.0%} covered" for level in counts
+        ]
+        console.say(f"{picture}: {camera.name} ({', '.join(listed)})")
+        console.result({"out": picture, "view": camera.name, "regions": counts, "covered": covered})
 
     def _choose(
         self, console: Console, photographs: Sequence[Photograph], out: Path
@@ -154,31 +216,31 @@ class Extract(WritesCommon):
         from scoup.io.regions.store import RegionStore
         from scoup.io.scene_parts import find_splat
 
-        assert self.scene is not None
-        if self.gaussians is not None:
-            find_splat(self.scene, self.gaussians)  # a mistake shows before the long work
-        before = None if self.overwrite else read_manifest(out)
+        wanted, scene = self.photographs, self._scene()
+        if wanted.gaussians is not None:
+            find_splat(scene, wanted.gaussians)  # a mistake shows before the long work
+        before = None if self.common.overwrite else read_manifest(out)
         there = () if before is None else before.views
         begun = before is not None and not there  # with all
-        few = len(photographs) <= FEW or (self.scene / SHEET).exists()  # the views of scoup views are few
-        if self.views == "all" or (self.views is None and (few or begun)):
+        few = len(photographs) <= FEW or (scene / SHEET).exists()  # the views of scoup views are few
+        if wanted.views == "all" or (wanted.views is None and (few or begun)):
             return None
-        total = total_wanted(self.views, len(there))
-        if self.views is not None and self.views.startswith("+"):
+        total = total_wanted(wanted.views, len(there))
+        if wanted.views is not None and wanted.views.startswith("+"):
             if self.part is not None:
                 raise InputError("pass the number of all photographs as --views with --part, not of more")
             if before is None:
-                raise InputError(f"{out}: contains no regions to add to; pass --views {self.views[1:]}")
+                raise InputError(f"{out}: contains no regions to add to; pass --views {wanted.views[1:]}")
             if len(RegionStore.open(out).views(there)) < len(there):
                 total = len(there)  # the same command was interrupted
         try:
             with console.progress() as progress:
                 chosen = choose_photographs(
-                    self.scene, photographs, total, there=there, gaussians=self.gaussians, images=self.images,
-                    max_height=self.max_height or None, progress=progress,
+                    scene, photographs, total, there=there, gaussians=wanted.gaussians, images=wanted.images,
+                    max_height=MAX_HEIGHT, progress=progress,
                 )  # fmt: skip
         except InputError as error:
-            if self.views is not None:
+            if wanted.views is not None:
                 raise
             console.say(f"takes all {len(photographs):,} photographs, for they cannot be compared: {error}")
             return None
@@ -190,9 +252,9 @@ class Extract(WritesCommon):
         from scoup.models.words import EVERYDAY_WORDS
         from scoup.view.vocabulary import read_words
 
-        if self.concepts is None:
+        if self.words.concepts is None:
             return ()
-        return EVERYDAY_WORDS if self.concepts == "everyday" else read_words(Path(self.concepts))
+        return EVERYDAY_WORDS if self.words.concepts == "everyday" else read_words(Path(self.words.concepts))
 
     def _look_for_words(
         self, console: Console, photographs: Sequence[Photograph], words: Sequence[str], out: Path, part: Part
@@ -202,11 +264,10 @@ class Extract(WritesCommon):
         from scoup.io.detections import FOLDER_NAME
         from scoup.models.concepts import open_concepts
 
-        model, folder = open_concepts(self.concept_model, device=self.device), out / FOLDER_NAME
+        model, folder = open_concepts(self.words.concept_model, device=self.common.device), out / FOLDER_NAME
         with console.progress() as progress:
-            height = self.max_height or None
             report = extract_concepts(
-                photographs, folder, model, words, height, self.overwrite, part, progress
+                photographs, folder, model, words, MAX_HEIGHT, self.common.overwrite, part, progress
             )
         seconds = sum(report.seconds.values())
         console.say(
@@ -220,10 +281,10 @@ class Extract(WritesCommon):
         from scoup.extract import mask_settings
 
         on_gpu = device.startswith("cuda")
-        segmenter = self.segmenter or ("sam-vit-h" if on_gpu else "mobile-sam")
-        preset: Literal["langsplat", "fast"] = self.preset or ("langsplat" if on_gpu else "fast")
-        console.say(f"segmenter {segmenter}, preset {preset}, embedder {self.embedder}")
-        return segmenter, mask_settings(preset, points_per_side=self.points_per_side)
+        segmenter = self.models.segmenter or ("sam-vit-h" if on_gpu else "mobile-sam")
+        preset: Literal["langsplat", "fast"] = self.masks.preset or ("langsplat" if on_gpu else "fast")
+        console.say(f"segmenter {segmenter}, preset {preset}, embedder {self.models.embedder}")
+        return segmenter, mask_settings(preset, points_per_side=self.masks.points_per_side)
 
 
 def _list_models(console: Console) -> None:

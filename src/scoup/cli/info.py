@@ -16,12 +16,13 @@ from scoup.cli.options import Common, arg
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info(Common):
+class Info:
     """Show what is in a file or folder: a field, region sums, a splat, cameras, a scene, region features, a word
     table."""
 
     path: Annotated[tyro.conf.Positional[Path], arg(metavar="PATH")]
     """A .scoup, .npz, .json or .safetensors file, a splat (.ply, .spz, .glb, .pt and more), or a folder."""
+    common: Common = Common()
 
     def run(self, console: Console) -> None:
         """Find out the kind, check the contents, and print what they are."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -13,8 +13,15 @@ from scoup.base.counts import counted
 from scoup.base.file_names import unique_slugs
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.options import Names, OptionalPath, OptionGroups, arg
-from scoup.cli.query_options import AnswerOptions, CameraOptions, check_texts
+from scoup.cli.options import AllCommon, FieldFile, Names, OptionalPath, arg, titled
+from scoup.cli.query_options import (
+    AnswerOptions,
+    CameraOptions,
+    FrameOptions,
+    TextOptions,
+    check_texts,
+    output_folder,
+)
 
 if TYPE_CHECKING:
     from scoup.query.answer import Answer
@@ -27,18 +34,23 @@ USUAL: tuple[Output, ...] = ("sidecar", "ids", "colors", "sheet")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Label(AnswerOptions, CameraOptions):
+class LabelViews(CameraOptions):
+    """The views of maps and the sheet."""
+
+    camera: Names = ()
+    """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label:
     """Label every Gaussian with the best of a list of words, or none, for other programs.
 
     A word applies to the Gaussians that `scoup select` finds, if it is in the scene. Of several words for one Gaussian,
     the finer level wins, then the larger score.
     """
 
-    option_groups: ClassVar[OptionGroups] = {
-        "words": "words",
-        "output": "out outputs",
-    }
-
+    field: FieldFile
+    """The .scoup file."""
     texts: Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="WORD [WORD ...]")] = ()
     """Things, for example "kettle" "mug left of the laptop" (docs/things.md), numbered from 0 in this order."""
     words: OptionalPath = None
@@ -51,8 +63,11 @@ class Label(AnswerOptions, CameraOptions):
     colours of the words. sheet: labels.png, some views with a legend. glb: labels.glb with EXT_mesh_features. usd:
     labels.usdc, a prim with label and box per thing. clouds: a point cloud per word. maps: a PNG with palette for each
     camera, and coco.json."""
-    camera: Names = ()
-    """Of maps and the sheet: name of a camera (with or without extension); repeat it for several. Default: all."""
+    answer: AnswerOptions = AnswerOptions()
+    directions: FrameOptions = FrameOptions()
+    view: LabelViews = LabelViews()
+    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Label and write."""
@@ -61,23 +76,24 @@ class Label(AnswerOptions, CameraOptions):
         from scoup.query.question import literal
 
         words = self._words()
-        out = self.output_folder(self.out, "labels")
-        field = self.open_field()
+        out = output_folder(self.out, self.field, "labels")
+        field = self.opening.open(self.field, self.common.device)
         cameras = self._cameras(field)
         outputs = self.outputs if cameras or self.outputs != USUAL else USUAL[:-1]
         asked: list[Any] = [*dict.fromkeys(self.texts), *literal(words[len(set(self.texts)) :])]
-        question = self.question(field, asked)
+        frame = self.directions.frame(field)
+        question = self.opening.question(field, asked, frame=frame, **self.answer.rules())
         # Only the words decide the names of files, so that what cannot be written is known before the work.
         stems = unique_slugs(camera.stem for camera in cameras)
         files = label_files(words, outputs, stems)
-        with staged(out, files, self.overwrite) as hidden, console.progress() as progress:
+        with staged(out, files, self.common.overwrite) as hidden, console.progress() as progress:
             answers = field.answer(question)
             labels = labels_of(field, answers)
-            save_labels(field, labels, hidden, outputs, self.gaussians)
+            save_labels(field, labels, hidden, outputs, self.opening.gaussians)
             views = dict(zip(stems, cameras, strict=True))
             blind = save_label_views(field, labels, views, hidden, outputs, progress)
             if views:
-                self.check_seen(blind, len(views))
+                self.view.check_seen(self.field, blind, len(views))
         _report(console, labels, answers, out, [name for name in files if (out / name).exists()])
 
     def _words(self) -> tuple[str, ...]:
@@ -92,10 +108,10 @@ class Label(AnswerOptions, CameraOptions):
         """The cameras named; by default all, or none if the field contains none and no output needs them."""
         wanted = set(self.outputs) & {"maps", "sheet"}
         if not wanted or (
-            self.outputs == USUAL and not self.camera and self.scene is None and not field.cameras
+            self.outputs == USUAL and not self.view.camera and self.view.scene is None and not field.cameras
         ):
             return []
-        return self.open_cameras(field, "all")
+        return self.view.open_cameras(field, self.field, "all")
 
 
 def _report(

@@ -6,19 +6,18 @@ import signal
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.options import (
-    Common,
+    DeviceCommon,
     Model,
     OptionalInteger,
     OptionalNumber,
     OptionalPath,
-    OptionGroups,
     arg,
     check_number,
 )
@@ -30,15 +29,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServeAgents(Common):
+class ServeAgents:
     """Serve fields to a language model over standard input and output (Model Context Protocol): list and find things,
     relations, distances, views with marks, and export selections into one folder. A client starts this program, or
     several connect to it with --http; see docs/agents.md."""
-
-    option_groups: ClassVar[OptionGroups] = {
-        "tools": "text words out archive metres_per_unit",
-        "server": "http",
-    }
 
     fields: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
@@ -59,6 +53,7 @@ class ServeAgents(Common):
     """Length of the scenes' unit in metres."""
     http: Annotated[OptionalInteger, arg(metavar="PORT")] = None
     """Serve several clients of this machine over HTTP, at this port (0: any). Address and token are printed."""
+    common: DeviceCommon = DeviceCommon()
 
     def run(self, console: Console) -> int:
         """Open the fields and serve them until the client leaves, or ends this process."""
@@ -94,7 +89,7 @@ class ServeAgents(Common):
     def _check_options(self) -> None:
         check_metres(self.metres_per_unit)
         check_number("--http", self.http, 0, 65535)
-        if self.http is not None and self.quiet and not self.as_json:
+        if self.http is not None and self.common.quiet and not self.common.as_json:
             raise InputError("--quiet hides the token, without which no client of --http is served; omit it")
         names = [path.stem for path in self.fields]
         if not names or len(set(names)) < len(names):
@@ -109,7 +104,7 @@ class ServeAgents(Common):
 
         fields = {}
         for path in self.fields:
-            field = LanguageField.load(path, words=self.text).to(self.device)
+            field = LanguageField.load(path, words=self.text).to(self.common.device)
             len(field.gaussians)
             field.encoder.names  # noqa: B018 - opened now
             if words:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar, TypeAlias
+from typing import Annotated, Any
 
 import tyro
 
@@ -32,8 +32,10 @@ Direction = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
 FieldFile = Annotated[tyro.conf.Positional[Path], arg(metavar="FIELD")]
 Texts = Annotated[tyro.conf.Positional[tuple[str, ...]], arg(metavar="TEXT [TEXT ...]")]
 
-OptionGroups: TypeAlias = dict[str, str]
-"""Title of a group in the help -> names of its fields, between spaces. Fields in no group come first."""
+
+def titled(title: str) -> Any:
+    """Return what gives a group of options, a nested dataclass, another title in the help than its name."""
+    return tyro.conf.arg(name=title)
 
 
 def check_number(option: str, value: float | None, least: float, most: float = math.inf) -> None:
@@ -43,25 +45,32 @@ def check_number(option: str, value: float | None, least: float, most: float = m
         raise InputError(f"{option} must be {wanted}, got {value}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Common:
-    """Options every verb takes."""
+    """Options of all verbs."""
 
-    option_groups: ClassVar[OptionGroups] = {"common": "device quiet as_json"}
-
-    device: str = "cpu"
-    """Device of the tensors: cpu, or cuda if torch has a GPU (experimental, see docs/gpu.md)."""
     quiet: Flag = False
     """Print nothing but warnings and errors."""
     as_json: Annotated[bool, arg(name="json")] = False
     """Print one JSON object on standard output instead of text, for other programs."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WritesCommon(Common):
     """Options of verbs that write files."""
 
-    option_groups: ClassVar[OptionGroups] = {"common": "overwrite"}
-
     overwrite: Flag = False
     """Replace existing outputs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceCommon(Common):
+    """Options of verbs that compute with torch."""
+
+    device: str = "cpu"
+    """Device of the tensors: cpu, or cuda if torch has a GPU (experimental, see docs/gpu.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AllCommon(DeviceCommon, WritesCommon):
+    """Options of verbs that compute and write."""

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 import shutil
+import sys
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import reduce
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import cache, reduce
+from itertools import pairwise
 from operator import or_
-from typing import Annotated, Any
+from types import NoneType
+from typing import Annotated, Any, get_args, get_type_hints
 
 import tyro
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
 from scoup.cli.family import Family
-from scoup.cli.option_groups import REGISTRY
 
 _WIDEST = 120  # columns: longer lines of text are hard to read
 _MARGIN = "  "  # as in the frames around options; also keeps tyro from joining the lines
@@ -56,15 +66,69 @@ class _Listed:
 
 
 def _parse(kind: Any, program: str, description: str, arguments: Sequence[str]) -> Any:
+    registry = ConstructorRegistry()
+    registry.struct_rule(_with_whole_texts)
+    registry.primitive_rule(_without_none)
     return tyro.cli(
         kind,
         prog=program,
         description=_wrapped(description),
         args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         compact_help=False,
-        registry=REGISTRY,
+        registry=registry,
     )
+
+
+def _with_whole_texts(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Read a dataclass as tyro does, but join the lines of the text under a field, which tyro would keep apart."""
+    kind: Any = info.type
+    if not is_dataclass(info.type) or kind.__module__.startswith("tyro."):
+        return None
+    hints, texts = get_type_hints(kind, include_extras=True), field_texts(kind)
+    options = []
+    for field in sorted(
+        fields(kind), key=lambda field: field.name == "common"
+    ):  # the options of all verbs come last
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        default = tyro.MISSING_NONPROP if default is MISSING else default
+        options.append(
+            StructFieldSpec(field.name, hints[field.name], default, helptext=texts.get(field.name, ""))
+        )
+    return StructConstructorSpec(kind, tuple(options))
+
+
+def _without_none(info: PrimitiveTypeInfo) -> Any:
+    """Parse options that are None by default as their other type: nobody types None, and messages leave it out."""
+    kinds = [kind for kind in get_args(info.type) if kind is not NoneType]
+    if len(kinds) == len(get_args(info.type)):
+        return None
+    made = PrimitiveTypeInfo.make(reduce(or_, kinds), info.markers)
+    spec: Any = ConstructorRegistry.get_primitive_spec(made)
+    return replace(
+        spec,
+        is_instance=lambda value: value is None or spec.is_instance(value),
+        str_from_instance=lambda value: ["None"] if value is None else spec.str_from_instance(value),
+    )
+
+
+def field_texts(kind: type) -> dict[str, str]:
+    """Return the text under each field of a dataclass and of its bases, in one line."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        known = _classes(base.__module__) if is_dataclass(base) else {}
+        for field, text in pairwise(known[base.__name__].body if base.__name__ in known else ()):
+            match field, text:
+                case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(said)))):
+                    found[name] = " ".join(said.split())
+    return found
+
+
+@cache
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    """Return the classes of a module; ``inspect`` would parse its source for each of them."""
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
 def _text(verb: type | Family) -> str:

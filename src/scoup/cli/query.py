@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
@@ -15,20 +15,23 @@ from scoup.base.progress import Progress, reported
 from scoup.base.staging import check_outputs, staged
 from scoup.cli.console import Console
 from scoup.cli.options import (
+    AllCommon,
+    FieldFile,
     Flag,
     OptionalNumber,
     OptionalPath,
     OptionalText,
-    OptionGroups,
     Texts,
-    check_number,
+    titled,
 )
 from scoup.cli.query_options import (
-    FRAME_RATES,
-    AnswerOptions,
     CameraOptions,
+    FrameOptions,
+    LevelOptions,
+    TextOptions,
     check_metres,
     check_texts,
+    output_folder,
 )
 
 if TYPE_CHECKING:
@@ -42,11 +45,21 @@ if TYPE_CHECKING:
     from scoup.scene.cameras import Camera
 
 RECORD = "query.json"
-MOST_FRAMES = 100_000
+FRAMES, FRAMES_PER_SECOND = 120, 24.0  # of a video
 
 
 @dataclass(frozen=True, kw_only=True)
-class Query(AnswerOptions, CameraOptions):
+class DetectorOptions:
+    """A model that looks for the texts."""
+
+    refine: OptionalText = None
+    """Look for the texts in photographs with a model, too: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
+    sam3, or a folder or hub id of such a model. The photographs are those of --scene, else those beside the splat;
+    cameras without one are rendered."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Query:
     """Find things in the views of a field's cameras, and in the world.
 
     A text is answered once, in the scene; each view shows that answer. Writes a contact sheet: the relevancy as a heat
@@ -54,23 +67,12 @@ class Query(AnswerOptions, CameraOptions):
     coverage, box and position in every view, and level, score and place in the world of each text.
     """
 
-    option_groups: ClassVar[OptionGroups] = {
-        "answer": "level",
-        "model with words": "refine",
-        "output": "out pictures npz coco metres_per_unit longest_side",
-        "video": "video frames frames_per_second",
-    }
-
+    field: FieldFile
+    """The .scoup file."""
     texts: Texts
     """What to look for, for example "kettle" "mug left of the laptop" "what is on the table" (docs/things.md)."""
     out: OptionalPath = None
     """Folder for the pictures and query.json. Default: <name of FIELD>_queries here."""
-    level: OptionalText = None
-    """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
-    refine: OptionalText = None
-    """Look for the texts in photographs with a model, too: owlv2, owlv2-large, grounding-dino, grounding-dino-base,
-    sam3, or a folder or hub id of such a model. The photographs are those of --scene, else those beside
-    the splat; cameras without one are rendered."""
     pictures: Literal["sheet", "all", "none"] = "sheet"
     """sheet: one contact sheet, sheet.png, with a row per view and a column per text; of more than 12 views those of
     the best answers; several sheets for more than 6 texts. all: also heat map, mask and overlay of each answer, as
@@ -86,10 +88,12 @@ class Query(AnswerOptions, CameraOptions):
     video: Literal["path", "turntable", "none"] = "none"
     """path: an mp4 of each text's heat map on a way through the field's cameras, TEXT_path.mp4. turntable: on a circle
     around the thing. Needs scoup[video]."""
-    frames: int = 120
-    """Pictures in a video."""
-    frames_per_second: float = 24.0
-    """Speed of a video."""
+    answer: LevelOptions = LevelOptions()
+    detector: Annotated[DetectorOptions, titled("model with words")] = DetectorOptions()
+    directions: FrameOptions = FrameOptions()
+    view: CameraOptions = CameraOptions()
+    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Answer every text in every view asked for, and in the world."""
@@ -99,15 +103,17 @@ class Query(AnswerOptions, CameraOptions):
         check_texts(self.texts)
         self._check_options()
         out = self._out()
-        check_outputs(out, [RECORD], self.overwrite)
-        field = self.open_field()
-        cameras = self.open_cameras(field)
+        check_outputs(out, [RECORD], self.common.overwrite)
+        field = self.opening.open(self.field, self.common.device)
+        cameras = self.view.open_cameras(field, self.field)
         refined = self._refine(console, field)
         field = field if refined is None else refined.field
-        question = self.question(field, self.texts, level=self.level)
+        question = self.opening.question(
+            field, self.texts, frame=self.directions.frame(field), **self.answer.rules()
+        )
         files = AnswerFiles(self.texts, cameras, self.pictures, self.npz, self.coco)
         names = [RECORD, *files.names, *self._video_names()]
-        with staged(out, names, self.overwrite) as hidden, console.progress() as progress:
+        with staged(out, names, self.common.overwrite) as hidden, console.progress() as progress:
             views = reported(cameras, "query", len(cameras), progress)
             records = self._write_views(field, question, views, files, hidden)
             files.finish(hidden)
@@ -135,8 +141,6 @@ class Query(AnswerOptions, CameraOptions):
         check_metres(self.longest_side, "--longest-side")
         if self.longest_side is not None and self.metres_per_unit is not None:
             raise InputError("pass --metres-per-unit, or --longest-side to measure it, not both")
-        check_number("--frames", self.frames, 1, MOST_FRAMES)
-        check_number("--frames-per-second", self.frames_per_second, *FRAME_RATES)
         if self.video != "none":
             check_video_writer()
 
@@ -145,12 +149,12 @@ class Query(AnswerOptions, CameraOptions):
         from scoup.io import load_cameras
         from scoup.query.refine import refine
 
-        if self.refine is None:
+        if self.detector.refine is None:
             return None
         cameras = None
-        if self.scene is not None:
-            cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
-        refined = refine(field, self.texts, self.refine, cameras)
+        if self.view.scene is not None:
+            cameras = load_cameras(self.view.scene, distorted="undistort", missing_images="keep")
+        refined = refine(field, self.texts, self.detector.refine, cameras)
         console.say(refined.describe())
         return refined
 
@@ -165,7 +169,7 @@ class Query(AnswerOptions, CameraOptions):
         return self.longest_side / float(place.box.extent.max())
 
     def _out(self) -> Path:
-        return self.output_folder(self.out, "queries")
+        return output_folder(self.out, self.field, "queries")
 
     def _write_views(
         self,
@@ -188,7 +192,7 @@ class Query(AnswerOptions, CameraOptions):
             for answer, places in zip(answers, files.of_view(camera, self._out()), strict=True):
                 record = {"camera": camera.name, "text": answer.text, **answer.to_dict()}
                 records.append({**record, "files": places} if places else record)
-        self.check_seen(blind, len({record["camera"] for record in records}))
+        self.view.check_seen(self.field, blind, len({record["camera"] for record in records}))
         return records
 
     def _video_names(self) -> list[str]:
@@ -209,16 +213,14 @@ class Query(AnswerOptions, CameraOptions):
 
         if self.video == "none":
             return []
-        everywhere = self.all_cameras(field)
+        everywhere = self.view.all_cameras(field, self.field)
         written = []
         for name, place in zip(self._video_names(), places, strict=True):
             if self.video == "turntable" and place.position is None:
                 continue
-            moving = moving_cameras(field, place, everywhere, self.video, self.frames)
+            moving = moving_cameras(field, place, everywhere, self.video, FRAMES)
             frames = heat_frames(field, place, moving)
-            save_video(
-                reported(frames, "video", len(moving), progress), hidden / name, self.frames_per_second
-            )
+            save_video(reported(frames, "video", len(moving), progress), hidden / name, FRAMES_PER_SECOND)
             written.append(name)
         return written
 

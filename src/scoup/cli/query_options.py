@@ -6,21 +6,18 @@ import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from scoup.base.counts import listed, share_of, verb
 from scoup.base.errors import InputError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.cli.options import (
     Direction,
-    FieldFile,
     Flag,
     Model,
     Names,
     OptionalNumber,
     OptionalPath,
     OptionalText,
-    OptionGroups,
-    WritesCommon,
     arg,
 )
 
@@ -32,24 +29,18 @@ if TYPE_CHECKING:
     from scoup.scene.cameras import Camera, Cameras
 
 Asked = TypeVar("Asked", bound="str | Several | Expression")
-LONGEST_SIDE = 16384  # of a picture, in pixels
-FRAME_RATES = 0.1, 100  # pictures a second that players show
 
 _SAME_FRAME = "check that cameras and splat are in the same frame"
 
 
 @dataclass(frozen=True, kw_only=True)
-class FieldOptions(WritesCommon):
+class FieldOptions:
     """Options of verbs that open a language field."""
 
-    option_groups: ClassVar[OptionGroups] = {"field": "gaussians"}
-
-    field: FieldFile
-    """The .scoup file."""
     gaussians: OptionalPath = None
     """The splat the field was built on, if it has moved since. Default: the one the field names."""
 
-    def open_field(self, splat_option: str = "--gaussians") -> LanguageField:
+    def open(self, path: Path, device: str, splat_option: str = "--gaussians") -> LanguageField:
         """The field with its geometry, on the device; a missing or wrong geometry is an error at once, not after
         other work.
 
@@ -60,114 +51,34 @@ class FieldOptions(WritesCommon):
         from scoup.io import load_gaussians
         from scoup.query.language_field import LanguageField
 
-        field = LanguageField.load(self.field)
+        field = LanguageField.load(path)
         if self.gaussians is not None:
             field.attach(load_gaussians(self.gaussians), str(self.gaussians))
         elif not field.has_geometry:
             if field.geometry_path is None:
                 raise InputError(
-                    f"{self.field}: does not say where its Gaussians are; name them with {splat_option}"
+                    f"{path}: does not say where its Gaussians are; name them with {splat_option}"
                 )
             try:
                 field.attach(load_gaussians(field.geometry_path), str(field.geometry_path))
             except MissingFileError as error:
-                problem = f"is not there, and {self.field} was built on it"
+                problem = f"is not there, and {path} was built on it"
                 raise MissingFileError(
                     error.path, problem, f"say where it is now with {splat_option}"
                 ) from error
-        return field.to(self.device)
-
-    def output_folder(self, out: Path | None, ending: str) -> Path:
-        """The folder to write results into, by default <name of FIELD>_<ending> here."""
-        folder = out or Path(f"{self.field.stem}_{ending}")
-        if folder.is_file():
-            raise InputError(f"{folder}: is a file; name a folder to write the results into with --out")
-        if folder.suffix.lower() in (".png", ".jpg", ".jpeg", ".json", ".mp4") and not folder.is_dir():
-            raise InputError(f"{folder}: the results are several files; name a folder with --out")
-        return folder
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraOptions(FieldOptions):
-    """Options of verbs that render a field in the views of cameras."""
-
-    option_groups: ClassVar[OptionGroups] = {"view": "camera scene scale"}
-
-    camera: Names = ()
-    """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
-    scene: OptionalPath = None
-    """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""
-    scale: float = 1.0
-    """Size of the pictures relative to the cameras' own."""
-
-    def all_cameras(self, field: LanguageField) -> Cameras:
-        """The cameras of --scene, or of the field, at the size of --scale.
-
-        Raises:
-            InputError: there are no cameras, or the pictures would be too large.
-        """
-        from scoup.io import load_cameras
-
-        cameras: Cameras | None = field.cameras
-        if self.scene is not None:
-            # Rendering is always through the ideal pinhole, so distortion is no obstacle here.
-            cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
-        if cameras is None or not len(cameras):
-            raise InputError(f"{self.field}: contains no cameras; name a scene that has them with --scene")
-        longest = max(max(camera.width, camera.height) for camera in cameras)
-        if longest * self.scale > LONGEST_SIDE:
-            raise InputError(
-                f"--scale {self.scale}: must be at most {LONGEST_SIDE / longest:.3g} for these cameras"
-            )
-        return cameras.scaled(self.scale) if self.scale != 1 else cameras
-
-    def open_cameras(self, field: LanguageField, default: str = "") -> list[Camera]:
-        """The cameras named; where none is named the default: all, or the first; further errors of ``all_cameras``.
-
-        Raises:
-            UnknownNameError: there is no camera of that name.
-        """
-        cameras = self.all_cameras(field)
-        if "all" in (self.camera or (default,)):
-            return list(cameras)
-        try:
-            found = [cameras[name] for name in self.camera] or [cameras[0]]
-        except UnknownNameError as error:
-            raise UnknownNameError(
-                "camera", error.name, cameras.names, str(self.scene or self.field)
-            ) from error
-        return list(dict.fromkeys(found))
-
-    def check_seen(self, blind: list[Camera], count: int) -> None:
-        """Warn of the cameras, among ``count``, in which nothing of the field is visible.
-
-        Raises:
-            InputError: nothing is visible in any of them.
-        """
-        names = listed([camera.name for camera in blind])
-        if blind and len(blind) == count:
-            raise InputError(
-                f"{self.scene or self.field}: {verb(count, 'the camera sees', 'the cameras see')} nothing of the field "
-                f"({names}); {_SAME_FRAME}"
-            )
-        if blind:
-            seen = f"{share_of(len(blind), count, 'camera')} {verb(len(blind), 'sees', 'see')} nothing of the field"
-            message = f"{seen} ({names}); {_SAME_FRAME}"
-            warnings.warn(message, ScoupWarning, stacklevel=2)
+        return field.to(device)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TextOptions(FieldOptions):
-    """Options of verbs that take words."""
-
-    option_groups: ClassVar[OptionGroups] = {"field": "text"}
+    """Options of verbs that ask a language field."""
 
     text: Model = None
     """Text encoder: a word table, a CLIP model, or open_clip:ARCH/PRETRAINED. Default: the field's."""
 
-    def open_field(self, splat_option: str = "--gaussians") -> LanguageField:
+    def open(self, path: Path, device: str, splat_option: str = "--gaussians") -> LanguageField:
         """The field, with the text encoder of the options."""
-        field = super().open_field(splat_option)
+        field = super().open(path, device, splat_option)
         return field if self.text is None else field.with_encoder(self.text)
 
     def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
@@ -182,10 +93,66 @@ class TextOptions(FieldOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NamingOptions(TextOptions):
-    """Options of verbs that name things."""
+class CameraOptions:
+    """Options of verbs that render a field in the views of cameras."""
 
-    option_groups: ClassVar[OptionGroups] = {"words": "words"}
+    camera: Names = ()
+    """Name of a camera (with or without extension), or all; repeat it for several. Default: the first."""
+    scene: OptionalPath = None
+    """Take the cameras of this scene folder or cameras file. Default: those the field was built from."""
+
+    def all_cameras(self, field: LanguageField, path: Path) -> Cameras:
+        """The cameras of --scene, or of the field at ``path``.
+
+        Raises:
+            InputError: there are no cameras.
+        """
+        from scoup.io import load_cameras
+
+        cameras: Cameras | None = field.cameras
+        if self.scene is not None:
+            # Rendering is always through the ideal pinhole, so distortion is no obstacle here.
+            cameras = load_cameras(self.scene, distorted="undistort", missing_images="keep")
+        if cameras is None or not len(cameras):
+            raise InputError(f"{path}: contains no cameras; name a scene that has them with --scene")
+        return cameras
+
+    def open_cameras(self, field: LanguageField, path: Path, default: str = "") -> list[Camera]:
+        """The cameras named; where none is named the default: all, or the first; further errors of ``all_cameras``.
+
+        Raises:
+            UnknownNameError: there is no camera of that name.
+        """
+        cameras = self.all_cameras(field, path)
+        if "all" in (self.camera or (default,)):
+            return list(cameras)
+        try:
+            found = [cameras[name] for name in self.camera] or [cameras[0]]
+        except UnknownNameError as error:
+            raise UnknownNameError("camera", error.name, cameras.names, str(self.scene or path)) from error
+        return list(dict.fromkeys(found))
+
+    def check_seen(self, path: Path, blind: list[Camera], count: int) -> None:
+        """Warn of the cameras, among ``count``, in which nothing of the field is visible.
+
+        Raises:
+            InputError: nothing is visible in any of them.
+        """
+        names = listed([camera.name for camera in blind])
+        if blind and len(blind) == count:
+            raise InputError(
+                f"{self.scene or path}: {verb(count, 'the camera sees', 'the cameras see')} nothing of the field "
+                f"({names}); {_SAME_FRAME}"
+            )
+        if blind:
+            seen = f"{share_of(len(blind), count, 'camera')} {verb(len(blind), 'sees', 'see')} nothing of the field"
+            message = f"{seen} ({names}); {_SAME_FRAME}"
+            warnings.warn(message, ScoupWarning, stacklevel=2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WordOptions:
+    """Options of verbs that name things."""
 
     words: OptionalPath = None
     """Words to name things with, one per line. Default: all words of the table of --text, else everyday words
@@ -193,26 +160,22 @@ class NamingOptions(TextOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameOptions(FieldOptions):
+class FrameOptions:
     """Options of verbs that understand relations between things."""
-
-    option_groups: ClassVar[OptionGroups] = {"directions": "seen_from up"}
 
     seen_from: Annotated[OptionalText, arg(metavar="CAMERA")] = None
     """The camera from which left, right, in front of and behind are meant. Default: the one that sees the most."""
     up: Direction = None
     """The direction that is up. Default: estimated from the cameras, which people hold level."""
 
-    def open_frame(self, field: LanguageField) -> Frame | None:
+    def frame(self, field: LanguageField) -> Frame | None:
         """The directions of the options; None where none is given."""
         return None if self.seen_from is None and self.up is None else field.frame(self.seen_from, self.up)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnswerOptions(TextOptions, FrameOptions):
+class AnswerOptions:
     """Options of verbs that answer texts and phrases."""
-
-    option_groups: ClassVar[OptionGroups] = {"answer": "threshold presence always"}
 
     threshold: OptionalNumber = None
     """Let all Gaussians above this relevancy answer, 0 to 1 once it is rescaled over the scene. Default: things answer;
@@ -223,10 +186,30 @@ class AnswerOptions(TextOptions, FrameOptions):
     always: Flag = False
     """Answer every text, without judging presence."""
 
-    def question(self, field: LanguageField, texts: Asked, **options: Any) -> Question[Asked]:
-        """The question, with these options."""
-        rules = {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
-        return super().question(field, texts, frame=self.open_frame(field), **rules, **options)
+    def rules(self) -> dict[str, Any]:
+        """The options as arguments of ``LanguageField.question``."""
+        return {"threshold": self.threshold, "present_from": self.presence, "always": self.always}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelOptions(AnswerOptions):
+    """Options of verbs of which the user may choose the level that answers."""
+
+    level: OptionalText = None
+    """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
+
+    def rules(self) -> dict[str, Any]:
+        return {**super().rules(), "level": self.level}
+
+
+def output_folder(out: Path | None, field: Path, ending: str) -> Path:
+    """The folder to write results into, by default <name of FIELD>_<ending> here."""
+    folder = out or Path(f"{field.stem}_{ending}")
+    if folder.is_file():
+        raise InputError(f"{folder}: is a file; name a folder to write the results into with --out")
+    if folder.suffix.lower() in (".png", ".jpg", ".jpeg", ".json", ".mp4") and not folder.is_dir():
+        raise InputError(f"{folder}: the results are several files; name a folder with --out")
+    return folder
 
 
 def check_texts(texts: tuple[str, ...]) -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.base.file_names import unique_slugs
 from scoup.base.staging import staged
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalPath, OptionalText, OptionGroups, check_number
-from scoup.cli.query_options import FRAME_RATES, CameraOptions, TextOptions
+from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalPath, OptionalText, titled
+from scoup.cli.query_options import CameraOptions, TextOptions, output_folder
 
 if TYPE_CHECKING:
     from scoup.pictures.colors import Picture
@@ -21,18 +21,20 @@ if TYPE_CHECKING:
     from scoup.scene.cameras import Camera
 
 ANIMATIONS = (".webp", ".gif")
+FRAMES_PER_SECOND = 12.0  # of an animation
+LONGEST_SIDE = 16384  # of a picture, in pixels
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(TextOptions, CameraOptions):
+class Render:
     """Render views of a field: its colours, its codes as colours (similar meaning, similar colour), or relevancy to a
     text.
 
     Pictures have a title and, if needed, a legend; --plain omits both.
     """
 
-    option_groups: ClassVar[OptionGroups] = {"output": "out plain frames_per_second"}
-
+    field: FieldFile
+    """The .scoup file."""
     what: Literal["color", "codes", "relevancy"] = "color"
     """color: the splat. codes: their meaning as colours. relevancy: a heat map of the text in --query."""
     query: OptionalText = None
@@ -43,8 +45,11 @@ class Render(TextOptions, CameraOptions):
     """Folder, .png (one view), .webp or .gif (animation). Default: folder <name of FIELD>_<what> here."""
     plain: Flag = False
     """Only the pixels of the camera, at exactly its size: no title, no legend. For other programs."""
-    frames_per_second: float = 12.0
-    """Speed of an animation."""
+    scale: float = 1.0
+    """Size of the pictures relative to the cameras' own."""
+    view: CameraOptions = CameraOptions()
+    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Render each camera asked for."""
@@ -55,16 +60,16 @@ class Render(TextOptions, CameraOptions):
         animation = kind in ANIMATIONS
         one_file = animation or kind == ".png"
         self._check_options()
-        out = self.out if self.out and one_file else self.output_folder(self.out, self.what)
-        field = self.open_field()
+        out = self.out if self.out and one_file else output_folder(self.out, self.field, self.what)
+        field = self.opening.open(self.field, self.common.device)
         draw = self._drawing(field)
-        cameras = self.open_cameras(field)
+        cameras = self._scaled(self.view.open_cameras(field, self.field))
         _check_one_file(out, cameras)
         folder = out.parent if one_file else out
         files = [out.name] if one_file else [f"{name}.png" for name in unique_slugs(c.stem for c in cameras)]
         frames: list[Picture] = []
         blind: list[Camera] = []
-        with staged(folder, files, self.overwrite) as hidden, console.progress() as progress:
+        with staged(folder, files, self.common.overwrite) as hidden, console.progress() as progress:
             progress("render", 0, len(cameras))
             for done, camera in enumerate(cameras):
                 view = field.at(camera)
@@ -76,16 +81,24 @@ class Render(TextOptions, CameraOptions):
                 else:
                     save_png(picture, hidden / files[done])
                 progress("render", done + 1, len(cameras))
-            self.check_seen(blind, len(cameras))
+            self.view.check_seen(self.field, blind, len(cameras))
             if animation:
-                save_animation(frames, hidden / out.name, self.frames_per_second)
+                save_animation(frames, hidden / out.name, FRAMES_PER_SECOND)
         console.say(f"{counted(len(cameras), 'view')} rendered to {out}")
         console.result({"out": out, "files": [(folder / file).as_posix() for file in files]})
 
     def _check_options(self) -> None:
         if (self.what == "relevancy") != (self.query is not None):
             raise InputError("--what relevancy and --query TEXT belong together; pass both or neither")
-        check_number("--frames-per-second", self.frames_per_second, *FRAME_RATES)
+
+    def _scaled(self, cameras: list[Camera]) -> list[Camera]:
+        """The cameras at the size of --scale."""
+        longest = max(max(camera.width, camera.height) for camera in cameras)
+        if longest * self.scale > LONGEST_SIDE:
+            raise InputError(
+                f"--scale {self.scale}: must be at most {LONGEST_SIDE / longest:.3g} for these cameras"
+            )
+        return [camera.scaled(self.scale) for camera in cameras] if self.scale != 1 else cameras
 
     def _drawing(self, field: LanguageField) -> Draw:
         """The function that draws one view."""
@@ -97,7 +110,7 @@ class Render(TextOptions, CameraOptions):
             )
         if self.query is None:
             return color_drawing(self.plain)
-        return relevancy_drawing(field, self.question(field, [self.query], always=True), self.plain)
+        return relevancy_drawing(field, self.opening.question(field, [self.query], always=True), self.plain)
 
 
 def _check_one_file(out: Path, cameras: list[Camera]) -> None:

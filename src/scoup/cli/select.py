@@ -5,22 +5,30 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.cli.console import Console
 from scoup.cli.options import (
+    AllCommon,
+    FieldFile,
     Flag,
     Names,
     OptionalNumber,
     OptionalPath,
-    OptionalText,
-    OptionGroups,
     Texts,
     check_number,
+    titled,
 )
-from scoup.cli.query_options import AnswerOptions, CameraOptions, check_metres, check_texts
+from scoup.cli.query_options import (
+    CameraOptions,
+    FrameOptions,
+    LevelOptions,
+    TextOptions,
+    check_metres,
+    check_texts,
+)
 
 if TYPE_CHECKING:
     from scoup.query.answer import ExpressionAnswer
@@ -30,7 +38,29 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Select(AnswerOptions, CameraOptions):
+class ShapeOptions:
+    """How the selection is changed before it is used."""
+
+    largest: Flag = False
+    """Keep only the largest connected component of the selection."""
+    shrink: int = 0
+    """Remove Gaussians with a neighbour outside the selection, this many times."""
+    grow: int = 0
+    """Add the neighbours of the selection, this many times."""
+    within: float = 0.0
+    """Add Gaussians within this distance of the selection, in scene units."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureViews(CameraOptions):
+    """The view of the picture."""
+
+    camera: Names = ()
+    """Of --picture: name of a camera. Default: the one that sees most of the selection."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Select:
     """Edit a splat by words: keep, remove, recolour or fade the Gaussians that answer, and write the scene that is
     left.
 
@@ -38,12 +68,8 @@ class Select(AnswerOptions, CameraOptions):
     for the change. A .scoup contains its Gaussians and can be queried again.
     """
 
-    option_groups: ClassVar[OptionGroups] = {
-        "answer": "level",
-        "shape": "largest shrink grow within",
-        "output": "out edit color opacity picture metres_per_unit",
-    }
-
+    field: FieldFile
+    """The .scoup file."""
     texts: Texts
     """What to look for: "kettle", "mug and not handle", mug + cup - handle. Texts without and, or, not, + or - between
     them are combined with or. "mug left of the laptop", "largest box" and "second chair from the left" select things by
@@ -57,22 +83,16 @@ class Select(AnswerOptions, CameraOptions):
     """Colour for --edit recolor, #rrggbb. Light and shade stay."""
     opacity: float = 0.15
     """Factor of the opacities for --edit fade, 0 to 1."""
-    largest: Flag = False
-    """Keep only the largest connected component of the selection."""
-    shrink: int = 0
-    """Remove Gaussians with a neighbour outside the selection, this many times."""
-    grow: int = 0
-    """Add the neighbours of the selection, this many times."""
-    within: float = 0.0
-    """Add Gaussians within this distance of the selection, in scene units."""
     picture: OptionalPath = None
     """Write a .png of the scene before, the selection, and the scene after."""
-    camera: Names = ()
-    """Of --picture: name of a camera. Default: the one that sees most of the selection."""
     metres_per_unit: OptionalNumber = None
     """Length of the scene's unit in metres, to print positions and sizes in metres, too."""
-    level: OptionalText = None
-    """The level that answers: s (fine), m or l (coarse). Default: the one that fits best, for each text."""
+    answer: LevelOptions = LevelOptions()
+    shape: ShapeOptions = ShapeOptions()
+    directions: FrameOptions = FrameOptions()
+    view: PictureViews = PictureViews()
+    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Choose, change and write."""
@@ -80,13 +100,16 @@ class Select(AnswerOptions, CameraOptions):
         from scoup.query.select import Reshaping
 
         check_texts(self.texts)
-        shape = Reshaping(self.largest, self.shrink, self.grow, self.within)
+        shape = self.shape
+        reshaping = Reshaping(shape.largest, shape.shrink, shape.grow, shape.within)
         self._check_options()
-        field = self.open_field()
+        field = self.opening.open(self.field, self.common.device)
         expression = parse_expression(self.texts, field.encoder.names)
         self._check_out(field)
-        question = self.question(field, expression, level=self.level)
-        whole = field.select(question, shape)
+        question = self.opening.question(
+            field, expression, frame=self.directions.frame(field), **self.answer.rules()
+        )
+        whole = field.select(question, reshaping)
         self._check_found(whole, int(field.select(question).mask.sum()))
         written = self._write(field, whole)
         self._report(console, whole, written, field.location(whole))
@@ -107,7 +130,7 @@ class Select(AnswerOptions, CameraOptions):
             raise InputError(f"{self.picture}: the picture is a PNG; use a name that ends in .png")
         for path in (self.out, self.picture):
             if path is not None:
-                check_output(path, self.overwrite)
+                check_output(path, self.common.overwrite)
 
     def _is_plain_ply(self) -> bool:
         return self.out.suffix.lower() == ".ply" and not self.out.name.lower().endswith(".compressed.ply")
@@ -122,7 +145,7 @@ class Select(AnswerOptions, CameraOptions):
     def _check_out(self, field: LanguageField) -> None:
         """Refuse to replace the field itself, or its own splat."""
         for what, source in (
-            ("splat the field was built on", self.gaussians),
+            ("splat the field was built on", self.opening.gaussians),
             ("splat the field was built on", field.geometry_path),
             ("field that is queried", self.field),
         ):
@@ -144,7 +167,7 @@ class Select(AnswerOptions, CameraOptions):
             if not all(part.presence for part in answer.parts):
                 advice += "; --always chooses something anyway"
         if not found and before:
-            advice = f"{before:,} do before --shrink {self.shrink}, which leaves none; shrink less"
+            advice = f"{before:,} do before --shrink {self.shape.shrink}, which leaves none; shrink less"
         raise InputError(
             f"{self.out}: nothing to write, {found:,} of {counted(count, 'Gaussian')} answer; {advice}"
         )
@@ -161,17 +184,17 @@ class Select(AnswerOptions, CameraOptions):
         kept = {"keep": whole.mask, "remove": ~whole.mask}.get(self.edit)
         if self.out.suffix.lower() == ".scoup":
             edited_field = field.with_gaussians(left) if kept is None else field[kept]
-            edited_field.save(self.out, self.overwrite)
+            edited_field.save(self.out, self.common.overwrite)
         elif self._is_plain_ply():
-            rows = SplatTable.of(field, self.gaussians)
+            rows = SplatTable.of(field, self.opening.gaussians)
             if self.edit == "state":
                 table = rows.with_column(STATE, whole.mask.byte())
             else:
                 table = rows.edited(whole.mask, left) if kept is None else rows.select(kept)
-            write_ply_table(table, self.out, self.overwrite)
+            write_ply_table(table, self.out, self.common.overwrite)
             return len(table)
         else:
-            save_gaussians(left.to("cpu"), self.out, self.overwrite)
+            save_gaussians(left.to("cpu"), self.out, self.common.overwrite)
         return len(left)
 
     def _draw(self, field: LanguageField, whole: ExpressionAnswer, left: Gaussians) -> None:
@@ -181,8 +204,10 @@ class Select(AnswerOptions, CameraOptions):
 
         if self.picture is None:
             return
-        camera = best_camera(field, whole.mask, self.open_cameras(field, "all"))
-        save_png(edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.overwrite)
+        camera = best_camera(field, whole.mask, self.view.open_cameras(field, self.field, "all"))
+        save_png(
+            edit_picture(field, left, whole.mask, camera, whole.text), self.picture, self.common.overwrite
+        )
 
     def _report(self, console: Console, whole: ExpressionAnswer, written: int, place: Place) -> None:
         """Report the selection, its place and the files."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionGroups, check_number
+from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalInteger, OptionalPath, check_number, titled
 from scoup.cli.query_options import TextOptions
 from scoup.cli.stop import Terminated
 
@@ -21,18 +21,8 @@ _MEGABYTE = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(TextOptions):
-    """Show a field in the browser: type a word, and the splat lights up.
-
-    Prints the address of the page and serves it until Ctrl-C, to this machine only unless --host is passed. --export
-    writes a page that needs no server and no network.
-    """
-
-    option_groups: ClassVar[OptionGroups] = {
-        "page": "words most remote",
-        "server": "host port",
-        "export": "export split",
-    }
+class PageOptions:
+    """What the page shows."""
 
     words: OptionalPath = None
     """File of words, one per line: the choices of a click, and all that an exported page can be asked. Default:
@@ -42,33 +32,63 @@ class View(TextOptions):
     shows up to as many again unmerged where the camera is near. Pictures of the server show all."""
     remote: Flag = False
     """Send only rendered pictures: for scenes too large for the browser."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServerOptions:
+    """Where the page is served."""
+
     host: str = "127.0.0.1"
     """Address to bind to. 0.0.0.0 admits other machines: all that know the address, which contains a token."""
     port: OptionalInteger = None
     """Port to bind to; 0 takes any. Default: 8350 or, if that is in use, any."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """A page without a server."""
+
     export: OptionalPath = None
     """Write a page to this HTML file, and exit."""
     split: Flag = False
     """With --export: a folder, with the data in files beside the page."""
 
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Show a field in the browser: type a word, and the splat lights up.
+
+    Prints the address of the page and serves it until Ctrl-C, to this machine only unless --host is passed. --export
+    writes a page that needs no server and no network.
+    """
+
+    field: FieldFile
+    """The .scoup file."""
+    page: PageOptions = PageOptions()
+    server: ServerOptions = ServerOptions()
+    exported: Annotated[ExportOptions, titled("export")] = ExportOptions()
+    opening: Annotated[TextOptions, titled("field")] = TextOptions()
+    common: AllCommon = AllCommon()
+
     def run(self, console: Console) -> int:
         """Serve or export."""
         self._check_options()
-        if self.export is None:
+        if self.exported.export is None:
             return self._serve(console)
-        self._export(console, self.export)
+        self._export(console, self.exported.export)
         return 0
 
     def _check_options(self) -> None:
         from scoup.view.viewer import check_needed
 
-        check_number("--port", self.port, 0, 65535)
-        if self.split and self.export is None:
+        export, split = self.exported.export, self.exported.split
+        check_number("--port", self.server.port, 0, 65535)
+        if split and export is None:
             raise InputError("--split belongs to --export; pass both or neither")
-        if self.export is None:
+        if export is None:
             check_needed()
-        elif not self.split and self.export.suffix.lower() not in (".html", ".htm"):
-            raise InputError(f"{self.export}: expected a name that ends in .html; for a folder, pass --split")
+        elif not split and export.suffix.lower() not in (".html", ".htm"):
+            raise InputError(f"{export}: expected a name that ends in .html; for a folder, pass --split")
 
     def _viewed(self, console: Console) -> ViewedField:
         """The field with its encoder; says why no text can be asked, if none can."""
@@ -77,7 +97,8 @@ class View(TextOptions):
         from scoup.view.vocabulary import read_words
 
         page_files()  # before anything that takes long
-        viewed = ViewedField(self.open_field(), read_words(self.words), self.most)
+        field, page = self.opening.open(self.field, self.common.device), self.page
+        viewed = ViewedField(field, read_words(page.words), page.most)
         if viewed.words_problem is not None:
             console.warn(f"no text can be asked: {viewed.words_problem}")
         else:
@@ -89,7 +110,7 @@ class View(TextOptions):
 
         viewed = self._viewed(console)
         with console.progress() as progress:
-            report = export_page(viewed, out, self.split, self.overwrite, progress)
+            report = export_page(viewed, out, self.exported.split, self.common.overwrite, progress)
         sizes = ", ".join(
             f"{what} {_size(count)}"
             for what, count in (("scene", report.scene_bytes), ("words", report.words_bytes))
@@ -102,12 +123,12 @@ class View(TextOptions):
         from scoup.view.guard import is_loopback
         from scoup.view.viewer import Viewer
 
-        viewed = self._viewed(console)
+        viewed, host = self._viewed(console), self.server.host
         try:
-            with Viewer(viewed, self.host, self.port, self.remote) as viewer:
-                if not is_loopback(self.host):
+            with Viewer(viewed, host, self.server.port, self.page.remote) as viewer:
+                if not is_loopback(host):
                     console.warn(
-                        f"{self.host}: other machines can reach this page; whoever has the address can ask the field "
+                        f"{host}: other machines can reach this page; whoever has the address can ask the field "
                         "and download its Gaussians; the connection is not encrypted"
                     )
                 console.say(f"{self.field}: {viewer.address}\npress Ctrl-C to stop")

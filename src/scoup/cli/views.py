@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import tyro
 
@@ -12,27 +12,13 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.base.staging import check_outputs
 from scoup.cli.console import Console, command, kept
-from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, OptionGroups, WritesCommon, arg
+from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, WritesCommon, arg
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakeViews(WritesCommon):
-    """Choose cameras for a splat without photographs, and render their views.
+class OwnViews:
+    """Which views are made."""
 
-    Takes the fewest views that show nearly all of the splat clearly and from several directions. The folder is a scene
-    for scoup extract and for scoup build --gaussians SPLAT.
-    """
-
-    option_groups: ClassVar[OptionGroups] = {
-        "view": "views width height up keep_axes beside",
-        "output": "out",
-    }
-
-    splat: Annotated[tyro.conf.Positional[Path], arg(metavar="SPLAT")]
-    """The splat: .ply, .splat, .spz, .sog, .glb and more, or a folder that contains one."""
-    out: OptionalPath = None
-    """The scene folder to write: transforms.json, images, and views.png, a sheet of all views. Default: <name of
-    SPLAT>_views here."""
     views: OptionalInteger = None
     """Number of views. Default: as many as still show something new."""
     width: int = 960
@@ -43,8 +29,23 @@ class MakeViews(WritesCommon):
     """The direction that is up in the splat. Default: estimated from its floors and tables."""
     keep_axes: Flag = False
     """Take the up direction in the axes of the file, for .spz and glTF of programs that keep the numbers of the PLY."""
-    beside: OptionalPath = None
-    """A scene whose photographs show a part of the splat: they are copied to OUT, and the views show the rest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeViews:
+    """Choose cameras for a splat without photographs, and render their views.
+
+    Takes the fewest views that show nearly all of the splat clearly and from several directions. The folder is a scene
+    for scoup extract and for scoup build --gaussians SPLAT.
+    """
+
+    splat: Annotated[tyro.conf.Positional[Path], arg(metavar="SPLAT")]
+    """The splat: .ply, .splat, .spz, .sog, .glb and more, or a folder that contains one."""
+    out: OptionalPath = None
+    """The scene folder to write: transforms.json, images, and views.png, a sheet of all views. Default: <name of
+    SPLAT>_views here."""
+    view: OwnViews = OwnViews()
+    common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
         """Choose, render, report."""
@@ -61,32 +62,26 @@ class MakeViews(WritesCommon):
     def make(self, console: Console) -> dict[str, Any]:
         """Choose the cameras and write the scene; returns what the result says."""
         from scoup.extract.own_views import SHEET, TRANSFORMS, choose_cameras, estimated_up, save_views
-        from scoup.io import load_cameras, load_gaussians, splat_source
+        from scoup.io import load_gaussians, splat_source
         from scoup.io.camera_sources import find_cameras, has_cameras
         from scoup.io.splats.axes import turned, turned_direction
 
         found = splat_source(self.splat)
         source = found.path
         out = self.out or Path(f"{source.stem}_views")
-        check_outputs(out, (TRANSFORMS, SHEET), self.overwrite)
+        check_outputs(out, (TRANSFORMS, SHEET), self.common.overwrite)
         if has_cameras(out) and find_cameras(out).path != out / TRANSFORMS:
             raise InputError(f"{out}: is a scene with other cameras; choose another folder with --out")
-        beside = None if self.beside is None else load_cameras(self.beside, distorted="undistort")
-        if beside is not None and not any(camera.image_path for camera in beside):
-            raise InputError(
-                f"{self.beside}: has no photographs, only cameras; name a scene with photographs"
-            )
-        gaussians = load_gaussians(source)
-        up = self.up
-        if self.keep_axes and (axis := found.kind.axis) is not None:
+        gaussians, view = load_gaussians(source), self.view
+        up = view.up
+        if view.keep_axes and (axis := found.kind.axis) is not None:
             up = turned_direction(up or estimated_up(turned(gaussians, axis)), axis)
-        how = {"width": self.width, "height": self.height, "count": self.views, "up": up}
+        how = {"width": view.width, "height": view.height, "count": view.views, "up": up}
         with console.progress() as progress:
-            cameras = choose_cameras(gaussians, beside=beside, progress=progress, **how)
-            shown = save_views(gaussians, cameras, out, beside, self.overwrite, progress)
-        there = f" beside {counted(len(beside), 'photograph')}" if beside is not None else ""
+            cameras = choose_cameras(gaussians, progress=progress, **how)
+            shown = save_views(gaussians, cameras, out, self.common.overwrite, progress)
         console.say(
-            f"{out}: {counted(len(cameras), 'view')}{there}; {shown.once:.1%} of the opaque Gaussians are in one or "
+            f"{out}: {counted(len(cameras), 'view')}; {shown.once:.1%} of the opaque Gaussians are in one or "
             f"more, {shown.often:.1%} in three or more"
         )
         return {"scene": out, "views": len(cameras), "coverage": shown.once, "coverage_by_three": shown.often}
@@ -108,5 +103,5 @@ def make_views(console: Console, splat: Path, folder: Path, overwrite: bool) -> 
         again = command("views", splat, "--out", folder, "--overwrite")
         console.say(f"{folder}: uses the existing views; to replace them: {again}")
     else:
-        MakeViews(splat=splat, out=folder, overwrite=overwrite).make(console)
+        MakeViews(splat=splat, out=folder, common=WritesCommon(overwrite=overwrite)).make(console)
     console.kept = lambda: kept("the views")

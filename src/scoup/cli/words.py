@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 from scoup.base.atomic import check_output
 from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.cli.console import Console, command
-from scoup.cli.options import CLIP_MODEL, OptionalPath, OptionGroups, WritesCommon
+from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakeWords(WritesCommon):
+class MakeWords:
     """Write a word table, with which scoup build and --text answer words on machines without the model.
 
     It contains the words of a list, and what answers are judged by: about a thousand everyday words, and the phrases
     object, things, stuff, texture.
     """
-
-    option_groups: ClassVar[OptionGroups] = {"word": "model words", "output": "out"}
 
     model: str = CLIP_MODEL
     """The model that embedded the regions: a folder or hub id of a CLIP, SigLIP or TIPSv2, or
@@ -30,6 +27,7 @@ class MakeWords(WritesCommon):
     """File of words to ask for, one per line. Default: everyday words alone."""
     out: Path = Path("words.npz")
     """The table to write, an .npz file."""
+    common: AllCommon = AllCommon()
 
     def run(self, console: Console) -> None:
         """Encode and write."""
@@ -39,12 +37,12 @@ class MakeWords(WritesCommon):
         from scoup.view.vocabulary import read_words
 
         check_table_name(self.out)
-        check_output(self.out, self.overwrite)
+        check_output(self.out, self.common.overwrite)
         if is_table(self.model):
             raise InputError(f"{self.model}: is a word table, not a model; pass the model that made it")
         words = list(dict.fromkeys((*CANONICAL_PHRASES, *read_words(self.words), *EVERYDAY_WORDS)))
-        with TextEncoder.open(self.model, device=self.device) as encoder:
-            save_table(self.out, words, encoder.encode(words), self.overwrite, encoder.name)
+        with TextEncoder.open(self.model, device=self.common.device) as encoder:
+            save_table(self.out, words, encoder.encode(words), self.common.overwrite, encoder.name)
         console.say(
             f"{self.out}: {counted(len(words), 'word')} of {encoder.dim} dimensions; with it: "
             f"{command('build', 'SCENE', '--model', self.out)}, or "

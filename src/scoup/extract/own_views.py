@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count as count_from
@@ -36,7 +35,6 @@ def choose_cameras(
     height: int = 720,
     count: int | None = None,
     up: Sequence[float] | None = None,
-    beside: Cameras | None = None,
     progress: Progress = no_progress,
 ) -> Cameras:
     """Choose cameras for a splat that comes without any, by what cheap renders of many candidates show.
@@ -46,10 +44,9 @@ def choose_cameras(
         width, height: of the images, in pixels.
         count: cameras to choose. By default the fewest that show nearly all that can be seen from several directions.
         up: [3] the direction that is up in the world; by default estimated.
-        beside: cameras that are there already: what they show needs no others.
 
     Returns:
-        The cameras, the one that shows the most first; none where those of ``beside`` show all.
+        The cameras, the one that shows the most first.
 
     Raises:
         InputError: nothing can be seen, ``up`` is not a direction, or a number is out of range.
@@ -71,8 +68,7 @@ def choose_cameras(
     matter = measure_matter(gaussians, rows, upwards)
     scorer = ViewScorer.of(prepare_gaussians(gaussians), matter)
     draws = qmc.Halton(5, scramble=False).random(1 + constants.ROUNDS * constants.CHILDREN)[1:] * 2 - 1
-    there = list(beside or ())
-    cameras = [*there, *candidate_cameras(matter, width, height)]
+    cameras = candidate_cameras(matter, width, height)
     total, numbers = len(cameras) + constants.ROUNDS * constants.PARENTS * constants.CHILDREN, count_from(1)
     progress("cameras", 0, total)
 
@@ -83,27 +79,16 @@ def choose_cameras(
 
     scores = scorer.scores(counted(cameras))
     for near in torch.from_numpy(draws).split(constants.CHILDREN):
-        parents = choose_views(
-            clear_worth(scores, scorer.means, len(there)),
-            scores.direction,
-            constants.PARENTS,
-            there=range(len(there)),
-        )
+        parents = choose_views(clear_worth(scores, scorer.means), scores.direction, constants.PARENTS)
         moved = nearby_cameras([scores.cameras[view] for view in parents], matter, near)
         scores = Scores.joined([scores, scorer.scores(counted(moved))]) if moved else scores
-    worth = clear_worth(scores, scorer.means, len(there))
-    least_gain = (
-        constants.LEAST_VIEW_GAIN * float(gains_alone(worth[len(there) :]).max()) if count is None else 0.0
-    )
-    chosen = choose_views(
-        worth, scores.direction, count or constants.MOST_VIEWS, least_gain, range(len(there))
-    )
-    if not chosen and not there:
+    worth = clear_worth(scores, scorer.means)
+    least_gain = constants.LEAST_VIEW_GAIN * float(gains_alone(worth).max()) if count is None else 0.0
+    chosen = choose_views(worth, scores.direction, count or constants.MOST_VIEWS, least_gain)
+    if not chosen:
         raise InputError("gaussians: nothing can be seen clearly (no view shows an opaque, sharp surface)")
-    taken = {camera.stem for camera in there}
-    names = (name for number in count_from(0) if (name := f"own_{number:03d}") not in taken)
     return Cameras(
-        replace(scores.cameras[view], name=f"{name}.png") for view, name in zip(chosen, names, strict=False)
+        replace(scores.cameras[view], name=f"own_{number:03d}.png") for number, view in enumerate(chosen)
     )
 
 
@@ -135,7 +120,6 @@ def save_views(
     gaussians: Gaussians,
     cameras: Cameras,
     folder: str | Path,
-    beside: Cameras | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Coverage:
@@ -147,11 +131,10 @@ def save_views(
         gaussians: the splat.
         cameras: of the renders, without photographs.
         folder: the scene.
-        beside: cameras with photographs: their photographs are copied, and transforms.json names them too.
         overwrite: replace these files, and remove images that the replaced transforms.json names.
 
     Returns:
-        What all cameras together show.
+        What the cameras together show.
 
     Raises:
         InputError: there are no cameras, or two have one name.
@@ -165,34 +148,25 @@ def save_views(
         True
     """
     folder = Path(folder)
-    photographs = [camera for camera in beside or () if camera.image_path is not None]
-    places = {camera.name: f"{IMAGES}/{camera.name}" for camera in (*photographs, *cameras)}
-    together = Cameras((*photographs, *cameras))
+    places = {camera.name: f"{IMAGES}/{camera.name}" for camera in cameras}
     if not len(cameras):
-        raise InputError(
-            "cameras: there are none to render" + (", the photographs show all" * bool(photographs))
-        )
+        raise InputError("cameras: there are none to render")
     seen = torch.zeros(len(gaussians), dtype=torch.int32)  # in how many views each Gaussian is
     tiles = []
     before = _images_of_views(folder) if overwrite else []
     # transforms.json comes last: where it is, the views are whole.
     with staged(folder, [*places.values(), SHEET, TRANSFORMS], overwrite) as hidden:
-        for camera in reported(together, "views", len(together), progress):
+        for camera in reported(cameras, "views", len(cameras), progress):
             place = hidden / places[camera.name]
             place.parent.mkdir(parents=True, exist_ok=True)
             projection = project(gaussians, camera)
             blank = torch.zeros((1, camera.height, camera.width), dtype=torch.int32)
             seen[region_sums(projection, blank).gaussian.unique()] += 1
-            if camera.image_path is not None:
-                shutil.copyfile(camera.image_path, place)
-            else:
-                picture = as_picture(render_colors(gaussians, camera, projection))
-                save_png(picture, place)
-                tiles.append(sheet_tile(picture, len(cameras)))
+            picture = as_picture(render_colors(gaussians, camera, projection))
+            save_png(picture, place)
+            tiles.append(sheet_tile(picture, len(cameras)))
         save_png(contact_sheet(tiles, [camera.stem for camera in cameras]), hidden / SHEET)
-        write_transforms(
-            Cameras(replace(camera, image_path=None) for camera in together), hidden / TRANSFORMS
-        )
+        write_transforms(Cameras(replace(camera, image_path=None) for camera in cameras), hidden / TRANSFORMS)
     for name in set(before) - set(places.values()):
         remove(folder / name)
     opaque = gaussians.opacities >= constants.COVERING_OPACITY

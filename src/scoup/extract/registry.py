@@ -106,27 +106,24 @@ def open_pair(
     segmenter: str,
     embedder: str,
     settings: MaskSettings,
-    revisions: tuple[str | None, str | None] = (None, None),
     device: torch.device | str = "cpu",
     resumed: Path | None = None,
 ) -> tuple[Segmenter, Embedder]:
-    """Open a segmenter and an embedder of the revisions that the user names; else, in a folder that is resumed, of the
-    commits it was begun with.
+    """Open a segmenter and an embedder; in a folder that is resumed, of the commits it was begun with.
 
     A hub model that has changed meanwhile would otherwise be another model for the rest of the views.
     """
     manifest = read_manifest(resumed) if resumed is not None and resumed.is_dir() else None
     begun = manifest.settings if manifest is not None else {}
 
-    def revision_of(table: Registry[ModelEntry], name: str, given: str | None) -> str | None:
+    def revision_of(table: Registry[ModelEntry], name: str) -> str | None:
         # The manifest names a model by its hub id.
         same = begun.get(table.what) in (
             name,
             name.removeprefix(dense.PREFIX),
             table.find(name).model_id(name),
         )
-        return given or (begun.get(f"{table.what}_revision") or None if same else None)
+        return begun.get(f"{table.what}_revision") or None if same else None
 
-    first = revision_of(SEGMENTERS, segmenter, revisions[0])
-    second = revision_of(EMBEDDERS, embedder, revisions[1])
+    first, second = revision_of(SEGMENTERS, segmenter), revision_of(EMBEDDERS, embedder)
     return open_segmenter(segmenter, settings, first, device), open_embedder(embedder, second, device)

@@ -47,13 +47,12 @@ class Scores:
         """[V, 3] float32 of the cameras."""
         return torch.stack([camera.position for camera in self.cameras]).float()
 
-    def worth(self, n_there: int = 0) -> Tensor:
+    def worth(self) -> Tensor:
         """Return [V, M] float32, how well each view shows each Gaussian, 0..1, by ``shown`` and by the picture.
 
         Training makes Gaussians flat towards the cameras that saw them, and leaves them long along the rays of others:
         where a view finds them long, no camera looked. Views into emptiness lose too, by the fullest view of the same
-        Gaussian: around the neck of a guitar all views are empty. The first ``n_there`` views are photographs, which
-        are good wherever they were taken.
+        Gaussian: around the neck of a guitar all views are empty.
         """
         opaque, filled, elongation = self.pictures.T
         solid = (opaque / opaque.quantile(0.98).clamp(min=1e-6)).clamp(max=1) ** constants.STRICT
@@ -65,9 +64,7 @@ class Scores:
         shown = self.shown.float()
         fullest = (shown / shown.amax(0).clamp(min=1e-6) * clear * full[:, None]).amax(0)
         relative = (full[:, None] / fullest.clamp(min=constants.LEAST_FULL)).clamp(max=1)
-        quality = relative**constants.FULL * clear + constants.NO_QUALITY
-        quality[:n_there] = 1.0
-        return shown * quality
+        return shown * (relative**constants.FULL * clear + constants.NO_QUALITY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,18 +216,16 @@ def gains_alone(worth: Tensor) -> Tensor:
     return worth.clamp(max=constants.DIRECTIONS).sqrt().sum(1)
 
 
-def clear_worth(scores: Scores, means: Tensor, n_there: int) -> Tensor:
+def clear_worth(scores: Scores, means: Tensor) -> Tensor:
     """Return ``scores.worth`` [V, M] of fronts alone: not of views from behind; means [M, 3] of the Gaussians."""
     fronts = front_sides(scores, means)
-    return scores.worth(n_there) * fronts * not_from_behind(scores.shown.float(), fronts, n_there)[:, None]
+    return scores.worth() * fronts * not_from_behind(scores.shown.float(), fronts)[:, None]
 
 
-def not_from_behind(shown: Tensor, fronts: Tensor, n_there: int) -> Tensor:
+def not_from_behind(shown: Tensor, fronts: Tensor) -> Tensor:
     """Return [V], how good views are by the share of what they show whose front they see: few behind walls do."""
     share = (shown * fronts).sum(1) / shown.sum(1).clamp(min=1e-6)
-    found = (share / share.quantile(0.95).clamp(min=1e-6)).clamp(max=1) ** constants.STRICT
-    found[:n_there] = 1.0
-    return found
+    return (share / share.quantile(0.95).clamp(min=1e-6)).clamp(max=1) ** constants.STRICT
 
 
 def front_sides(scores: Scores, means: Tensor) -> Tensor:

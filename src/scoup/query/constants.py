@@ -11,7 +11,7 @@ HUB_QUANTILE = 0.99
 HUB_SHARE = 0.5
 """Share of the cosine with the words that fit a thing best that is subtracted from its cosines."""
 FEW_REGIONS = 2.0
-"""Spreads over the root of the number of regions, by which the fit of a thing is lowered, as the error of a mean falls."""
+"""Spreads over the root of the number of regions, by which a fit is lowered, as the error of a mean falls."""
 UNSTABLE = 0.25
 """Spreads times the logarithm of 1 / stability, by which the fit of a thing is lowered."""
 LEAST_STABILITY = 0.02

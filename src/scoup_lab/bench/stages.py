@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -13,15 +13,12 @@ from torch import Tensor
 from scoup import raster
 from scoup.base.backends import serves
 from scoup.base.errors import InputError, ScoupError
-from scoup.base.progress import Progress, no_progress
 from scoup.raster import morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.vote import GaussianCodes, vote
-from scoup_lab.bench.measure import Task, time_tasks
-from scoup_lab.bench.report import Row
 from scoup_lab.synthetic.random_scene import (
     HEIGHT,
     REGIONS,
@@ -140,26 +137,6 @@ def vote_of_a_view(work: Workload, sums: RegionSums | None, backend: str | None)
     """Vote for one round over one view; most of it is what does not depend on the number of views."""
     assert sums is not None
     return vote(sums, work.codes, work.codebook, 1, work.indices.shape[2], backend=backend)
-
-
-def time_stages(
-    work: Workload,
-    runs: Mapping[str, Mapping[str, Run]],
-    threads: Iterable[int],
-    repeats: int,
-    device: str = "cpu",
-    progress: Progress = no_progress,
-) -> list[Row]:
-    """Time the ``stage_runs`` of backends, all of the same stages, interleaved, with each number of torch threads."""
-    stages = dict.fromkeys(stage for own in runs.values() for stage in own)
-    tasks = {
-        (stage, backend, used): Task(own[stage], used, repeats)
-        for stage in stages
-        for backend, own in runs.items()
-        for used in dict.fromkeys(threads)
-    }
-    timings = time_tasks(tasks, device, progress)
-    return [Row(len(work.gaussians), *key, timing) for key, timing in timings.items()]
 
 
 def usable_backends(wanted: Sequence[str] = (), device: str = "cpu") -> tuple[list[str], dict[str, str]]:

@@ -1,1 +1,1 @@
-"""The verbs of the laboratory: ``scoup demo``, ``scoup eval``, ``scoup bench``."""
+"""The verbs of the laboratory: ``scoup demo``, ``scoup eval``."""

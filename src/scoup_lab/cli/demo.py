@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from scoup.base.counts import counted
 from scoup.base.staging import staged
 from scoup.cli.console import Console, command
-from scoup.cli.options import OptionGroups, WritesCommon
+from scoup.cli.options import WritesCommon
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.demonstration import DemoResult
@@ -19,7 +19,7 @@ FIELD, SHEET, SCORES, PAGE = "demo.scoup", "queries.png", "scores.json", "demo.h
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(WritesCommon):
+class Demo:
     """Make a small scene, build its language field, query every object in it, and score the answers.
 
     Needs no network, no GPU and no data. Regions and embeddings are simulated; the truth comes from the scene's
@@ -27,12 +27,8 @@ class Demo(WritesCommon):
     queries, and the scores.
     """
 
-    option_groups: ClassVar[OptionGroups] = {"scene": "seed n_gaussians width height views"}
-
     out: Path = Path("demo")
     """Folder for all outputs."""
-    seed: int = 0
-    """Seed of the scene and of the codebook."""
     n_gaussians: int = 160_000
     """Gaussians in the scene."""
     width: int = 480
@@ -41,6 +37,7 @@ class Demo(WritesCommon):
     """Height of the views, in pixels."""
     views: int = 24
     """Views the field is built from; a quarter as many are held out for scoring."""
+    common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
         """Run, draw, print."""
@@ -60,8 +57,8 @@ class Demo(WritesCommon):
             f"{self.width} x {self.height}"
         )
         size = self.n_gaussians, self.width, self.height, self.views
-        with staged(self.out, files, self.overwrite) as hidden, console.progress() as progress:
-            result = run_demo(hidden, self.seed, *size, progress=progress)
+        with staged(self.out, files, self.common.overwrite) as hidden, console.progress() as progress:
+            result = run_demo(hidden, 0, *size, progress=progress)
             save_png(query_sheet(result), hidden / SHEET)
             record = _record(result, hidden / FIELD, self.out)
             write_text(hidden / SCORES, json.dumps(record, indent=2))

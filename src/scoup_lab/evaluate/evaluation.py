@@ -35,7 +35,6 @@ class Evaluation(ABC, Generic[Scene, Result]):
     """The evaluation of a data set."""
 
     build: BuildSettings  # of the fields
-    rebuild: bool = False  # build fields again that are there already
     device: str = "cpu"  # where tensors live
 
     @property
@@ -60,12 +59,12 @@ class Evaluation(ABC, Generic[Scene, Result]):
         gaussians = load_gaussians(scene.splat).to(self.device)
         # Which constants the rasteriser uses follows from the splat.
         settings = replace(self.build, raster_preset=splat_source(scene.splat).preset)
-        if path.is_file() and not self.rebuild:
+        if path.is_file():
             return _stored(path, gaussians, settings)
         regions = load_regions(scene.features, scene.cameras)
         model, words = embedding_source(scene.features, regions, source)
         with reserved_output(path, overwrite=True) as work:
-            if path.is_file() and not self.rebuild:  # another process has built it meanwhile
+            if path.is_file():  # another process has built it meanwhile
                 return _stored(path, gaussians, settings)
             field = build(
                 gaussians,
@@ -84,5 +83,5 @@ def _stored(path: Path, gaussians: Gaussians, settings: BuildSettings) -> Langua
     """Return a field that is built already, on the device of its Gaussians."""
     field = LanguageField.load(path, gaussians).to(gaussians.device)
     if field.info.provenance.get("settings") != settings.to_dict():
-        raise InputError(f"{path}: was built with other settings; use another folder, or rebuild the fields")
+        raise InputError(f"{path}: was built with other settings; use another folder, or remove the field")
     return field

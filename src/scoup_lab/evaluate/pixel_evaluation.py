@@ -41,7 +41,6 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
     protocol: PixelProtocol
     rules: str = "scoup"  # whose constants turn relevancy into masks and points
     selection: bool = False  # score by the 3D-selection protocol too
-    sheets: bool = True  # draw the worst answers of each scene
 
     @property
     def stems(self) -> Sequence[str]:
@@ -68,14 +67,13 @@ class PixelEvaluation(Evaluation[LabelledScene, PixelResult]):
             selected = selection.score_method(
                 scene, vectors, FittedField(field), field.gaussians, raster_preset
             )
-        if self.sheets:
 
-            def map_of(pair: PairScore) -> Tensor:
-                ((frame, found),) = predict(scene, vectors, field, [pair.frame])
-                return found[:, frame.labels.index(pair.label)]
+        def map_of(pair: PairScore) -> Tensor:
+            ((frame, found),) = predict(scene, vectors, field, [pair.frame])
+            return found[:, frame.labels.index(pair.label)]
 
-            sheet = failure_sheet(score, scene, field, map_of, rule)
-            save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
+        sheet = failure_sheet(score, scene, field, map_of, rule)
+        save_png(sheet, out / "failures" / f"{scene.name}_{self.rules}.png", overwrite=True)
         return PixelResult(score, selected, field.levels)
 
     def reports(self, results: dict[str, PixelResult], described: dict[str, Any]) -> list[Report]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, Names, OptionalInteger, OptionGroups
-from scoup_lab.cli.evaluate.options import DataSetOptions, Rules, kept_in, say_tables
+from scoup.cli.options import Flag, Names, OptionalInteger, titled
+from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
     from scoup_lab.evaluate.evaluation import Evaluation
@@ -17,21 +17,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluated(DataSetOptions):
-    """Options of all protocols."""
-
-    option_groups: ClassVar[OptionGroups] = {"build": "preset n_atoms k seed rebuild"}
+class FieldOptions:
+    """How fields are built."""
 
     preset: Literal["default", "paper"] = "default"
     """How fields are built: default answers best, paper is the method as published (Adam, slow)."""
     n_atoms: OptionalInteger = None
     """Atoms in the codebook of each level (L). Default: the preset's."""
-    k: OptionalInteger = None
-    """Atoms in the code of a region (K). Default: the preset's."""
-    seed: int = 0
-    """Random seed."""
-    rebuild: Flag = False
-    """Rebuild existing fields."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluated(DataSetVerb):
+    """What all protocols have in common."""
+
+    fields: Annotated[FieldOptions, titled("build")] = FieldOptions()
 
     protocol: ClassVar[str]
     """Its name."""
@@ -52,8 +51,8 @@ class Evaluated(DataSetOptions):
         """Return what evaluations of all units take."""
         from scoup.uplift.build_settings import build_settings
 
-        settings = build_settings(self.preset, n_atoms=self.n_atoms, k=self.k, seed=self.seed)
-        return {"build": settings, "rebuild": self.rebuild, "device": self.device}
+        settings = build_settings(self.fields.preset, n_atoms=self.fields.n_atoms)
+        return {"build": settings, "device": self.common.device}
 
     def run(self, console: Console) -> None:
         """Build what is missing, score, write."""
@@ -63,7 +62,7 @@ class Evaluated(DataSetOptions):
         evaluation = self.evaluation()
         out = self.out or Path(f"eval_{self.protocol}")
         for stem in evaluation.stems:
-            refuse_existing(out, stem, self.overwrite)
+            refuse_existing(out, stem, self.common.overwrite)
         scenes = self.opened(console)
         console.kept = lambda: kept_in(out, "fields")
         results = {}
@@ -74,7 +73,7 @@ class Evaluated(DataSetOptions):
         described = {"environment": describe_environment(), "root": str(self.root)}
         reports = evaluation.reports(results, described)
         for report in reports:
-            report.write(out, self.overwrite)
+            report.write(out, self.common.overwrite)
             say_tables(console, report)
         console.say(f"{out}: tables (.md, .json, .tex), {self.made()}")
         console.result({"out": out, "reports": {report.stem: report.record for report in reports}})
@@ -82,16 +81,12 @@ class Evaluated(DataSetOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class OfPixels(Evaluated):
-    """Options of the protocols of labelled frames."""
-
-    option_groups: ClassVar[OptionGroups] = {"scoring": "rules selection", "output": "sheets"}
+    """What the protocols of labelled frames have in common."""
 
     rules: Rules = "scoup"
     """Rules that turn relevancy into masks and points; langsplat has some for LERF-OVS only."""
     selection: Flag = False
     """Also score by the 3D-selection protocol, in tables of its own."""
-    sheets: Literal["worst", "none"] = "worst"
-    """Pictures of the worst answered queries of each scene."""
 
     def evaluation(self) -> Evaluation[Any, Any]:
         from scoup_lab.evaluate.pixel_evaluation import PixelEvaluation
@@ -101,12 +96,11 @@ class OfPixels(Evaluated):
             protocol=PIXELS[self.protocol],
             rules=self.rules,
             selection=self.selection,
-            sheets=self.sheets == "worst",
             **self.shared(),
         )
 
     def made(self) -> str:
-        return "fields" + (", failures" if self.sheets == "worst" else "")
+        return "fields, failures"
 
     def opened(self, console: Console) -> Iterator[SceneFiles]:
         from scoup_lab.evaluate.protocols import PIXELS
@@ -159,7 +153,6 @@ class ScanNet(Evaluated):
     positions and order.
     """
 
-    option_groups: ClassVar[OptionGroups] = {"scoring": "classes level methods"}
     protocol: ClassVar[str] = "scannet"
 
     classes: Names = ()
@@ -184,5 +177,5 @@ class ScanNet(Evaluated):
     def opened(self, console: Console) -> Iterator[SceneFiles]:
         from scoup_lab.evaluate.protocols import scannet
 
-        names = scannet.find(self.root, self.scenes)
-        return (scannet.open_scene(self.root, name, self.places()) for name in names)
+        names = scannet.find(self.root, self.data.scenes)
+        return (scannet.open_scene(self.root, name, self.data.places()) for name in names)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from scoup.cli.console import Console
 from scoup.cli.options import (
     CLIP_MODEL,
+    AllCommon,
     Flag,
     Model,
     Names,
     OptionalPath,
     OptionalText,
-    OptionGroups,
-    WritesCommon,
     arg,
+    titled,
 )
 
 if TYPE_CHECKING:
@@ -30,16 +30,9 @@ Rules = Literal["scoup", "langsplatv2", "langsplat"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DataSetOptions(WritesCommon):
-    """Options of all commands that read a data set."""
+class DataSetOptions:
+    """Scenes of a data set, and where their parts are."""
 
-    option_groups: ClassVar[OptionGroups] = {
-        "data set": "scenes gaussians cameras features images undistort text",
-        "output": "out",
-    }
-
-    root: Annotated[tyro.conf.Positional[Path], arg(metavar="ROOT")]
-    """Folder of the data set, with a folder for each scene."""
     scenes: Names = ()
     """Scenes to score; repeat it for several. Default: all that have labels."""
     gaussians: OptionalText = None
@@ -54,8 +47,6 @@ class DataSetOptions(WritesCommon):
     """Accept cameras with lens distortion: their region maps are undistorted as they are read."""
     text: Model = None
     """Text encoder of the labels. Default: text.npz of the scene or of ROOT, else the CLIP model of LangSplat."""
-    out: OptionalPath = None
-    """Folder for all outputs. Default: eval_<data set> here."""
 
     def places(self) -> Places:
         """Return where the parts of scenes lie."""
@@ -63,12 +54,24 @@ class DataSetOptions(WritesCommon):
 
         return Places(self.gaussians, self.features, self.images, self.cameras, self.undistort)
 
+
+@dataclass(frozen=True, kw_only=True)
+class DataSetVerb:
+    """What commands that read a data set have in common."""
+
+    root: Annotated[tyro.conf.Positional[Path], arg(metavar="ROOT")]
+    """Folder of the data set, with a folder for each scene."""
+    out: OptionalPath = None
+    """Folder for all outputs. Default: eval_<data set> here."""
+    data: Annotated[DataSetOptions, titled("data set")] = DataSetOptions()
+    common: AllCommon = AllCommon()
+
     def open_labelled(self, console: Console, protocol: PixelProtocol) -> list[LabelledScene]:
         """Open the scenes of a data set of labelled frames, and say what they have."""
         from scoup.base.counts import counted
 
-        names = protocol.find(self.root, self.scenes)
-        opened = [protocol.open(self.root, name, self.places()) for name in names]
+        names = protocol.find(self.root, self.data.scenes)
+        opened = [protocol.open(self.root, name, self.data.places()) for name in names]
         for scene in opened:
             console.say(
                 f"{scene.name}: {counted(len(scene.frames), 'labelled frame')}, "
@@ -80,7 +83,7 @@ class DataSetOptions(WritesCommon):
         """Return the table or model that turns the texts of a scene into vectors."""
         from scoup_lab.evaluate.label_vectors import text_source
 
-        return text_source(self.root, scene, self.text, CLIP_MODEL)
+        return text_source(self.root, scene, self.data.text, CLIP_MODEL)
 
 
 def kept_in(out: Path, what: str) -> str:

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from scoup.cli.console import Console
-from scoup.cli.options import Flag, Names, OptionGroups
-from scoup_lab.cli.evaluate.options import DataSetOptions, Rules, kept_in, say_tables
+from scoup.cli.options import Flag, Names
+from scoup_lab.cli.evaluate.options import DataSetVerb, Rules, kept_in, say_tables
 
 if TYPE_CHECKING:
-    from scoup_lab.baselines.method import MethodSettings
     from scoup_lab.evaluate.rules import MaskRule
     from scoup_lab.evaluate.studies.study import Study
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyOptions(DataSetOptions):
-    """Options of commands that try several methods or rules on a data set."""
-
-    option_groups: ClassVar[OptionGroups] = {"data set": "data_set"}
+class StudyVerb(DataSetVerb):
+    """What commands that try several methods or rules on a data set have in common."""
 
     data_set: str = "lerf-ovs"
     """Layout of ROOT, and whose protocol scores: lerf-ovs, 3d-ovs, mipnerf360 or one of a package."""
@@ -52,7 +49,7 @@ class StudyOptions(DataSetOptions):
 
         out = self.out or Path(f"eval_{self.data_set}")
         study, protocol = self.study(console, out), PIXELS[self.data_set]
-        refuse_existing(out, study.stem, self.overwrite)
+        refuse_existing(out, study.stem, self.common.overwrite)
         labelled = self.open_labelled(console, protocol)
         scenes = [open_study_scene(each, encode_labels(each, self.text_source(each))) for each in labelled]
         with console.progress() as progress:
@@ -60,14 +57,14 @@ class StudyOptions(DataSetOptions):
         described = {name.removesuffix("_name"): getattr(self, name) for name in self.recorded.split()}
         described["environment"] = describe_environment()
         report = study.report(results, protocol.title, described)
-        written = report.write(out, self.overwrite)
+        written = report.write(out, self.common.overwrite)
         say_tables(console, report)
         console.say("written: " + ", ".join(str(path) for path in written))
         console.result({"out": out, **report.record})
 
 
 @dataclass(frozen=True, kw_only=True)
-class Baselines(StudyOptions):
+class Baselines(StudyVerb):
     """Compare the method with dense uplift, centre pixels (Occam's LGS), visible centre pixels (VALA), top contributors
     with product quantisation (Dr. Splat), LangSplat's autoencoder and, by name, codes learned through renderings
     (LangSplatV2), on the same regions and with the same queries.
@@ -81,30 +78,25 @@ class Baselines(StudyOptions):
     tens of minutes a scene."""
     seed: int = 0
     """Random seed."""
-    epochs: int = 100
-    """Epochs of the autoencoder; LangSplat's own is 100."""
-    iterations: int = 10_000
-    """Steps of joint-codes at each level; LangSplatV2's own is 10000."""
     selection: Flag = False
     """Also score by the 3D-selection protocol, in a table of its own."""
 
-    recorded: ClassVar[str] = "rules seed epochs iterations"
+    recorded: ClassVar[str] = "rules seed"
 
     def study(self, console: Console, out: Path) -> Study[Any]:
-        from scoup_lab.baselines.joint_codes import LANGSPLATV2
+        from scoup_lab.baselines.method import MethodSettings
         from scoup_lab.baselines.methods import COMPARED, METHODS
         from scoup_lab.evaluate.studies.comparison import Comparison
 
         methods = [METHODS[name] for name in self.methods or COMPARED]
-        joint = replace(LANGSPLATV2, iterations=self.iterations)
-        settings = replace(_settings(self.seed, self.epochs), joint=joint)
+        settings = MethodSettings(self.seed)
         folder = out / Comparison.stem
         console.kept = lambda: kept_in(folder, "results")
         return Comparison(methods, self.mask_rule(), folder, settings, self.selection, console.say)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ablations(StudyOptions):
+class Ablations(StudyVerb):
     """Change one thing at a time: dense uplift, no top-K, numbers of atoms and non-zeros, entropy filtering, solver,
     levels and how they are chosen, everyday words, fewer views; at least three codebook seeds each.
     """
@@ -114,20 +106,18 @@ class Ablations(StudyOptions):
     several. Default: all. The base is always run."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of the codebook; scores are means over them."""
-    epochs: int = 4000
-    """Epochs of Adam."""
 
-    recorded: ClassVar[str] = "rules seeds epochs"
+    recorded: ClassVar[str] = "rules seeds"
 
     def study(self, console: Console, out: Path) -> Study[Any]:
         from scoup_lab.evaluate.studies.ablation_rows import find_ablations
         from scoup_lab.evaluate.studies.ablations import Ablations as AblationStudy
 
-        return AblationStudy(find_ablations(self.groups), self.mask_rule(), self.seeds, self.epochs)
+        return AblationStudy(find_ablations(self.groups), self.mask_rule(), self.seeds)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Consistency(StudyOptions):
+class Consistency(StudyVerb):
     """Measure multi-view consistency: cosines between matched observations of raw, autoencoder-decoded and
     sparse-decoded embeddings.
 
@@ -138,22 +128,13 @@ class Consistency(StudyOptions):
     """How the sparse codes are learned: see scoup build."""
     seed: int = 0
     """Seed of codebook, network, and the pairs drawn."""
-    epochs: int = 100
-    """Epochs of the autoencoder."""
 
-    recorded: ClassVar[str] = "preset_name seed epochs"
+    recorded: ClassVar[str] = "preset_name seed"
 
     def study(self, console: Console, out: Path) -> Study[Any]:
         from scoup.uplift.build_settings import build_settings
+        from scoup_lab.baselines.autoencoder import LANGSPLAT
         from scoup_lab.evaluate.studies.consistency import Consistency as ConsistencyStudy
 
         settings = build_settings(self.preset_name, seed=self.seed)
-        return ConsistencyStudy(settings, _settings(self.seed, self.epochs).autoencoder, self.seed)
-
-
-def _settings(seed: int, epochs: int) -> MethodSettings:
-    """Return settings of methods, with the epochs of the autoencoder."""
-    from scoup_lab.baselines.autoencoder import LANGSPLAT
-    from scoup_lab.baselines.method import MethodSettings
-
-    return MethodSettings(seed, autoencoder=replace(LANGSPLAT, epochs=epochs))
+        return ConsistencyStudy(settings, LANGSPLAT, self.seed)

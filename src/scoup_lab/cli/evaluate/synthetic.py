@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from scoup.cli.console import Console, command
-from scoup.cli.options import OptionGroups, WritesCommon, arg
+from scoup.cli.options import WritesCommon, arg
 
 
 @dataclass(frozen=True, kw_only=True)
-class Synthetic(WritesCommon):
+class Synthetic:
     """Write a complete synthetic data set in the layout of LERF-OVS, 3D-OVS, Mip-NeRF 360 or ScanNet.
 
     Images, COLMAP cameras, splat, region features, text vectors and labels are all simulated, so scores say nothing
     about the data set whose layout is used.
     """
-
-    option_groups: ClassVar[OptionGroups] = {"size": "scenes n_gaussians width height views labelled"}
 
     data_set: Annotated[
         tyro.conf.Positional[Literal["lerf-ovs", "3d-ovs", "mipnerf360", "scannet"]],
@@ -43,6 +41,7 @@ class Synthetic(WritesCommon):
     """Views of each scene."""
     labelled: int = 4
     """Views with labels."""
+    common: WritesCommon = WritesCommon()
 
     def run(self, console: Console) -> None:
         """Make and write."""
@@ -52,7 +51,12 @@ class Synthetic(WritesCommon):
         seeds = range(self.seed, self.seed + self.scenes)
         with console.progress() as progress:
             names = write_data_set(
-                self.data_set, self.root, size=size, seeds=seeds, overwrite=self.overwrite, progress=progress
+                self.data_set,
+                self.root,
+                size=size,
+                seeds=seeds,
+                overwrite=self.common.overwrite,
+                progress=progress,
             )
         score = command("eval", self.data_set, self.root)
         console.say(f"{self.root}: {', '.join(names)}; to score: {score}")
