@@ -78,6 +78,11 @@ def refine(
 
     Raises:
         InputError: the field has no things or no cameras.
+
+    Example:
+        >>> named = scoup.refine(field, "kettle", "owlv2").field  # doctest: +SKIP
+        >>> named.answer("kettle").presence  # doctest: +SKIP
+        True
     """
     started = time.perf_counter()
     words, table = field.question(texts if isinstance(texts, str) else list(texts)).texts, field.thing_table

@@ -166,6 +166,11 @@ def open_viewer(
 
     Raises:
         ScoupError: the page was not built, or a package is missing.
+
+    Example:
+        >>> with scoup.open_viewer(field, words=["kettle"]) as viewer:
+        ...     viewer.address.startswith("http://127.0.0.1:")
+        True
     """
     check_needed()
     return Viewer(ViewedField(field, words, most), remote=remote, height=height)
