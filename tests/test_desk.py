@@ -45,10 +45,10 @@ def built(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path) -> None:
-    field = scoup.LanguageField.load(built)
+    field = scoup.LanguageField.load(built, words=desk / "desk_words.npz")
     assert field.cameras is not None
     assert field.thing_table is not None
-    question = field.with_encoder(desk / "desk_words.npz").question(list(NAMES))
+    question = field.question(list(NAMES))
     overlaps: dict[str, list[float]] = {name: [] for name in NAMES}
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         frame = frame.resized(camera.width, camera.height)
@@ -64,9 +64,9 @@ def test_the_kettle_the_laptop_and_the_penguin_are_found(desk: Path, built: Path
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_best_thing_is_the_labelled_object(desk: Path, built: Path, name: str) -> None:
-    field = scoup.LanguageField.load(built)
+    field = scoup.LanguageField.load(built, words=desk / "desk_words.npz")
     assert field.cameras is not None
-    best = field.things(field.with_encoder(desk / "desk_words.npz").question([name]))[0]
+    best = field.things([name])[0]
     overlaps = []
     for frame, camera in match_frames(read_labels(desk / "label"), field.cameras):
         truth = frame.resized(camera.width, camera.height).masks[name]
@@ -101,8 +101,7 @@ def test_relations_agree_with_their_converses(desk: Path, built: Path) -> None:
 
 
 def test_facts_and_their_converses_are_answered_alike(desk: Path, built: Path) -> None:
-    field = scoup.LanguageField.load(built)
-    field = field.with_encoder(desk / "desk_words.npz")
+    field = scoup.LanguageField.load(built, words=desk / "desk_words.npz")
     frame, told = field.frame(VIEWER), 0
     for fact in FACTS:
         phrase = parse_phrase(fact)

@@ -16,7 +16,15 @@ import scoup
 ROOT = Path(__file__).resolve().parents[1]
 PRODUCT, LABORATORY = ROOT / "src" / "scoup", ROOT / "src" / "scoup_lab"
 DOCUMENTS = (ROOT / "docs" / "layout.md").read_text()
-EXPORTING = {"scoup", "scoup.base.errors", "scoup.coding", "scoup.io", "scoup.pictures", "scoup.raster"}
+EXPORTING = {
+    "scoup",
+    "scoup.base.errors",
+    "scoup.coding",
+    "scoup.field",
+    "scoup.io",
+    "scoup.pictures",
+    "scoup.raster",
+}
 """Modules that hand on what their rooms, or all of them, export."""
 INNER = {
     "base": "atomic backends counts existing json_node native progress records registry staging version",

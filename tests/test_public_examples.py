@@ -37,8 +37,7 @@ def methods_of_fields() -> list[object]:
 @pytest.mark.parametrize("name", NAMES)
 def test_an_example_runs(here: Path, name: str) -> None:
     """In a folder with a scene and its field, as the examples have it."""
-    field = scoup.LanguageField.load("f.scoup")
-    field = field.with_encoder("scene/words.npz")
+    field = scoup.LanguageField.load("f.scoup", words="scene/words.npz")
     given = {"scoup": scoup, "torch": torch, "field": field, "Cache": Cache}
     public = [getattr(scoup, name), *(methods_of_fields() if name == "LanguageField" else ())]
     finder = doctest.DocTestFinder(recurse=False)

@@ -43,7 +43,8 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> ThingTable:
     names = ["kettle", *CANONICAL_PHRASES]
     save_table(folder / "words.npz", names, unit(torch.eye(len(names), 16)).numpy())
     encoder = scoup.TextEncoder.open(folder / "words.npz")
-    texts = field.with_encoder(encoder).question("kettle")
+    field = field.with_encoder(encoder)
+    texts = field.question("kettle")
     return ThingTable(gaussians, cameras, regions, field, encoder, texts, str(folder))
 
 

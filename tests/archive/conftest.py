@@ -11,6 +11,7 @@ import scoup
 from query.planted_room import ROOM, Box, planted_room
 from scoup.models.word_table import save_table
 from scoup.query.language_field import LanguageField
+from support import altered
 
 
 @pytest.fixture(scope="session")
@@ -23,17 +24,17 @@ def fields(tmp_path_factory: pytest.TempPathFactory) -> dict[str, LanguageField]
         "hall": tuple(box for box in ROOM if box.name not in ("mug", "laptop")),
     }
     # Words of one table, as embeddings of one model have.
-    encoder = planted_room().text_encoder()
+    encoder = planted_room().encoder
     assert encoder.names is not None
     save_table(folder / "words.npz", encoder.names, encoder.encode(encoder.names).numpy())
     made = {}
     for name, room in rooms.items():
-        made[name] = field = planted_room(room)
-        assert field.thing_table is not None
+        planted = planted_room(room)
+        assert planted.thing_table is not None
         names = [box.name for box in room] + [f"clutter {number}" for number in range(6)]
-        field.thing_table = replace(field.thing_table, embeddings=encoder.encode(names).half())
-        field.info = replace(field.info, embedding_model="some/model", words=folder / "words.npz")
-        field.text_encoder(encoder)
+        things = replace(planted.thing_table, embeddings=encoder.encode(names).half())
+        info = replace(planted.info, embedding_model="some/model", words=folder / "words.npz")
+        made[name] = field = altered(planted, thing_table=things, info=info, words=encoder)
         field.save(folder / f"{name}.scoup")
     return made
 

@@ -36,6 +36,7 @@ import scoup
 from scoup import raster
 from scoup.query.answer_scene import answer_scene
 from scoup.view.viewed_field import ViewedField
+from support import altered
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -134,8 +135,9 @@ def test_phrases_light_up_things(browser: Browser) -> None:
     owners, embeddings = things.owners.clone(), things.embeddings.clone()
     owners[:30, 0] = 2  # of the kettle, to the thing that is named "book" at the finest level only
     embeddings[[0, 5, 8]] = torch.stack(fillers[:3]).half()
-    field.thing_table = replace(things, owners=owners, embeddings=embeddings)
-    viewed = ViewedField(field.with_encoder(table()))
+    named = replace(things, owners=owners, embeddings=embeddings)
+    field = altered(field, thing_table=named, words=table())
+    viewed = ViewedField(field)
     with opened(viewed) as viewer, visiting(browser, viewer.address) as visit:
         for text, count in (("mug right of the kettle", 60), ("kettle and not book", 60)):
             visit.ask(text)

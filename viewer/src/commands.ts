@@ -63,8 +63,8 @@ function question(text: string, options: string[]): string {
 }
 
 export function python(settings: Settings, state: State, levels: string[], camera: string | null): string {
-  const lines = ["import scoup", "", `field = scoup.LanguageField.load(${JSON.stringify(settings.field)})`];
-  if (settings.text !== null) lines.push(`field.text_encoder(${JSON.stringify(settings.text)})`);
+  const words = settings.text === null ? "" : `, words=${JSON.stringify(settings.text)}`;
+  const lines = ["import scoup", "", `field = scoup.LanguageField.load(${JSON.stringify(settings.field)}${words})`];
   const rest = state.mode === "except";
   if (rest) lines.push("", "found = torch.zeros(len(field), dtype=torch.bool)");
   for (const query of state.visible()) {
@@ -78,7 +78,7 @@ export function python(settings: Settings, state: State, levels: string[], camer
     const name = JSON.stringify(`${fileName(query.answer.text)}.scoup`);
     lines.push(rest ? "found |= place.answer.mask" : `field[place.answer.mask].save(${name})`);
     if (camera !== null) {
-      lines.push(`seen = place.answer.in_view(${JSON.stringify(camera)})`);
+      lines.push(`(seen,) = field.at(${JSON.stringify(camera)}).show([place.answer])`);
     }
   }
   if (rest) {

@@ -325,6 +325,7 @@ class LanguageField(Field):
             raise InputError(
                 f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
             )
+        check_arguments("select", reshaping=(reshaping, (Reshaping, type(None))))
         return select(self, self.question(question), reshaping)
 
     def label(self, question: Question | str | Several) -> GaussianLabels:

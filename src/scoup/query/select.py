@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
 from scoup.field import Field
 from scoup.query.answer import ExpressionAnswer, answer_relevancy
@@ -58,7 +57,6 @@ class Reshaping:
 def select(field: Field, question: Question[Any], reshaping: Reshaping | None = None) -> ExpressionAnswer:
     """Return one answer to all that a question asks for; ``LanguageField.select`` documents it."""
     wanted = reshaping or Reshaping()
-    check_arguments("select", reshaping=(wanted, Reshaping))
 
     def made() -> ExpressionAnswer:
         whole = one_answer(field, question)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from scoup import raster
 from scoup.base.errors import ScoupError
@@ -102,6 +101,8 @@ def similarities(images: Array, alphas: Array, photographs: Array) -> Array:
 def detail(images: Array) -> Array:
     """Return structure of middle size in images [V, H, W, 3], without brightness, about equally strong everywhere, so
     that no single edge dominates."""
+    from scipy import ndimage
+
     scale = max(images.shape[1:3]) / LONGEST_SIDE
 
     def blurred(maps: Array, sigma: float) -> Array:
