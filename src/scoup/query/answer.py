@@ -64,9 +64,6 @@ class Answer:
     things: tuple[int, ...] = ()
     """Numbers of the things that answer, best first (``field.things`` describes them); empty in a field without things,
     with a threshold, and for what is not there."""
-    instances: tuple[int, ...] = ()
-    """Numbers of the things that are one instance each, best first: their number is the count that "how many" asks for.
-    They need not be the things that answer, which may be pieces or parts."""
     runner_up: RunnerUp | None = None
     """The best thing elsewhere; None where none is."""
     threshold: float | None = None
@@ -175,7 +172,7 @@ class Answer:
         return {
             "gaussians": int(self.mask.sum()),
             "things": list(self.things),
-            "count": len(self.instances) if self.things or not self.presence else None,
+            "count": len(self.things) if self.things or not self.presence else None,
             **self.verdict(),
             "runner_up": self.runner_up
             and {"thing": self.runner_up.thing, "score": _rounded(self.runner_up.score)},

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from scoup.field.language_field import LanguageField
-from scoup.query.answer import Answer, AskedText, RunnerUp
-from scoup.query.matching import compare_things
-from scoup.query.named import Named, choose, instances_of, named_texts
-from scoup.query.presence import TextScore, is_present, other_words
+from scoup.query.answer import Answer, AskedText
+from scoup.query.named import named_texts
+from scoup.query.presence import is_present, text_scores
 from scoup.query.question import Question
+from scoup.query.thing_index import ThingIndex, thing_index
 from scoup.query.votes import SampledVotes, select_each
 
 
@@ -32,69 +31,35 @@ def answer_scene(field: LanguageField, question: Question[Any]) -> list[Answer]:
 
 def each_answer(field: LanguageField, question: Question[Any]) -> Iterator[Answer]:
     """Yield the answers of ``answer_scene`` one by one, for many texts about many Gaussians."""
-    answers = _by_things if question.threshold is None and field.thing_table is not None else _by_votes
-    for number, answer in enumerate(answers(field, question)):
-        presence = is_present(answer.score, int(answer.mask.sum()), question.present_from)
+    index = None if question.threshold is not None else thing_index(field, question)
+    answers = _by_votes(field, question) if index is None else _by_things(field, index, question)
+    for number, answer in enumerate(answers):
         asked = (AskedText(question.one(number), field.level_index(answer.level)),)
-        answer = replace(answer, presence=presence, asked=asked, field=field)
-        if not presence:
-            answer = replace(answer, mask=torch.zeros_like(answer.mask), things=(), instances=())
+        answer = replace(answer, asked=asked, field=field)
+        if not answer.presence:
+            answer = replace(answer, mask=torch.zeros_like(answer.mask), things=())
         yield answer
 
 
-def _by_things(field: LanguageField, question: Question[Any]) -> Iterator[Answer]:
-    known = compare_things(field, question)
-    if known is None:
-        yield from _by_votes(field, question)
-        return
-    fits = known.fits(question.queries)
-    names = named_texts(field.thing_table, question)
-    scores = text_scores(question, known.best_fits, names)
-    for number, choice in enumerate(choose(known, fits, names, question.level)):
-        text, score = question.texts[number], scores[number]
-        if choice is None:
-            nothing, level = torch.zeros(len(field), dtype=torch.bool), field.levels[question.level or 0]
-            yield Answer(text, nothing, level, 0.0 if question.can_judge_presence else None)
-            continue
-        level = int(known.things.levels[choice.things[0]])
-        rival, instances = choice.runner_up, instances_of(known, fits[:, number], choice, names[number])
-        yield Answer(
-            text=text,
-            mask=known.things.members(choice.things).cpu(),
-            level=field.levels[level],
-            score=score(choice.fit),
-            things=tuple(choice.things.tolist()),
-            instances=tuple(instances.tolist()),
-            runner_up=None if rival is None else RunnerUp(rival, score(float(fits[rival, number]), rival)),
-        )
+def _by_things(field: LanguageField, index: ThingIndex, question: Question[Any]) -> Iterator[Answer]:
+    table = field.thing_table
+    assert table is not None
+    verdicts = index.judge(question, index.fits(question.queries), named_texts(table, question))
+    for text, ((things, level, score, presence, runner_up),) in zip(question.texts, verdicts, strict=True):
+        mask = table.members(torch.tensor(things, dtype=torch.int64)).cpu()
+        yield Answer(text, mask, field.levels[level], score, presence, things, runner_up)
 
 
 def _by_votes(field: LanguageField, question: Question[Any]) -> Iterator[Answer]:
     scores: list[float | None] = [None] * len(question.texts)
     if question.can_judge_presence:
         votes = sampled_votes(field, question)
-        fits, of_texts = votes.fits(question.queries).tolist(), text_scores(question, votes.best_fits)
+        fits, of_texts = votes.fits(question.queries).tolist(), text_scores(question, votes.best_fits[None])
         scores = [score(fit) for score, fit in zip(of_texts, fits, strict=True)]
     for number, (selection, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
-        text, level = question.texts[number], field.levels[selection.level]
-        yield Answer(text, selection.mask.cpu(), level, score, threshold=selection.threshold)
-
-
-def text_scores(
-    question: Question[Any], best_fits: Tensor, names: Sequence[Named | None] = ()
-) -> list[TextScore]:
-    """Return the score of each text against the best fits of everyday words [B], joined with that of its name; with
-    too few words, none counts."""
-    every = zip(compared_others(question), names or [None] * len(question.texts), strict=True)
-    return [TextScore(best_fits[: len(own)], own, named) for own, named in every]
-
-
-def compared_others(question: Question[Any]) -> Tensor:
-    """Return which everyday words count for each text, [Q, B] boolean; [Q, 0] with too few words."""
-    queries = question.queries.float().cpu()
-    if not question.can_judge_presence:
-        return torch.zeros(len(queries), 0, dtype=torch.bool)
-    return other_words(queries, question.everyday.float().cpu())
+        text, level, mask = question.texts[number], field.levels[selection.level], selection.mask.cpu()
+        presence = is_present(score, int(mask.sum()), question.present_from)
+        yield Answer(text, mask, level, score, presence, threshold=selection.threshold)
 
 
 def sampled_votes(field: LanguageField, question: Question[Any]) -> SampledVotes:

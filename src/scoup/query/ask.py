@@ -85,7 +85,7 @@ def _joined(
     of_leaf: dict[Any, list[Thing]] = {leaf: [] for leaf in expression.leaves()}
     of_texts: dict[str, list[Thing]] = {}
     if by_things or expression.counted or frame is not None:
-        of_texts = {part.text: things_of_answer(field, part, expression.counted) for part in parts}
+        of_texts = {part.text: things_of_answer(field, part) for part in parts}
         of_texts[""] = (
             find_objects(field, named_things(field, question.everything)) if question.everything else []
         )
@@ -120,7 +120,6 @@ def _joined(
         level=found[0].level if found and frame is not None else ranked[0].level,
         presence=present,
         things=numbers,
-        instances=numbers,
         wanted=expression.wanted,
         excluded=tuple(text for text in expression.texts if text not in needed),
         without=tuple(sorted({number for number in without if number is not None} - {*numbers})),
@@ -166,8 +165,8 @@ def _nested(field: LanguageField, one: Thing, other: Thing) -> bool:
 def _best_part(field: LanguageField, answer: Answer, thing: Thing) -> Thing:
     """Return the part of a thing that fits the text of an answer best, or the thing itself."""
     known, fits = text_fits(field, answer)
-    assert thing.number is not None
-    inside = known.things.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
+    assert thing.number is not None and field.thing_table is not None
+    inside = field.thing_table.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
     best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
     return thing if best == thing.number else next(iter(scored_things(field, answer, [best])), thing)
 

@@ -16,11 +16,10 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import text_scores
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.matching import ComparedTable, compare_things
 from scoup.query.named import named_texts, voted_names
-from scoup.query.presence import LEAST_GAUSSIANS
+from scoup.query.presence import LEAST_GAUSSIANS, text_scores
+from scoup.query.thing_index import ThingIndex, thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
 from scoup.scene.neighbours import connected_parts
@@ -136,11 +135,11 @@ def all_things(field: LanguageField) -> list[Thing]:
     return field.kept(Thing, made)
 
 
-def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False) -> list[Thing]:
+def things_of_answer(field: LanguageField, answer: Answer) -> list[Thing]:
     """Return the things of an answer of ``answer_scene``, best first; none where the text is not present.
 
     Where the votes answer, and of an expression, they are the parts of the selection that are connected in space, those
-    that weigh most first. To be ``counted``, things are those that are one instance each.
+    that weigh most first.
     """
     if not answer.presence or not bool(answer.mask.any()):
         return []
@@ -148,13 +147,13 @@ def things_of_answer(field: LanguageField, answer: Answer, counted: bool = False
         return list(answer.found)
     if not answer.things or len(answer.asked) != 1:
         return _connected_things(field, answer)
-    return scored_things(field, answer, answer.instances if counted else answer.things)
+    return scored_things(field, answer, answer.things)
 
 
-def text_fits(field: LanguageField, answer: Answer) -> tuple[ComparedTable, list[float]]:
+def text_fits(field: LanguageField, answer: Answer) -> tuple[ThingIndex, list[float]]:
     """Return the things of a field, and how well each fits the text of an answer."""
     question = answer.asked[0].question
-    known = compare_things(field, question)
+    known = thing_index(field, question)
     assert known is not None
     fits = field.kept((text_fits, question), lambda: known.fits(question.queries)[:, 0])
     return known, fits.tolist()
