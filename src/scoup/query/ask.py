@@ -165,7 +165,8 @@ def _nested(field: LanguageField, one: Thing, other: Thing) -> bool:
 def _best_part(field: LanguageField, answer: Answer, thing: Thing) -> Thing:
     """Return the part of a thing that fits the text of an answer best, or the thing itself."""
     known, fits = text_fits(field, answer)
-    assert thing.number is not None and field.thing_table is not None
+    assert thing.number is not None
+    assert field.thing_table is not None
     inside = field.thing_table.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
     best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
     return thing if best == thing.number else next(iter(scored_things(field, answer, [best])), thing)

@@ -33,7 +33,7 @@ in a set, or that share of the set in it, is no rival."""
 RIVAL, AGREEMENT = 2.0, 0.25
 """Weights of the choice (docs/answers.md#constants): of the lead of things elsewhere over the mean fit of a set, and of
 the score of a set of another level with the same Gaussians."""
-FITS_AT_A_TIME = 1 << 17
+FITS_AT_A_TIME = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +60,16 @@ def choose_things(known: ThingIndex, fits: Tensor, level: int | None = None) -> 
     starts = torch.tensor(known.starts)
     sizes = starts.diff()
     choices: list[list[Choice | None]] = [[None] * len(sizes) for _ in range(fits.shape[1])]
-    order = sizes.argsort(descending=True)[: int((sizes > 0).sum())]  # similar sizes together: they are padded
+    order = sizes.argsort(descending=True)[
+        : int((sizes > 0).sum())
+    ]  # similar sizes together: they are padded
     while len(order):
         size = int(sizes[order[0]])
         scenes, order = order.tensor_split([max(1, FITS_AT_A_TIME // size)])
         for texts in torch.arange(fits.shape[1]).split(max(1, FITS_AT_A_TIME // (size * len(scenes)))):
-            for scene, text, choice in _choose(known, fits[:, texts], starts[scenes], starts[scenes + 1], level):
+            for scene, text, choice in _choose(
+                known, fits[:, texts], starts[scenes], starts[scenes + 1], level
+            ):
                 choices[int(texts[text])][int(scenes[scene])] = choice
     return choices
 
@@ -95,7 +99,9 @@ class _Sets:
         top = fits.amax(2, keepdim=True)
         middle = torch.where(usable[:, None], fits, torch.nan).nanmedian(2, keepdim=True).values
         mine = usable & (known.levels[rows] == level)
-        ordered, order = torch.where(mine[:, None], fits, -torch.inf).sort(dim=2, descending=True, stable=True)
+        ordered, order = torch.where(mine[:, None], fits, -torch.inf).sort(
+            dim=2, descending=True, stable=True
+        )
         ordered, order = ordered[..., : MOST_TOGETHER + 1], order[..., :MOST_TOGETHER]
         count, place = mine.sum(1)[:, None, None], torch.arange(MOST_TOGETHER + 1)
         # Behind all things of a level stands a thing like any other.

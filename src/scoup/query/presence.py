@@ -126,7 +126,8 @@ class TextScore:
             scores = [number / count for number in lower.sum(1).tolist()]
         for place, scene in enumerate(scenes if self._named else ()):
             if scene in self._named:
-                scores[place] = self._named[scene].score(scores[place], things and things[place])
+                thing = None if things is None else things[place]
+                scores[place] = self._named[scene].score(scores[place], thing)
         return scores
 
 

@@ -16,11 +16,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate, combinations, groupby, pairwise
+from itertools import accumulate, combinations, islice, pairwise
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from scoup.field.language_field import LanguageField
 from scoup.query.answer import RunnerUp
@@ -38,7 +39,6 @@ FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
 """The fit of a thing of R regions is lowered by the first / sqrt(R), as the error of a mean falls, and by the second
 times the logarithm of 1 / its stability."""
 THINGS_AT_A_TIME = 512  # whose fits to all everyday words are in memory together
-ROWS_AT_A_TIME = 4096  # of scenes whose vectors become float32 together
 
 
 class Shares(NamedTuple):
@@ -122,7 +122,7 @@ class ThingIndex:
             words=parts[0].words,
             vectors=tuple(each for part in parts for each in part.vectors),
             shares=shares,
-            known_best_fits=torch.cat([part.best_fits for part in parts]),
+            known_best_fits=pad_sequence([each for part in parts for each in part.best_fits], True),
             **{name: torch.cat([getattr(part, name) for part in parts]) for name in names},
         )
 
@@ -146,12 +146,8 @@ class ThingIndex:
 
         Each scene has a product of its own: of several together, the last bits would differ from those of one alone.
         """
-        queries, parts = queries.float().cpu().T, list[Tensor]()
-        for _, some in groupby(range(len(self.vectors)), lambda scene: self.starts[scene] // ROWS_AT_A_TIME):
-            vectors = [self.vectors[scene] for scene in some]
-            every = (vectors[0] if len(vectors) == 1 else torch.cat(vectors)).float()
-            parts += [each @ queries for each in every.split([*map(len, vectors)])]
-        return torch.cat(parts)
+        queries = queries.float().cpu().T
+        return torch.cat([each.float() @ queries for each in self.vectors])
 
     def fits(self, queries: Tensor) -> Tensor:
         """Return the fits [N, Q] float32 of all things to unit vectors [Q, D], in units of the scene's spread."""
@@ -229,9 +225,10 @@ class ThingIndex:
             scene: RunnerUp(rival, own) for (scene, rival), own in zip(rivals, of_rivals, strict=True)
         }
         scores = score.each([each.fit for _, each in made], [scene for scene, _ in made])
+        rows = [self.starts[scene] + thing for scene, each in made for thing in each.things]
+        counts = iter(self.counts[rows].tolist())
         for (scene, choice), own in zip(made, scores, strict=True):
-            size = sum(self.counts[[self.starts[scene] + thing for thing in choice.things]].tolist())
-            present = is_present(own, int(size), least)
+            present = is_present(own, int(sum(islice(counts, len(choice.things)))), least)
             verdicts[scene] = Verdict(choice.things, choice.level, own, present, runners_up.get(scene))
         return verdicts
 
