@@ -18,7 +18,7 @@ import scoup
 from cli_support import refused, run, run_json
 from mask_samples import smooth_image
 from query import planted_room as planted
-from query.planted_room import ABSENT, planted_room
+from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
@@ -85,6 +85,72 @@ def assert_answers_are_those_of(
             assert torch.equal(one.position, thing.position)
             assert torch.equal(one.box.corners(), thing.box.corners())
             assert one.to_dict()["box"] == thing.to_dict()["box"]
+
+
+@pytest.fixture(scope="module")
+def fifty(
+    fields: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, LanguageField]:
+    """Saved fields of fifty rooms: other boxes and doubtful things in each, wholes in some, names in some."""
+    folder, made = tmp_path_factory.mktemp("fifty"), {}
+    encoder = fields["office"].text_encoder()
+    for number in range(50):
+        generator = torch.Generator().manual_seed(number)
+        boxes = [box for box in ROOM if torch.rand(1, generator=generator) < 0.6] or [*ROOM]
+        field, names = planted_room(boxes), [box.name for box in boxes] + [*planted.CLUTTER]
+        if number % 3 == 0:
+            field, _ = with_whole(field, range(min(2, len(boxes))))
+            names.append(names[0])
+        table, count = field.thing_table, len(names)
+        assert table is not None
+        noise = torch.randn(count, planted.DIM, generator=generator) * 0.08
+        voted = {"mug": {0: 0.6, 1: 0.5}, "lamp": {count - 1: 0.4}, ABSENT: {}}
+        field.thing_table = replace(
+            table,
+            embeddings=unit(encoder.encode(names) + noise).half(),
+            n_regions=torch.randint(1, 9, (count,), generator=generator).int(),
+            stability=torch.rand(count, generator=generator),
+            agreement=0.7 + 0.3 * torch.rand(count, generator=generator),
+            names=names_of(voted, float(torch.rand(1, generator=generator))) if number % 5 == 0 else None,
+        )
+        field.info = replace(field.info, embedding_model="some/model")
+        field.text_encoder(encoder)
+        field.save(folder / f"room {number}.scoup")
+        made[f"room {number}"] = field
+    return made
+
+
+@pytest.fixture(scope="module")
+def many(fifty: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory) -> scoup.Archive:
+    made = scoup.Archive(tmp_path_factory.mktemp("many"), next(iter(fifty.values())).text_encoder())
+    for field in fifty.values():
+        made.add(field)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("question", "scans"),
+    [
+        ("mug", range(30, 50)),
+        ("lamp", range(20, 50)),
+        ("apple", range(20, 51)),
+        (ABSENT, range(1, 30)),
+        ("mug or ball", range(30, 51)),
+        ("mug and lamp", range(1, 50)),
+        ("pen left of the laptop", range(1, 30)),
+        ("word 3", range(1, 50)),
+    ],
+)
+def test_fifty_scans_answer_as_their_fields(
+    many: scoup.Archive, fifty: dict[str, LanguageField], question: str, scans: range
+) -> None:
+    found = many.find(question, top=10_000)
+    assert_answers_are_those_of(found, fifty, question)
+    assert len({each.scan for each in found}) in scans
+    ordered = [rank_of([each.score], lead_of(fifty[each.scan], each))[0] for each in found]
+    assert ordered == sorted(ordered, reverse=True)
+    first = [(each.scan, each.thing) for each in found]
+    assert [(each.scan, each.thing) for each in many.find(question, top=3)] == first[:3]
 
 
 def test_things_are_counted_as_in_the_fields(

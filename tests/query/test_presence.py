@@ -17,9 +17,9 @@ from scoup.base.errors import InputError
 from scoup.field.language_field import LanguageField
 from scoup.models.words import LEAST_WORDS
 from scoup.query.answer_scene import answer_scene
-from scoup.query.thing_index import thing_index
 from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, TextScore, other_words, presence_threshold
 from scoup.query.question import Question
+from scoup.query.thing_index import thing_index
 from scoup.query.votes import SampledVotes, select_each
 from support import examples, unit
 

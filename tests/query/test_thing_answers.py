@@ -16,9 +16,9 @@ from torch import Tensor
 from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
 from scoup.field.language_field import LanguageField
+from scoup.query import matching
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
-from scoup.query import matching
 from scoup.query.matching import AGREEMENT, MOST_GAP, MOST_TOGETHER, RIVAL, SAME, choose_things
 from scoup.query.thing_index import (
     FEW_REGIONS,
@@ -366,9 +366,7 @@ def test_a_threshold_of_choice_is_for_the_votes(asked: Asked) -> None:
             assert one.in_view(1).mask.equal(other.in_view(1).mask)
 
 
-def test_texts_are_answered_alike_alone_and_together(
-    asked: Asked, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_texts_are_answered_alike_alone_and_together(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there are more than one pass takes."""
     wall = asked.wall
     mixed = [unit(wall.vectors + share * wall.vectors.roll(1, 0)) for share in (0.3, 0.5, 0.7)]

@@ -232,7 +232,7 @@ class Archive:
                 levels=field.levels,
                 columns=columns,
                 row=row,
-                checksum=zlib.crc32(vectors),
+                vectors_checksum=zlib.crc32(vectors),
                 words=words_digest(index.words),
                 texts=() if table.names is None else table.names.texts,
                 arrays=arrays_of(index, table.names, placed),

@@ -159,7 +159,7 @@ class KeptScans:
             data = np.memmap(path, "<f2", "c")  # private; torch warns of what it may not write
         for scan in scans:
             rows = data[scan.row * scan.dim : (scan.row + len(scan)) * scan.dim]
-            if zlib.crc32(rows.view(np.uint8).data) != scan.checksum:
+            if zlib.crc32(rows.view(np.uint8).data) != scan.vectors_checksum:
                 problem = f"is missing, or the vectors of the scan {scan.name} in it are damaged"
                 raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
             yield scan.index(torch.from_numpy(rows.reshape(-1, scan.dim)), words, self._digest)

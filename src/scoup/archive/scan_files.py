@@ -60,7 +60,7 @@ _COLUMNS = {
 }
 _PLACE = {"position": (3,), "box_centre": (3,), "box_axes": (3, 3), "box_extent": (3,)}
 _OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
-_PLAIN = {"field": str, "embedding_model": str, "dim": int, "row": int, "checksum": int, "words": str}
+_PLAIN = {"field": str, "embedding_model": str, "dim": int, "row": int, "vectors_checksum": int, "words": str}
 """Attributes of a scan that its metadata have as they are, and their types."""
 _OF_INDEX = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "best_fits")
 _OF_NAMES = ("presence", "rows", "things", "votes")
@@ -77,7 +77,7 @@ class Scan:
     levels: tuple[str, ...]
     columns: OwnColumns
     row: int  # of the vector of its first thing in the matrix
-    checksum: int  # CRC-32 of its vectors
+    vectors_checksum: int  # CRC-32
     words: str  # digest of the everyday words that its things were compared with
     texts: tuple[str, ...]  # that a model with words looked for
     arrays: Mapping[str, Tensor]
@@ -139,11 +139,13 @@ def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
         remedy = "add its field again, or remove the file"
         raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", remedy)
     check_format_version(file, header["version"], VERSION)
-    data = base64.b64decode(header["arrays"])
-    if zlib.crc32(data) != header["arrays_checksum"]:
+    if _checksum(header) != header["checksum"]:
         raise ValueError("checksum")
     plain = {name: kind(header[name]) for name, kind in _PLAIN.items()}
-    texts, arrays = (tuple(map(str, header[name])) for name in ("levels", "texts")), load(data)
+    texts, arrays = (
+        (tuple(map(str, header[name])) for name in ("levels", "texts")),
+        load(base64.b64decode(header["arrays"])),
+    )
     levels, columns = next(texts), check_columns(header["columns"])
     if not len(arrays["levels"]) or int(arrays["levels"].max()) >= len(levels):
         raise ValueError("a thing is of an unknown level")
@@ -249,13 +251,19 @@ def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
 
 def _header(scan: Scan) -> dict[str, Any]:
     data = save({name: each.contiguous() for name, each in scan.arrays.items()})
-    return {
+    header = {
         "format": FORMAT,
         "version": VERSION,
         **{name: getattr(scan, name) for name in (*_PLAIN, "levels", "columns", "texts")},
         "arrays": base64.b64encode(data).decode(),
-        "arrays_checksum": zlib.crc32(data),
     }
+    return {**header, "checksum": _checksum(header)}
+
+
+def _checksum(header: Mapping[str, Any]) -> int:
+    """Return the CRC-32 of a header without its checksum."""
+    rest = {name: value for name, value in header.items() if name not in ("arrays", "checksum")}
+    return zlib.crc32(header["arrays"].encode(), zlib.crc32(json.dumps(rest, sort_keys=True).encode()))
 
 
 def connect(folder: Path | None = None) -> DuckDBPyConnection:
