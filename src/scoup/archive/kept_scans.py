@@ -21,6 +21,7 @@ from torch import Tensor
 
 from scoup.archive.scan_files import ENDING, Scan, read_scans
 from scoup.base.errors import FileFormatError, WriteError
+from scoup.base.existing import refuse_pointer
 from scoup.base.locks import WAIT, locked
 from scoup.query.thing_index import ThingIndex
 
@@ -154,15 +155,18 @@ class KeptScans:
             return {name: known[name][1] for name in stamps}
 
     def _compared(self, scans: Sequence[Scan], words: Tensor) -> Iterator[ThingIndex]:
-        path, data = self._folder / MATRIX, np.empty(0, "<f2")
+        path, data = self._folder / MATRIX, np.empty(0, np.uint8)
         if path.is_file() and path.stat().st_size:
-            data = np.memmap(path, "<f2", "c")  # private; torch warns of what it may not write
+            data = np.memmap(path, np.uint8, "c")  # private, for torch warns of what it may not write
         for scan in scans:
-            rows = data[scan.row * scan.dim : (scan.row + len(scan)) * scan.dim]
-            if zlib.crc32(rows.view(np.uint8).data) != scan.vectors_checksum:
+            size = 2 * scan.dim
+            rows = data[scan.row * size : (scan.row + len(scan)) * size]
+            if zlib.crc32(rows.data) != scan.vectors_checksum:
+                refuse_pointer(path)
                 problem = f"is missing, or the vectors of the scan {scan.name} in it are damaged"
                 raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
-            yield scan.index(torch.from_numpy(rows.reshape(-1, scan.dim)), words, self._digest)
+            vectors = torch.from_numpy(rows.view("<f2").reshape(-1, scan.dim))
+            yield scan.index(vectors, words, self._digest)
 
 
 def free_row(scans: Iterable[Scan], count: int) -> int:
