@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,8 +17,8 @@ from benchmarks.archive_scans import Floats, TrueScan, World
 from benchmarks.data import data_folder
 from benchmarks.embedding_kinds import KINDS
 from benchmarks.study import Record, Study
-from scoup.archive.search import rank_of
-from scoup.query.matching import ComparedTable, choose_things
+from scoup.archive.search import LEAD
+from scoup.query.matching import choose_things
 from scoup_lab.bench import markdown
 from scoup_lab.evaluate.metrics import bootstrap_interval
 
@@ -51,9 +50,8 @@ class Archives(Study):
                 if f"{kind}/{seed}" not in known:
                     scans = world.simulate(KINDS[kind], self.scans, seed)
                     yield f"{kind}/{seed}", _figures(world, scans)
-        with tempfile.TemporaryDirectory() as name:
-            if "real/0" not in known:
-                yield "real/0", _figures(world, world.real(self.data, Path(name)))
+        if "real/0" not in known:
+            yield "real/0", _figures(world, world.real(self.data))
 
     def line(self, figures: Any) -> str:
         return json.dumps({key: of for key, of in figures.items() if key != "texts"})
@@ -80,22 +78,21 @@ class Archives(Study):
 
 def _figures(world: World, scans: Sequence[TrueScan]) -> Record:
     """Return per text the figures of each rule, and the AUC of each rule over all scans and texts."""
-    queries, everyday = world.of(world.asked), world.of(world.everyday)
+    queries = world.of(world.asked)
     there = np.array([[bool(scan.boxes.get(word)) for word in world.asked] for scan in scans])
     scores = {rule: np.zeros(there.shape) for rule in RULES}
     placed = {rule: np.zeros(there.shape) for rule in RULES}
     for number, true in enumerate(scans):
-        scan = true.scan
-        known = ComparedTable.known(scan.table, everyday, scan.hubs, scan.counts, scan.shared)
+        known = true.index
         fits = known.fits(queries)
         chosen = torch.zeros_like(fits, dtype=torch.bool)
-        for text, choice in enumerate(choose_things(known, fits)):
+        for text, (choice,) in enumerate(choose_things(known, fits)):
             if choice is not None:
-                chosen[choice.things, text] = True
-        null = scan.record.best_fits.sort().values
+                chosen[[*choice.things], text] = True
+        null = known.best_fits[0].sort().values
         own = torch.searchsorted(null, fits.contiguous()).double() / len(null)
-        cosines = torch.where(known.usable[:, None], known.embeddings @ queries.T, -torch.inf).double()
-        of_things = {"own": own + 1e-6 * fits, "rank": rank_of(own, known.leads(fits))}
+        cosines = torch.where(known.usable[:, None], known.cosines(queries), -torch.inf).double()
+        of_things = {"own": own + 1e-6 * fits, "rank": own + LEAD * known.leads(fits)}
         of_things = {rule: torch.where(chosen, of, -torch.inf) for rule, of in of_things.items()}
         for rule, of in {"cosine": cosines, **of_things}.items():
             scores[rule][number], things = (each.numpy() for each in of.max(0))
@@ -112,7 +109,7 @@ def _figures(world: World, scans: Sequence[TrueScan]) -> Record:
         }
     mixed = [number for number in range(len(scans)) if there[number].any() and not there[number].all()]
     return {
-        "things": sum(len(each.scan.counts) for each in scans),
+        "things": sum(len(each.table) for each in scans),
         "AUC": {rule: auc(score[there], score[~there]) for rule, score in scores.items()},
         "AUC per scan": {
             rule: float(np.mean([auc(score[n][there[n]], score[n][~there[n]]) for n in mixed]))

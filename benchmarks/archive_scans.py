@@ -22,12 +22,12 @@ import scoup
 from benchmarks.embedding_kinds import EmbeddingKind, draw_prototypes
 from benchmarks.real_scenes import ABSENT, FOLDERS, RealScene
 from benchmarks.scenes import LAYOUTS
-from scoup.archive.archive import Archive
-from scoup.archive.read_scans import read_block, read_records
-from scoup.archive.scan_files import Scan, ScanRecord, connect
-from scoup.archive.search import words_digest
 from scoup.models.words import CANONICAL_PHRASES
-from scoup.query.matching import ComparedTable, hub_cosines
+from scoup.query.boxes import OrientedBox
+from scoup.query.question import encode_texts
+from scoup.query.thing_index import ThingIndex, shares_of, thing_index
+from scoup.query.things import Thing as ThingOfField
+from scoup.query.things import things_of_table
 from scoup.scene.things import NO_THING, ThingTable
 from scoup_lab.synthetic.art.things import Thing
 from scoup_lab.synthetic.observe import PART_OFFSET, REGION_NOISE, SURROUNDINGS, VIEW_NOISE, noise
@@ -46,12 +46,15 @@ TOLERANCE = 0.05  # of a box, as a share of its diagonal
 class TrueScan:
     """A scan, and the boxes [2, 3] of the instances of each word in it."""
 
-    scan: Scan
+    name: str
+    table: ThingTable
+    index: ThingIndex  # of it, and the everyday words
+    things: Sequence[ThingOfField]
     boxes: Mapping[str, list[Floats]]
 
     def contains(self, word: str, thing: int) -> bool:
         """Return whether a thing is in the box of an instance of a word."""
-        place = self.scan.places[thing, :3].numpy()
+        place = next(each.position.numpy() for each in self.things if each.number == thing)
         return any(
             bool(((place >= box[0] - slack) & (place <= box[1] + slack)).all())
             for box in self.boxes.get(word, [])
@@ -109,24 +112,20 @@ class World:
             maker = _Scan(things, own, kind, rng)
             maker.make()
             boxes = _boxes(zip(words, things, strict=True))
-            scans.append(TrueScan(maker.finished(f"{layout}-{number:03}", everyday), boxes))
+            scans.append(TrueScan(f"{layout}-{number:03}", *maker.finished(everyday), boxes))
         return scans
 
-    def real(self, data: Path, folder: Path) -> list[TrueScan]:
-        """Build the fields of the scenes with real models in a folder, and return them as scans."""
-        scenes = {layout: RealScene.open(f"{layout}-real", data) for layout in LAYOUTS}
-        archive = Archive(folder / "archive", scenes["table"].encoder)
-        for layout, scene in scenes.items():
-            scene.field().save(folder / f"{layout}.scoup")
-            archive.add(folder / f"{layout}.scoup")
-        connection = connect()
-        files = [archive.folder / f"{layout}.parquet" for layout in LAYOUTS]
-        block = read_block(read_records(files, connection), connection)
-        things = {layout: LAYOUTS[layout].things() for layout in LAYOUTS}
-        return [
-            TrueScan(scan, _boxes((self.meanings[layout].get(each.name), each) for each in things[layout]))
-            for scan, layout in zip(map(block.scan, range(len(files))), LAYOUTS, strict=True)
-        ]
+    def real(self, data: Path) -> list[TrueScan]:
+        """Build the fields of the scenes with real models, and return them as scans."""
+        encoder, scans = RealScene.open("table-real", data).encoder, []
+        for layout, art in LAYOUTS.items():
+            field = RealScene.open(f"{layout}-real", data).field()
+            table, index = field.thing_table, thing_index(field, encode_texts(encoder, []))
+            assert table is not None
+            assert index is not None
+            boxes = _boxes((self.meanings[layout].get(each.name), each) for each in art.things())
+            scans.append(TrueScan(layout, table, index, things_of_table(field, range(len(table))), boxes))
+        return scans
 
 
 @dataclass(eq=False)
@@ -215,8 +214,8 @@ class _Scan:
         self.stability.append(float(np.clip(stability or rng.normal(*STABILITY), 0.02, 1)))
         self.pieces.append(pieces)
 
-    def finished(self, name: str, everyday: torch.Tensor) -> Scan:
-        """Return the scan."""
+    def finished(self, everyday: torch.Tensor) -> tuple[ThingTable, ThingIndex, list[ThingOfField]]:
+        """Return the things of the scan."""
         order = np.argsort(self.levels, kind="stable")
         levels, means = np.array(self.levels)[order], np.stack(self.means)[order]
         pieces = np.stack(self.pieces)[order].astype(np.float64)
@@ -233,17 +232,18 @@ class _Scan:
             torch.from_numpy(np.sqrt(counts)).float(),
             torch.from_numpy(np.array(self.stability)[order]).float(),
         )
-        sizes, overlaps = torch.from_numpy(counts).float(), torch.from_numpy(shared).float().to_sparse()
-        hubs = hub_cosines(table, everyday)
-        best_fits = ComparedTable.known(table, everyday, hubs, sizes, overlaps).best_fits
-        file, dim, words = Path(f"{name}.parquet"), means.shape[1], words_digest(everyday)
-        record = ScanRecord(
-            name, file, f"{name}.scoup", "simulated", dim, ("s", "m", "l"), {}, len(levels), words, best_fits
-        )  # fmt: skip
-        middles = (pieces * self.sizes) @ self.middles / counts[:, None]
-        boxes = np.tile(np.append(np.eye(3), [0.1] * 3), (len(levels), 1))
-        places = torch.from_numpy(np.concatenate([middles, middles, boxes], 1))
-        return Scan(record, table, sizes, overlaps.coalesce(), hubs, places)
+        pairs = torch.from_numpy(shared).float().to_sparse()
+        rows, others = pairs.indices()
+        shares = shares_of(rows, others, pairs.values(), len(levels))
+        index = ThingIndex.counted(table, everyday, torch.from_numpy(counts).float(), shares)
+        middles = torch.from_numpy((pieces * self.sizes) @ self.middles / counts[:, None])
+        sides, none = torch.full((3,), 0.1, dtype=torch.float64), torch.zeros(0, dtype=torch.int64)
+        things = [
+            ThingOfField(n, "sml"[levels[n]], None, "", None, place, OrientedBox(place, torch.eye(3).double(), sides),
+                         none, None)
+            for n, place in enumerate(middles)
+        ]  # fmt: skip
+        return table, index, things
 
 
 def _boxes(named: Iterable[tuple[str | None, Thing]]) -> dict[str, list[Floats]]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import tempfile
 import time
+import zlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from benchmarks.archive_scans import World
 from benchmarks.data import data_folder
@@ -20,7 +21,8 @@ from benchmarks.embedding_kinds import KINDS
 from benchmarks.processes import SCOUP, run_python
 from benchmarks.study import Record, Study
 from scoup.archive.archive import ABOUT, FORMAT, VERSION, Archive
-from scoup.archive.scan_files import write_scan
+from scoup.archive.kept_scans import MATRIX, vector_bytes
+from scoup.archive.scan_files import Scan, arrays_of, write_scan
 from scoup.archive.search import words_digest
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
@@ -80,25 +82,27 @@ def _times(world: World, count: int, folder: Path) -> Record:
         "words": "words.npz",
     }
     (folder / ABOUT).write_text(json.dumps(about))
-    some = [each.scan for each in world.simulate(KINDS["clip"], SCANS, seed=7)]
-    files = [folder / f"{scan.record.name}.parquet" for scan in some]
-    encoder = TextEncoder.open(table)
+    some = world.simulate(KINDS["clip"], SCANS, seed=7)
+    encoder, seconds, total, scans = TextEncoder.open(table), list[list[float]](), 0, 0
     digest = words_digest(encoder.everyday())
-    written = [
-        _seconds(write_scan, replace(scan, record=replace(scan.record, file=file, words=digest)))
-        for scan, file in zip(some, files, strict=True)
-    ]
-    clock: Record = {"write one scan": np.median(written, 0).tolist()}
+    with (folder / MATRIX).open("wb") as matrix:
+        while total < count or scans < SCANS:
+            each = some[scans % SCANS]
+            vectors = vector_bytes(each.table.embeddings)
+            matrix.write(vectors)
+            scan = Scan(
+                file=folder / f"{each.name}-{scans:05}.parquet", field=f"{each.name}.scoup",
+                embedding_model="simulated", dim=512, levels=("s", "m", "l"), columns={}, row=total,
+                vectors_checksum=zlib.crc32(vectors), words=digest, texts=(),
+                arrays=arrays_of(each.index, None, torch.ones(len(each.table), dtype=torch.bool)),
+            )  # fmt: skip
+            seconds.append(_seconds(write_scan, scan, each.table, each.things))
+            total, scans = total + len(each.table), scans + 1
+    clock: Record = {"write one scan": np.median(seconds, 0).tolist()}
     memory: Record = {}
-    total, number = sum(len(scan.counts) for scan in some), 0
-    while total < count:
-        shutil.copy(files[number % len(some)], folder / f"copy-{number:05}.parquet")
-        total += len(some[number % len(some)].counts)
-        number += 1
     for name, command in {
         "import of torch alone": ["import torch"],
         "shell, help": [SCOUP, "archive", "--help"],
-        "shell, first search": [SCOUP, "archive", str(folder), TEXT],
         "shell": [SCOUP, "archive", str(folder), TEXT],
     }.items():
         done = run_python(*command)
@@ -108,13 +112,14 @@ def _times(world: World, count: int, folder: Path) -> Record:
     clock["first text"] = _seconds(archive.find, TEXT)
     for name in ("further texts", "same texts again"):
         clock[name] = np.median([_seconds(archive.find, text) for text in world.asked[:5]], 0).tolist()
-    os.utime(files[0])
+    first = sorted(folder.glob("*.parquet"))[0]
+    os.utime(first)
     clock["a text after one scan was added"] = _seconds(archive.find, TEXT)
-    clock["remove one scan"] = _seconds(archive.remove, files[0].stem)
-    size = sum(file.stat().st_size for file in folder.glob("*.parquet"))
+    clock["remove one scan"] = _seconds(archive.remove, first.stem)
+    size = sum(file.stat().st_size for file in (folder / MATRIX, *folder.glob("*.parquet")))
     return {
         "things": total,
-        "scans": number + len(some),
+        "scans": scans,
         "files in MB": size / 1e6,
         "memory in MB": memory,
         "seconds": clock,

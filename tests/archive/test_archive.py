@@ -18,18 +18,19 @@ import scoup
 from cli_support import refused, run, run_json
 from mask_samples import smooth_image
 from query import planted_room as planted
-from query.planted_room import ABSENT, planted_room
+from query.planted_room import ABSENT, ROOM, planted_room, with_whole
 from query.test_named import BALL, LAMP, LAPTOP, MUG, names_of
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
 from scoup.archive.results_page import results_page
-from scoup.archive.search import ImageSearch, Search
+from scoup.archive.search import look_alikes, rank_of
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.models.image import open_image_model
 from scoup.models.word_table import save_table
 from scoup.query.language_field import LanguageField
 from scoup.query.presence import LIKELY
+from scoup.query.thing_index import ThingIndex, shares_of, thing_index
 from scoup.scene.names import NameTable
 from support import altered, unit
 
@@ -59,15 +60,15 @@ def test_answers_are_those_of_the_fields(
             (each.scan, each.thing) for each in found[:top]
         ]
     assert bool(found) == (question != ABSENT)
-    encoder = archive.text_encoder()
-    search = Search.of(question, encoder, encoder.encode, False, None)
-    ranks = {}
-    for bound, asked in archive._ranked(search, archive._chosen(None)):
-        mine = {(asked.scan.record.name, thing): asked.rank(thing, text)[1] for thing, text in asked.things()}
-        assert all(rank < bound for rank in mine.values())
-        ranks |= mine
-    ordered = [ranks[each.scan, each.thing] for each in found]
+    ordered = [rank_of([each.score], lead_of(fields[each.scan], each))[0] for each in found]
     assert ordered == sorted(ordered, reverse=True)
+
+
+def lead_of(field: LanguageField, found: FoundThing) -> torch.Tensor:
+    question = field.question(found.text)
+    index = thing_index(field, question)
+    assert index is not None
+    return index.leads(index.fits(question.queries))[found.thing]
 
 
 def assert_answers_are_those_of(
@@ -85,6 +86,72 @@ def assert_answers_are_those_of(
             assert torch.equal(one.position, thing.position)
             assert torch.equal(one.box.corners(), thing.box.corners())
             assert one.to_dict()["box"] == thing.to_dict()["box"]
+
+
+@pytest.fixture(scope="module")
+def fifty(
+    fields: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, LanguageField]:
+    """Saved fields of fifty rooms: other boxes and doubtful things in each, wholes in some, names in some."""
+    folder, made = tmp_path_factory.mktemp("fifty"), {}
+    encoder = fields["office"].encoder
+    for number in range(50):
+        generator = torch.Generator().manual_seed(number)
+        boxes = [box for box in ROOM if torch.rand(1, generator=generator) < 0.6] or [*ROOM]
+        field, names = planted_room(boxes), [box.name for box in boxes] + [*planted.CLUTTER]
+        if number % 3 == 0:
+            field, _ = with_whole(field, range(min(2, len(boxes))))
+            names.append(names[0])
+        table, count = field.thing_table, len(names)
+        assert table is not None
+        noise = torch.randn(count, planted.DIM, generator=generator) * 0.08
+        voted = {"mug": {0: 0.6, 1: 0.5}, "lamp": {count - 1: 0.4}, ABSENT: {}}
+        table = replace(
+            table,
+            embeddings=unit(encoder.encode(names) + noise).half(),
+            n_regions=torch.randint(1, 9, (count,), generator=generator).int(),
+            stability=torch.rand(count, generator=generator),
+            agreement=0.7 + 0.3 * torch.rand(count, generator=generator),
+            names=names_of(voted, float(torch.rand(1, generator=generator))) if number % 5 == 0 else None,
+        )
+        info = replace(field.info, embedding_model="some/model")
+        field = field.changed(field.gaussians, thing_table=table, info=info).with_encoder(encoder)
+        field.save(folder / f"room {number}.scoup")
+        made[f"room {number}"] = field
+    return made
+
+
+@pytest.fixture(scope="module")
+def many(fifty: dict[str, LanguageField], tmp_path_factory: pytest.TempPathFactory) -> scoup.Archive:
+    made = scoup.Archive(tmp_path_factory.mktemp("many"), next(iter(fifty.values())).encoder)
+    for field in fifty.values():
+        made.add(field)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("question", "scans"),
+    [
+        ("mug", range(30, 50)),
+        ("lamp", range(20, 50)),
+        ("apple", range(20, 51)),
+        (ABSENT, range(1, 30)),
+        ("mug or ball", range(30, 51)),
+        ("mug and lamp", range(1, 50)),
+        ("pen left of the laptop", range(1, 30)),
+        ("word 3", range(1, 50)),
+    ],
+)
+def test_fifty_scans_answer_as_their_fields(
+    many: scoup.Archive, fifty: dict[str, LanguageField], question: str, scans: range
+) -> None:
+    found = many.find(question, top=10_000)
+    assert_answers_are_those_of(found, fifty, question)
+    assert len({each.scan for each in found}) in scans
+    ordered = [rank_of([each.score], lead_of(fifty[each.scan], each))[0] for each in found]
+    assert ordered == sorted(ordered, reverse=True)
+    first = [(each.scan, each.thing) for each in found]
+    assert [(each.scan, each.thing) for each in many.find(question, top=3)] == first[:3]
 
 
 def test_things_are_counted_as_in_the_fields(
@@ -142,20 +209,25 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     assert_answers_are_those_of(archive.find("lamp"), {"named": field}, "lamp")
 
 
-def test_scans_and_things_are_chosen_by_their_columns(archive: scoup.Archive) -> None:
+def test_scans_and_things_are_chosen_by_their_columns(
+    archive: scoup.Archive, fields: dict[str, LanguageField]
+) -> None:
     found = archive.find("lamp", where="floor >= 1 and city = 'Graz'")
     assert {each.scan for each in found} == {"kitchen", "hall"}
     assert found[0].columns == {"floor": int(found[0].scan == "hall") + 1, "city": "Graz"}
     assert archive.find("lamp", where="gaussians > 1000") == []
     assert {each.scan for each in archive.find("mug", at_least=3)} == {"kitchen"}
-    assert [each.scan for each in archive.find("mug", at_least=2)] == ["kitchen"] * 3 + ["office"] * 2
-    assert len(archive.find("mug", at_least=2, top=1)) == 3
-    assert archive.find("mug", at_least=4) == []
-    both = archive.find("mug and lamp", at_least=1)
-    assert {(each.scan, each.thing) for each in both} == {
-        (each.scan, each.thing) for each in archive.find("mug or lamp", top=1000)
-    }
-    assert {each.text for each in both} == {"mug", "lamp"}
+    for question in ("mug", "mug or lamp", "mug and lamp"):
+        things = {name: field.things(question) for name, field in fields.items()}
+        enough = sorted(name for name in things if len(things[name]) >= 2)
+        enough.sort(key=lambda name: -len(things[name]))
+        assert [(each.scan, each.thing) for each in archive.find(question, at_least=2)] == [
+            (name, thing.number) for name in enough for thing in things[name]
+        ]
+        most = len(things[enough[0]]) if enough else 0
+        assert len(archive.find(question, at_least=2, top=1)) == most
+        assert archive.find(question, at_least=most + 1) == []
+    assert len(archive.find("mug", at_least=3)) == 3
     assert len(found[0].field()) == len(LanguageField.load(found[0].field_path))
 
 
@@ -274,15 +346,17 @@ def test_an_image_finds_what_looks_like_it(tmp_path: Path, monkeypatch: pytest.M
         with pytest.raises(InputError, match=said):
             tool(**arguments)
     # What a lamp is a part of, and its parts, are left out.
-    ((block, number),) = archive._kept.places().values()
-    scan = archive._kept.scan(block, number)
+    index = ThingIndex.of(field.thing_table, encoder.everyday())
+    every = torch.arange(len(index.counts))
     for pair in ((LAMP, MUG), (MUG, LAMP)):
-        shares = scan.shared.to_dense()
-        shares[pair] = shares[pair[::-1]] = scan.counts[pair[0]] * 0.6
-        sizes = scan.counts.clone()
+        shared = index.shared(every, every >= 0, len(every))
+        shared[pair] = shared[pair[::-1]] = index.counts[pair[0]] * 0.6
+        sizes = index.counts.clone()
         sizes[pair[1]] *= 10
-        nested = replace(scan, shared=shares.to_sparse().coalesce(), counts=sizes)
-        things = [thing for thing, _ in ImageSearch("", vectors[LAMP].float()).ask(nested).things()]
+        pairs = shared.to_sparse()
+        shares = shares_of(pairs.indices()[0], pairs.indices()[1], pairs.values(), len(every))
+        nested = replace(index, shares=shares, counts=sizes)
+        things = [found.thing for found in look_alikes(nested, vectors[LAMP].float(), "")]
         assert (LAMP in things, MUG in things, BALL in things) == (True, False, True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import threading
 import time
@@ -15,10 +16,12 @@ import pytest
 import torch
 
 import scoup
+from query import planted_room as planted
 from query.planted_room import planted_room
+from scoup.archive import archive as archive_module
 from scoup.archive import kept_scans
-from scoup.archive.read_scans import ScanBlock, read_block, read_records
-from scoup.archive.scan_files import ScanRecord
+from scoup.archive.kept_scans import MATRIX, KeptScans
+from scoup.archive.scan_files import Scan, read_scans
 from scoup.base.errors import FileFormatError, InputError, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.query.language_field import LanguageField
@@ -39,6 +42,7 @@ def test_a_scan_is_replaced_and_removed(
         "archive.json",
         "hall.parquet",
         "kitchen.parquet",
+        MATRIX,
     ]
     with pytest.raises(UnknownNameError, match="no scan named 'ofice'"):
         archive.remove("ofice")
@@ -54,12 +58,14 @@ def test_what_has_not_changed_is_read_once(
 ) -> None:
     read: list[list[str]] = []
 
-    def reading(records: Sequence[ScanRecord], connection: Any) -> ScanBlock:
-        read.append([record.name for record in records])
-        time.sleep(0.1)  # other threads wait
-        return read_block(records, connection)
+    def reading(files: Sequence[Path], connection: Any) -> list[Scan]:
+        if files:
+            read.append([file.stem for file in files])
+            time.sleep(0.1)  # other threads wait
+        return read_scans(files, connection)
 
-    monkeypatch.setattr(kept_scans, "read_block", reading)
+    archive = scoup.Archive(archive.folder)
+    monkeypatch.setattr(kept_scans, "read_scans", reading)
     run_threads([partial(archive.find, "mug", where) for where in (None, "floor = 1", None)])
     archive.add(fields["hall"], floor=7)
     archive.find("mug")
@@ -68,41 +74,65 @@ def test_what_has_not_changed_is_read_once(
     assert read == [["hall", "kitchen", "office"], ["hall"]]
 
 
-def test_what_was_read_of_many_scans_is_kept(
+def rows_of(archive: scoup.Archive) -> dict[str, range]:
+    return {name: range(scan.row, scan.row + len(scan)) for name, scan in archive.scans().items()}
+
+
+def test_rows_of_scans_that_left_are_used_again(
+    archive: scoup.Archive, fields: dict[str, LanguageField]
+) -> None:
+    matrix = archive.folder / MATRIX
+    wanted, before, size = found_by(archive), rows_of(archive), matrix.stat().st_size
+    assert size == 2 * planted.DIM * sum(map(len, before.values()))
+    archive.remove("office")
+    archive.add(fields["hall"])  # does not fit before the end, nor over its own rows
+    assert rows_of(archive)["hall"] == before["office"][: len(before["hall"])]
+    archive.add(fields["office"], floor=0, city="Graz")
+    archive.add(fields["hall"], floor=2)
+    every = [row for rows in rows_of(archive).values() for row in rows]
+    assert len({*every}) == len(every)
+    assert matrix.stat().st_size <= 2 * size
+    assert found_by(archive) == found_by(scoup.Archive(archive.folder)) == wanted
+
+
+def found_by(archive: scoup.Archive) -> list[dict[str, Any]]:
+    return [each.to_dict() for each in archive.find("mug")]
+
+
+def test_a_killed_writer_leaves_an_archive_that_answers(
     archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept_scans, "LEAST_KEPT", 1)
-    kept, wanted = archive.folder / kept_scans.KEPT, [each.to_dict() for each in archive.find("mug")]
-    read: list[int] = []
-    monkeypatch.setattr(
-        kept_scans, "read_block", lambda *given: read.append(len(given[0])) or read_block(*given)
-    )
+    wanted = found_by(archive)
+    for step in ("write_vectors", "write_scan"):
 
-    def found() -> list[dict[str, Any]]:
-        return [each.to_dict() for each in scoup.Archive(archive.folder).find("mug")]
+        def killed(*given: Any) -> None:
+            raise KeyboardInterrupt
 
-    assert (found(), read) == (wanted, [])
-    for damage in (lambda: flipped(kept, 5000), lambda: flipped(kept, 9), lambda: kept.write_bytes(b"")):
-        damage()
-        assert (found(), read.pop()) == (wanted, 3)
-        assert (found(), read) == (wanted, [])
-    monkeypatch.setattr(kept_scans, "VERSION", 9)
-    assert (found(), read.pop()) == (wanted, 3)
-    size = kept.stat().st_size
-    archive.remove("hall")
-    assert found() == [each for each in wanted if each["scan"] != "hall"]
-    assert kept.stat().st_size < size
+        with monkeypatch.context() as patch:
+            patch.setattr(KeptScans if step == "write_vectors" else archive_module, step, killed)
+            with pytest.raises(KeyboardInterrupt):
+                archive.add(fields["office"], floor=9)
+        assert found_by(archive) == found_by(scoup.Archive(archive.folder)) == wanted
     archive.add(fields["office"], floor=9)
-    assert {each["columns"]["floor"] for each in found()} == {1, 9}
-    assert (read, kept.stat().st_size < size) == ([1], True)
-    warm = scoup.Archive(archive.folder)
-    assert warm.find("mug")
-    kept.unlink()
-    kept.mkdir()  # cannot be written
-    assert ({each["scan"] for each in found()}, read) == ({"kitchen", "office"}, [1, 2])
-    for name in ("kitchen", "office"):
-        archive.remove(name)
-    assert (warm.find("mug"), found()) == ([], [])
+    assert {each["columns"]["floor"] for each in found_by(archive) if each["scan"] == "office"} == {9}
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
+def test_a_damaged_matrix_is_named_and_written_again(
+    archive: scoup.Archive, fields: dict[str, LanguageField], damage: str
+) -> None:
+    wanted, matrix = found_by(archive), archive.folder / MATRIX
+    data = bytearray(matrix.read_bytes())
+    data[len(data) // 2] ^= 1
+    matrix.unlink() if damage == "remove" else matrix.write_bytes(
+        data if damage == "flip" else cut(bytes(data))
+    )
+    with pytest.raises(FileFormatError, match=r"vectors\.f16: .* scan \w+ in it are damaged; add the field"):
+        scoup.Archive(archive.folder).find("mug")
+    assert set(scoup.Archive(archive.folder).scans()) == set(fields)
+    for floor, name in enumerate(fields):
+        archive.add(fields[name], floor=floor, city="Graz")
+    assert found_by(scoup.Archive(archive.folder)) == wanted
 
 
 def run_threads(calls: Sequence[Callable[[], Any]]) -> None:
@@ -113,17 +143,10 @@ def run_threads(calls: Sequence[Callable[[], Any]]) -> None:
         thread.join()
 
 
-def flipped(path: Path, place: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[place] ^= 1
-    path.write_bytes(data)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no file that is open")
 def test_threads_ask_while_scans_are_removed_and_replaced(
-    archive: scoup.Archive, fields: dict[str, LanguageField], monkeypatch: pytest.MonkeyPatch
+    archive: scoup.Archive, fields: dict[str, LanguageField]
 ) -> None:
-    monkeypatch.setattr(kept_scans, "LEAST_KEPT", 1)
     files = sorted(archive.folder.glob("*.parquet"))[:2]
     contents = [file.read_bytes() for file in files]
     done, errors = threading.Event(), list[Exception]()
@@ -158,12 +181,13 @@ def test_scans_are_listed_again_if_one_has_gone(
 ) -> None:
     gone = ["office"]
 
-    def reading(files: Sequence[Path], connection: Any) -> list[ScanRecord]:
+    def reading(files: Sequence[Path], connection: Any) -> list[Scan]:
         while gone:
             (archive.folder / f"{gone.pop()}.parquet").unlink()
-        return read_records(files, connection)
+        return read_scans(files, connection)
 
-    monkeypatch.setattr(kept_scans, "read_records", reading)
+    archive = scoup.Archive(archive.folder)
+    monkeypatch.setattr(kept_scans, "read_scans", reading)
     assert set(archive.scans()) == {"hall", "kitchen"}
     gone.append("hall")
     assert {each.scan for each in archive.find("mug")} == {"kitchen"}
@@ -194,7 +218,7 @@ def test_things_are_of_the_files_that_a_condition_holds_for(
     monkeypatch.setattr(scoup.Archive, "_matching", matching_meanwhile)
     found = archive.find("lamp", "floor != 1")
     assert {each.scan: each.columns["floor"] for each in found} == {"office": 7, "hall": 2}
-    assert asked == [["hall", "kitchen", "office"], ["office"]]
+    assert asked == [["hall", "kitchen", "office"]] * 2
     floors.append(1)
     assert {each.scan for each in archive.find("lamp", "floor != 1")} == {"hall"}
 
@@ -245,21 +269,29 @@ def cut(data: bytes) -> bytes:
     return data[: len(data) // 2]
 
 
+def changed_header(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
+    """Rewrite a scan with other metadata."""
+
+    def changed(header: dict[str, Any]) -> dict[str, Any]:
+        change(header)
+        return header
+
+    return lambda path: rewrite(path, "", changed)
+
+
 def other_parquet(column: str) -> Callable[[Path], None]:
     """Rewrite a scan with a column changed, and its metadata as they were."""
+    return lambda path: rewrite(path, column, lambda header: header)
 
-    def change(path: Path) -> None:
-        import duckdb
 
-        connection = duckdb.connect()
-        (metadata,) = connection.execute(f"SELECT value FROM parquet_kv_metadata('{path}')").fetchone() or (
-            b"",
-        )
-        connection.execute(f"CREATE TABLE t AS SELECT * {column} FROM read_parquet('{path}')")
-        text = metadata.decode().replace("'", "''")
-        connection.execute(f"COPY t TO '{path}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})")
+def rewrite(path: Path, column: str, changed: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    import duckdb
 
-    return change
+    connection = duckdb.connect()
+    (metadata,) = connection.execute(f"SELECT value FROM parquet_kv_metadata('{path}')").fetchone() or (b"",)
+    connection.execute(f"CREATE TABLE t AS SELECT * {column} FROM read_parquet('{path}')")
+    text = json.dumps(changed(json.loads(metadata))).replace("'", "''")
+    connection.execute(f"COPY t TO '{path}' (FORMAT parquet, KV_METADATA {{scoup: '{text}'}})")
 
 
 @pytest.mark.parametrize(
@@ -270,17 +302,17 @@ def other_parquet(column: str) -> Callable[[Path], None]:
         lambda path: path.write_bytes(path.read_bytes().replace(b'"levels": ["m"]', b'"levels": ["z"]')),
         lambda path: path.write_bytes(path.read_bytes().replace(b'"scoup scan"', b'"scoup scar"')),
         lambda path: path.write_bytes(path.read_bytes().replace(b'"version": 1', b'"version": 9')),
-        other_parquet("EXCLUDE (vector)"),
-        other_parquet("REPLACE (vector[:5] AS vector)"),
-        other_parquet("REPLACE ([NULL] AS vector)"),
-        other_parquet("REPLACE (thing + 1 AS thing)"),
-        other_parquet("REPLACE (999 AS parent)"),
-        other_parquet("REPLACE ('NaN'::FLOAT AS hub)"),
-        other_parquet("REPLACE (-1 AS gaussians)"),
-        other_parquet("REPLACE (NULL AS gaussians)"),
-        other_parquet("REPLACE ('text' AS stability)"),
+        changed_header(lambda header: header.pop("arrays")),
+        changed_header(lambda header: header.update(arrays=header["arrays"][:-8])),
+        changed_header(lambda header: header.update(arrays=header["arrays"].replace("A", "B"))),
+        changed_header(lambda header: header.update(levels=[])),
+        changed_header(lambda header: header.update(texts=["mug"])),
+        changed_header(lambda header: header.update(columns={"Floor": 1})),
+        other_parquet("EXCLUDE (position)"),
         other_parquet("REPLACE ([1.0, 2.0] AS position)"),
-        other_parquet("REPLACE ([{'thing': 99999, 'gaussians': 1}] AS shares)"),
+        other_parquet("REPLACE (NULL AS box_axes)"),
+        other_parquet("REPLACE ('text' AS box_extent)"),
+        other_parquet("REPLACE (thing + 100 AS thing)"),
     ],
 )
 def test_a_damaged_scan_is_named_and_replaced(

@@ -23,7 +23,7 @@ def test_simulated_scans_are_told_apart(data_folder: Path) -> None:
     world = World.open(data_folder)
     first, scans = (world.simulate(KINDS["desk"], 6, seed=100) for _ in range(2))
     assert all(
-        (one.scan.table.embeddings == other.scan.table.embeddings).all()
+        (one.table.embeddings == other.table.embeddings).all()
         for one, other in zip(first, scans, strict=True)
     )
     figures = _figures(world, scans)

@@ -247,6 +247,7 @@ READERS: Mapping[str, Reader] = {
     "words.safetensors": _words("words.safetensors", "joined.safetensors", containers=(of.SAFETENSORS,)),
     "archive.json": _archive("archive.json"),
     "scan of an archive": _archive("field.parquet", of.PARQUET),
+    "matrix of an archive": _archive("vectors.f16"),
     "labels": Reader("labels/frame_1.json", lambda folder: read_labels(folder / "labels"), (), (), MASKS),
     "png": _picture("a.png", "grey.png", "palette.png", "deep.png", "bits.png", "empty.png", containers=(of.PNG,)),
     "jpg": _picture("a.jpg", "progressive.jpg"),

@@ -16,10 +16,11 @@ from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
 from scoup.base.errors import InputError
 from scoup.models.text import TextEncoder, everyday_vocabulary
 from scoup.query.language_field import LanguageField
-from scoup.query.matching import Choice, compare_things
+from scoup.query.matching import Choice
 from scoup.query.named import AGREES, FIELD_POWER, TOGETHER, Named, joined
 from scoup.query.presence import LIKELY
 from scoup.query.refine import choose_views, refine
+from scoup.query.thing_index import thing_index
 from scoup.scene.cameras import Cameras
 from scoup.scene.names import Detections, NameTable
 from scoup.uplift.constants import EVEN_SCORE
@@ -90,14 +91,14 @@ def test_things_that_fit_badly_are_lowered() -> None:
     """Two things with equal votes: the one that fits the text like the median thing counts less than half as much."""
     field = planted_room()
     question = field.question("mug")
-    known = compare_things(field, question)
+    known = thing_index(field, question)
     assert known is not None
     fits = torch.full((len(known.counts),), 1.0)
     fits[[LAMP, BALL, MUG]] = torch.tensor([4.5, 1.0, 5.0])
     votes = torch.zeros(len(fits))
     votes[[LAMP, BALL]] = 0.5
-    chosen = joined(known, Choice(torch.tensor([MUG]), 5.0, None), fits, votes)
-    assert chosen.things.tolist() == [LAMP]
+    chosen = joined(Choice((MUG,), 0, 5.0, None), votes, known.levels, known.usable, fits)
+    assert chosen.things == (LAMP,)
     assert (chosen.runner_up, chosen.fit) == (MUG, 4.5)
 
 

@@ -17,9 +17,9 @@ from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
 from scoup.query.answer_scene import answer_scene
 from scoup.query.language_field import LanguageField
-from scoup.query.matching import compare_things
 from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, TextScore, other_words, presence_threshold
 from scoup.query.question import Question
+from scoup.query.thing_index import thing_index
 from scoup.query.votes import SampledVotes, select_each
 from support import examples, unit
 
@@ -29,7 +29,7 @@ from support import examples, unit
 def test_the_score_is_the_share_of_words_that_fit_worse(words: list[tuple[int, bool]], fit: int) -> None:
     best_fits = torch.tensor([float(value) for value, _ in words])
     counted = [value for value, counts in words if counts]
-    found = TextScore(best_fits, torch.tensor([counts for _, counts in words], dtype=torch.bool))(fit)
+    found = TextScore(best_fits[None], torch.tensor([counts for _, counts in words], dtype=torch.bool))(fit)
     assert found == (sum(value < fit for value in counted) / len(counted) if counted else None)
 
 
@@ -55,9 +55,9 @@ def share_below(fit: float, best: list[float], counts: list[bool]) -> float:
 
 def literal_scores(field: LanguageField, question: Question) -> list[float]:
     """The best fit of each word with a thing that it does not name, then the share below each text's."""
-    known = compare_things(field, question)
+    known = thing_index(field, question)
     assert known is not None
-    vectors = known.embeddings
+    (vectors,) = known.vectors
     fits = known.fits(question.everyday)
     best = []
     for number in range(len(question.everyday)):

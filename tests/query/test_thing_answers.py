@@ -15,24 +15,19 @@ from torch import Tensor
 
 from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
+from scoup.query import matching
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.language_field import LanguageField, build
-from scoup.query.matching import (
-    AGREEMENT,
+from scoup.query.matching import AGREEMENT, MOST_GAP, MOST_TOGETHER, RIVAL, SAME, choose_things
+from scoup.query.thing_index import (
     FEW_REGIONS,
     HUB_QUANTILE,
     HUB_SHARE,
     LEAST_STABILITY,
-    MOST_GAP,
-    MOST_TOGETHER,
-    RIVAL,
-    SAME,
-    TEXTS_AT_A_TIME,
     UNSTABLE,
-    ComparedTable,
-    choose_things,
-    compare_things,
+    ThingIndex,
+    thing_index,
 )
 from scoup.scene.things import NO_THING, ThingTable
 from support import altered, examples, things_of, unit
@@ -46,8 +41,8 @@ def planted_table(owners: Tensor, levels: Tensor, mass: Tensor | None = None) ->
     return things_of(owners, levels, random_vectors(len(levels), 8), mass=mass)
 
 
-def compared(things: ThingTable) -> ComparedTable:
-    return ComparedTable.of(things, random_vectors(4, 8, seed=1))
+def compared(things: ThingTable) -> ThingIndex:
+    return ThingIndex.of(things, random_vectors(4, 8, seed=1))
 
 
 Scored = tuple[float, list[int], int | None]
@@ -100,14 +95,14 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
 
 
 def check_choice(things: ThingTable, fits: Tensor, level: int | None) -> None:
-    for query, found in enumerate(choose_things(compared(things), fits, level)):
+    for query, (found,) in enumerate(choose_things(compared(things), fits, level)):
         expected = literal_sets(things, fits[:, query].tolist(), level)
         if not expected:
             assert found is None
             continue
         assert found is not None
         best = max(score for score, _, _ in expected)
-        chosen = found.things.tolist()
+        chosen = [*found.things]
         near = {tuple(each): rival for score, each, rival in expected if score > best - 1e-4}
         assert tuple(chosen) in near
         rival = near[tuple(chosen)]
@@ -149,6 +144,21 @@ def test_the_choice_is_that_of_the_rule(some: tuple[ThingTable, Tensor, int | No
     check_choice(*some)
 
 
+@settings(max_examples=examples(100))
+@given(st.lists(tables(), min_size=2, max_size=6), st.sampled_from([1, 20, 1000]), st.sampled_from([None, 1]))
+def test_many_scenes_are_judged_as_each_alone(
+    some: list[tuple[ThingTable, Tensor, int | None]], at_a_time: int, level: int | None
+) -> None:
+    every, fits = [compared(things) for things, _, _ in some], [fits for _, fits, _ in some]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(matching, "FITS_AT_A_TIME", at_a_time)
+        together = choose_things(ThingIndex.joined(every), torch.cat(fits), level)
+    alone = [choose_things(one, mine, level) for one, mine in zip(every, fits, strict=True)]
+    assert [[vars(each) if each else None for each in row] for row in together] == [
+        [vars(row[text][0]) if row[text][0] else None for row in alone] for text in range(3)
+    ]
+
+
 def chosen_of(fits: Sequence[Sequence[float]], sizes: Sequence[Sequence[int]], **options) -> list[int] | None:
     """What is chosen of the things of each level, whose Gaussians of these numbers lie side by side."""
     total = max(map(sum, sizes))
@@ -160,9 +170,9 @@ def chosen_of(fits: Sequence[Sequence[float]], sizes: Sequence[Sequence[int]], *
         first += len(counts)
     things = planted_table(owners, torch.tensor(levels), options.pop("mass", None))
     every = torch.tensor([fit for level in fits for fit in level])[:, None]
-    (found,) = choose_things(compared(things), every, **options)
+    ((found,),) = choose_things(compared(things), every, **options)
     check_choice(things, every, options.get("level"))
-    return None if found is None else found.things.tolist()
+    return None if found is None else [*found.things]
 
 
 def test_a_set_with_a_gap_behind_it_answers() -> None:
@@ -254,7 +264,7 @@ def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
         (texts, texts.everyday),
         (replace(texts, everyday=texts.everyday[:3]), texts.canonical),  # too few to tell
     ):
-        known = compare_things(asked.field, question)
+        known = thing_index(asked.field, question)
         assert known is not None
         fits = known.fits(texts.queries)
         for number, vector in enumerate(things.embeddings.double()):
@@ -268,7 +278,7 @@ def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
 
 
 def test_things_share_gaussians(asked: Asked) -> None:
-    known, owners = compare_things(asked.field, asked.wall.texts), asked.things.owners.tolist()
+    known, owners = thing_index(asked.field, asked.wall.texts), asked.things.owners.tolist()
     assert known is not None
     expected = torch.zeros(len(asked.things), len(asked.things))
     for own in owners:
@@ -276,7 +286,11 @@ def test_things_share_gaussians(asked: Asked) -> None:
         for one in there:
             for other in there:
                 expected[one, other] += 1
-    assert known.shared.to_dense().equal(expected)
+    every = torch.arange(len(expected))
+    assert known.shared(every, every >= 0, len(every)).equal(expected)
+    assert known.shares.pairs() == [
+        (one, other, float(expected[one, other])) for one, other in expected.nonzero().tolist()
+    ]
     assert known.counts.equal(expected.diag())
 
 
@@ -285,23 +299,23 @@ def test_as_many_things_as_files_contain_fit_as_many_words_as_tables_contain() -
     count = 17_000
     things = planted_table(torch.full((1, 1), NO_THING), torch.zeros(count))
     things = replace(things, embeddings=random_vectors(count, 4).half())
-    known = ComparedTable.of(things, random_vectors(1000, 4, seed=1))
+    known = ThingIndex.of(things, random_vectors(1000, 4, seed=1))
     assert known.fits(random_vectors(1, 4)).shape == (count, 1)
-    assert known.best_fits.shape == (1000,)
+    assert known.best_fits.shape == (1, 1000)
 
 
 def test_a_field_compares_its_things_with_words_once(asked: Asked) -> None:
     field, texts = asked.field, asked.wall.texts
-    first = compare_things(field, texts)
-    assert compare_things(field, texts.one(1)) is first
-    few = compare_things(field, replace(texts, everyday=texts.everyday[:3]))
-    copied = compare_things(copy.deepcopy(field), texts)
+    first = thing_index(field, texts)
+    assert thing_index(field, texts.one(1)) is first
+    few = thing_index(field, replace(texts, everyday=texts.everyday[:3]))
+    copied = thing_index(copy.deepcopy(field), texts)
     assert few is not first
     assert copied is not None
     assert copied is not first
     assert first is not None
     assert torch.equal(copied.best_fits, first.best_fits)
-    assert compare_things(asked.bare, texts) is None
+    assert thing_index(asked.bare, texts) is None
 
 
 # Answers.
@@ -352,14 +366,15 @@ def test_a_threshold_of_choice_is_for_the_votes(asked: Asked) -> None:
             assert shown[0].mask.equal(shown[1].mask)
 
 
-def test_texts_are_answered_alike_alone_and_together(asked: Asked) -> None:
+def test_texts_are_answered_alike_alone_and_together(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there are more than one pass takes."""
     wall = asked.wall
     mixed = [unit(wall.vectors + share * wall.vectors.roll(1, 0)) for share in (0.3, 0.5, 0.7)]
     queries = torch.cat([wall.vectors, *mixed, random_vectors(5, DIM, seed=3)])
     names = tuple(f"word {number}" for number in range(len(queries)))
     texts = replace(wall.texts, texts=names, queries=queries, present_from=0.4)
-    assert len(queries) > TEXTS_AT_A_TIME + 1
+    monkeypatch.setattr(matching, "FITS_AT_A_TIME", 5 * len(asked.things))
+    assert len(queries) > 6
     for field in (asked.field, asked.bare):
         in_scene = answer_scene(field, texts)
         for number, (place, seen) in enumerate(zip(in_scene, field.at(3).answer(texts), strict=True)):

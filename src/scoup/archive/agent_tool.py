@@ -16,7 +16,7 @@ from scoup.io.images import ANY_PIXELS
 from scoup.models.text import LONGEST
 
 MOST_FOUND = 200
-"""Things, or with a least number of instances scans, in one reply."""
+"""Things, or with a least number of things scans, in one reply."""
 
 
 def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
@@ -35,7 +35,7 @@ def archive_tool(archive: Archive) -> Callable[..., dict[str, Any]]:
 
         `text` is a name ("fire extinguisher") or a phrase, as for `find`. `where` is a condition in SQL over the
         columns of the scans and things ("floor = 2 and gaussians > 100"). `at_least` keeps scans with so many
-        instances. Positions are in the units of each scan. In place of `text`, `image` is a picture of one object: a
+        things that answer. Positions are in the units of each scan. In place of `text`, `image` is a picture of one object: a
         JPEG or PNG of up to 45 kB in base64. The score is then the cosine with it.
         """
         if not (image or text.strip()) or len(text) > LONGEST or not 1 <= limit <= MOST_FOUND:

@@ -6,12 +6,13 @@ import heapq
 import json
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import lru_cache
 from importlib.util import find_spec
-from itertools import chain
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -21,17 +22,25 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from scoup.archive.kept_scans import KeptScans, Place, file_of, scan_names
+from scoup.archive.kept_scans import KeptScans, file_of, free_row, scan_names, vector_bytes
 from scoup.archive.scan_files import (
-    PLACE,
     OwnColumns,
     Scan,
-    ScanRecord,
+    arrays_of,
     check_columns,
     connect,
+    read_places,
     write_scan,
 )
-from scoup.archive.search import Asked, Encode, ImageSearch, Search, UnaskedScanError, words_digest
+from scoup.archive.search import (
+    AskedScans,
+    Encode,
+    Found,
+    Search,
+    UnaskedScanError,
+    look_alikes,
+    words_digest,
+)
 from scoup.base.arguments import PATH, check_arguments
 from scoup.base.atomic import write_text
 from scoup.base.errors import (
@@ -44,24 +53,24 @@ from scoup.base.errors import (
     check_format_version,
     looked_up,
 )
-from scoup.base.locks import WAIT, locked
+from scoup.base.locks import WAIT
 from scoup.base.records import rounded_vector
 from scoup.field.container import place_of, relative_place
 from scoup.io.images import open_image, rgb_image
 from scoup.models.text import Encoder, TextEncoder
 from scoup.query.boxes import OrientedBox
 from scoup.query.language_field import LanguageField
-from scoup.query.matching import compare_things
 from scoup.query.presence import LEAST_GAUSSIANS
 from scoup.query.question import check_encoder, encode_texts, warn_of_another_model
+from scoup.query.thing_index import thing_index
 from scoup.query.things import things_of_table
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
-Chosen: TypeAlias = "Mapping[str, tuple[Place, set[int] | None]]"
-"""Name of a scan -> the scan, and the numbers of its things that are chosen; None if all are."""
+Wanted: TypeAlias = "Mapping[int, Tensor]"
+"""Number of a scan -> its things that may be found, [T] boolean; scans without any are left out."""
 ENCODED = 16  # lists of names whose vectors are in memory
 
 
@@ -118,7 +127,8 @@ class FoundThing:
 
 
 class Archive:
-    """A folder with a Parquet file per scan, and ``archive.json``, which names the embedding model.
+    """A folder with a Parquet file per scan, the matrix of all vectors, and ``archive.json``, which names the embedding
+    model.
 
     Args:
         folder: made when the first scan is added.
@@ -153,25 +163,23 @@ class Archive:
         self._connection: DuckDBPyConnection | None = None
         if find_spec("duckdb") is None:
             connect()  # says what to install
-        self._kept = KeptScans(self.folder, self._cursor, self._check_records)
+        self._kept = KeptScans(self.folder, self._cursor, self._check_scans)
         self._about()
 
-    def scans(self) -> dict[str, ScanRecord]:
-        """Return what is known of each scan without its things, by name.
+    def scans(self) -> dict[str, Scan]:
+        """Return what is known of each scan, by name.
 
         Raises:
             FileFormatError: a file is damaged; the error names it.
         """
-        return {record.name: record for record in self._kept.read_now(self._kept.records)}
+        return self._kept.ask(dict)
 
     def counts(self) -> dict[str, int]:
         """Return how many things each scan has, as ``field.things()`` counts them; errors as of ``scans``."""
-
-        def read(names: Iterable[str]) -> dict[str, int]:
-            listed = self._matching(f"gaussians >= {LEAST_GAUSSIANS}", names)
-            return {name: len(listed.get(name, ())) for name in names}
-
-        return self._kept.read_now(read)
+        return {
+            name: int((scan.arrays["placed"] & (scan.arrays["counts"] >= LEAST_GAUSSIANS)).sum())
+            for name, scan in self.scans().items()
+        }
 
     def add(self, field: LanguageField | str | Path, **columns: str | int | float) -> None:
         """Add a field as the scan that has the name of its file; the scan of that name is replaced.
@@ -195,24 +203,43 @@ class Archive:
             raise InputError(
                 f"{path}: a scan is named by letters, digits, spaces, _ . + and -; rename the field"
             )
-        file = file_of(self.folder, name)
-        about = self._check_model(field)
-        if file.exists():
-            with suppress(FileFormatError):  # a damaged scan is replaced
-                (old,) = self._kept.records([name])
-                if old.field_path != path and old.field_path.exists():
-                    problem = f"the scan {name} of this archive is of {old.field_path}"
-                    raise InputError(f"{path}: {problem}; rename one of the fields")
-                columns = {**old.columns, **columns}
-        place = relative_place(file.resolve(), path) or ""
-        sizes = field.dim, field.levels, columns, len(field.thing_table)
-        record = ScanRecord(name, file, place, field.embedding_model, *sizes, "", torch.zeros(0))
-        scan = self._scan_of(field, record)
+        about, file = self._check_model(field), file_of(self.folder, name)
+        encoder = self.text_encoder(field)
+        check_encoder(field, encoder)
+        index = thing_index(field, encode_texts(encoder, []))
+        if index is None:
+            raise InputError(f"{path}: has no things; build it again")
         if not self._about():
             with suppress(OutputExistsError):  # another process has added its first scan
                 write_text(self.folder / ABOUT, json.dumps(about, indent=1) + "\n", wait=WAIT)
             self._check_model(field)
-        write_scan(scan)
+        table = field.thing_table.to("cpu")
+        things = things_of_table(field, range(len(table)))
+        placed = torch.zeros(len(table), dtype=torch.bool)
+        placed[[thing.number or 0 for thing in things]] = True
+        vectors = vector_bytes(table.embeddings)
+        with self._kept.writing() as scans:
+            if (old := scans.get(name)) is not None:
+                if old.field_path != path and old.field_path.exists():
+                    problem = f"the scan {name} of this archive is of {old.field_path}"
+                    raise InputError(f"{path}: {problem}; rename one of the fields")
+                columns = {**old.columns, **columns}
+            row = free_row(scans.values(), len(table))
+            self._kept.write_vectors(vectors, row, field.dim)
+            scan = Scan(
+                file=file,
+                field=relative_place(file.resolve(), path) or "",
+                embedding_model=field.embedding_model,
+                dim=field.dim,
+                levels=field.levels,
+                columns=columns,
+                row=row,
+                vectors_checksum=zlib.crc32(vectors),
+                words=words_digest(index.words),
+                texts=() if table.names is None else table.names.texts,
+                arrays=arrays_of(index, table.names, placed),
+            )
+            write_scan(scan, table, things)
 
     def remove(self, name: str) -> None:
         """Remove a scan; its field stays.
@@ -221,7 +248,7 @@ class Archive:
             UnknownNameError: there is no such scan.
         """
         file = looked_up("scan", name, {each: file_of(self.folder, each) for each in scan_names(self.folder)})
-        with locked(file, WAIT):
+        with self._kept.writing():
             file.unlink(missing_ok=True)
 
     def find(
@@ -241,7 +268,7 @@ class Archive:
             question: as of ``LanguageField.things``.
             where: a condition in SQL over the columns of the Parquet files: "floor = 2 and gaussians > 100".
             top: most things; with ``at_least``, most scans.
-            at_least: only scans with so many instances, those with the most first, each with all its instances.
+            at_least: only scans with so many things that answer, those with the most first, each with all of these.
             present_from: as of ``LanguageField.question``.
 
         Raises:
@@ -252,13 +279,26 @@ class Archive:
             if number is not None and number < 1:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")
         encoder = self.text_encoder()
-        search = Search.of(question, encoder, self._encode(encoder), at_least is not None, present_from)
-        chosen = self._chosen(where)
-        if at_least is None:
-            return self._best(search, chosen, top)
-        counted = self._answers(search, chosen)
-        enough = sorted((each for each in counted if len(each) >= at_least), key=len, reverse=True)
-        return [found for each in enough[:top] for _, found in each]
+        search = Search.of(question, encoder, self._encode(encoder), present_from)
+
+        def found(scans: dict[str, Scan]) -> list[FoundThing]:
+            if not (wanted := self._wanted(where, scans)):
+                return []
+            index = self._kept.index(scans, search.words, search.digest)
+            answers = self._answers(
+                AskedScans(search, [*scans.values()], index), wanted, None if at_least else top
+            )
+            if at_least is not None:
+                of_scan: dict[int, list[Found]] = {}
+                for each in answers:
+                    of_scan.setdefault(each.scene, []).append(each)
+                enough = sorted(
+                    (each for each in of_scan.values() if len(each) >= at_least), key=len, reverse=True
+                )
+                answers = [found for each in enough[:top] for found in each]
+            return self._found(scans, answers)
+
+        return self._kept.ask(found, lambda found: (each.scan for each in found))
 
     def find_image(
         self, image: str | Path | Image.Image, where: str | None = None, top: int = 20
@@ -284,7 +324,16 @@ class Archive:
             name = Path(image).name
             with open_image(Path(image)) as opened:
                 pixels = _pixels(opened)
-        return self._best(ImageSearch(name, self._embedded(pixels)), self._chosen(where), top)
+        vector = self._embedded(pixels)
+
+        def found(scans: dict[str, Scan]) -> list[FoundThing]:
+            if not (wanted := self._wanted(where, scans)):
+                return []
+            index = self._kept.index(scans, vector[None], "")
+            alike = (each for each in look_alikes(index, vector, name) if _is_wanted(each, wanted))
+            return self._found(scans, [*islice(alike, top)])
+
+        return self._kept.ask(found, lambda found: (each.scan for each in found))
 
     def text_encoder(self, field: LanguageField | None = None) -> TextEncoder:
         """Return the encoder of texts, opened on first use; ``field`` names one while the archive has no scan.
@@ -355,10 +404,10 @@ class Archive:
         self._refuse_others(about, field.path, field.embedding_model, field.dim)
         return about
 
-    def _check_records(self, records: Sequence[ScanRecord]) -> None:
+    def _check_scans(self, scans: Sequence[Scan]) -> None:
         about = self._about()
-        for record in records:
-            self._refuse_others(about, record.file, record.embedding_model, record.dim)
+        for scan in scans:
+            self._refuse_others(about, scan.file, scan.embedding_model, scan.dim)
 
     def _refuse_others(self, about: dict[str, Any], path: Path, model: str, dim: int) -> None:
         if (model, dim) != (about["embedding_model"], about["dim"]):
@@ -392,50 +441,41 @@ class Archive:
         whole = Masks.from_dense(np.ones((1, *pixels.shape[:2]), np.bool_))
         return embed_masks(pixels, {"m": whole}, self._embedder)["m"][0]
 
-    def _best(self, search: Search | ImageSearch, chosen: Chosen, top: int) -> list[FoundThing]:
-        answers = chain.from_iterable(self._answers(search, chosen, top))
-        return [found for _, found in heapq.nlargest(top, answers, key=lambda each: each[0])]
-
-    def _answers(
-        self, search: Search | ImageSearch, chosen: Chosen, top: int | None = None
-    ) -> list[list[tuple[float, FoundThing]]]:
-        """Return the ranks and things that answer in each scan, those that are the ``top`` best at least.
+    def _answers(self, asked: AskedScans, wanted: Wanted, top: int | None) -> list[Found]:
+        """Return the things that answer and are wanted, with ``top`` the best.
 
         Scans whose fields cannot be asked are left out with a warning; an error if nothing is found in the others.
         """
-        answers: list[list[tuple[float, FoundThing]]] = []
-        ranks: list[float] = []  # the best
+        answers: list[Found] = []
         unasked: list[UnaskedScanError] = []
-        for bound, asked in self._ranked(search, chosen):
-            if len(ranks) == top and ranks[-1] >= bound:
+        for bound, ask in asked.batches():
+            if top is not None and len(answers) >= top and min(each.rank for each in answers) >= bound:
                 break  # all that follow are lower
             try:
-                answers.append([*_found(asked, chosen)])
+                answers += [each for each in ask() if _is_wanted(each, wanted)]
             except UnaskedScanError as error:
                 unasked.append(error)
-            else:
-                ranks = heapq.nlargest(top or 0, [*ranks, *(rank for rank, _ in answers[-1])])
-        fatal = unasked.pop() if unasked and not any(answers) else None
+            if top is not None:
+                answers = heapq.nlargest(top, answers, key=lambda each: each.rank)
+        fatal = unasked.pop() if unasked and not answers else None
         for error in unasked:
-            warnings.warn(str(error), ScoupWarning, stacklevel=4)
+            warnings.warn(str(error), ScoupWarning, stacklevel=5)
         if fatal is not None:
             raise fatal
         return answers
 
-    def _ranked(self, search: Search | ImageSearch, chosen: Chosen) -> Iterator[tuple[float, Asked]]:
-        """Yield the scans in which something can answer, with a rank that none of their things exceeds, best first."""
-        places = [place for place, _ in chosen.values()]
-        bounds = {block: search.bounds(block) for block in {block for block, _ in places}}
-        ranked = [(bounds[block][number], (block, number)) for block, number in places]
-        able = [(bound, place) for bound, place in ranked if bound is not None]
-        for bound, place in sorted(able, key=lambda each: each[0], reverse=True):
-            yield bound, search.ask(self._kept.scan(*place))
-
-    def _chosen(self, where: str | None) -> Chosen:
-        """Return the scans with things for which a condition holds, and these things; without one, all scans."""
+    def _wanted(self, where: str | None, scans: Mapping[str, Scan]) -> Wanted:
+        """Return by number the scans with things for which a condition holds, and these things: placed ones."""
+        rows = [scan.arrays["placed"] for scan in scans.values()]
         if where is None:
-            return {name: (place, None) for name, place in self._kept.places().items()}
-        return self._kept.places_where(partial(self._matching, where))
+            return dict(enumerate(rows))
+        matching, wanted = self._matching(where, [*scans]), {}
+        for number, (name, placed) in enumerate(zip(scans, rows, strict=True)):
+            if name in matching:
+                wanted[number] = torch.zeros_like(placed)
+                wanted[number][[thing for thing in matching[name] if thing < len(placed)]] = True
+                wanted[number] &= placed
+        return wanted
 
     def _matching(self, where: str, names: Iterable[str]) -> dict[str, set[int]]:
         import duckdb
@@ -449,49 +489,31 @@ class Archive:
             every = self._cursor().read_parquet(files, union_by_name=True, filename=True)
             rows = every.filter(where).project("filename, thing").fetchall()
         except duckdb.Error as error:
-            self._kept.records(names)  # a damaged file is not the condition's fault
             reason = " ".join(str(error).split("\n\n")[0].split())
             raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
         for file, thing in rows:
             wanted.setdefault(Path(file).stem, set()).add(thing)
         return wanted
 
-    def _scan_of(self, field: LanguageField, record: ScanRecord) -> Scan:
-        """Return the things of a field with their places, compared with everyday words."""
-        encoder = self.text_encoder(field)
-        check_encoder(field, encoder)
-        known = compare_things(field, encode_texts(encoder, []))
-        if known is None:
-            raise InputError(f"{field.path}: has no things; build it again")
-        places = torch.full((len(known.counts), sum(PLACE.values())), torch.nan, dtype=torch.float64)
-        for thing in things_of_table(field, range(len(places))):
-            parts = (thing.position, thing.box.centre, thing.box.axes.flatten(), thing.box.extent)
-            places[thing.number or 0] = torch.cat(parts)
-        words, table = words_digest(known.words), known.things.to("cpu")
-        presences: dict[str, tuple[float, int]] = {}
-        if (names := table.names) is not None:
-            counts = torch.bincount(names.rows, minlength=len(names)).tolist()
-            presences = dict(zip(names.texts, zip(names.presence.tolist(), counts, strict=True), strict=True))
-        record = replace(record, words=words, best_fits=known.best_fits, names=presences)
-        return Scan(record, table, known.counts, known.shared, known.hubs, places)
+    def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> list[FoundThing]:
+        """Return things with their places."""
+        of_scene = [*scans.values()]
+        places = read_places([(of_scene[each.scene], each.thing) for each in answers], self._cursor())
+        found = []
+        for each, (position, box) in zip(answers, places, strict=True):
+            scan = of_scene[each.scene]
+            level, count = (int(scan.arrays[name][each.thing]) for name in ("levels", "counts"))
+            found.append(
+                FoundThing(
+                    scan.name, each.thing, each.text, scan.levels[level], each.score, position, box, count,
+                    scan.columns, scan.field_path,
+                )
+            )  # fmt: skip
+        return found
 
 
-def _found(asked: Asked, chosen: Chosen) -> Iterator[tuple[float, FoundThing]]:
-    """Yield the things of a scan that answer and are chosen, best first."""
-    scan, record = asked.scan, asked.scan.record
-    _, wanted = chosen[record.name]
-    for number, text in asked.things():
-        place = scan.places[number]
-        if (wanted is not None and number not in wanted) or bool(place.isnan().any()):
-            continue
-        position, centre, axes, extent = place.split([*PLACE.values()])
-        box = OrientedBox(centre, axes.reshape(3, 3), extent)
-        score, rank = asked.rank(number, text)
-        level = record.levels[int(scan.table.levels[number])]
-        yield rank, FoundThing(
-            record.name, number, text, level, score, position, box, int(scan.counts[number]), record.columns,
-            record.field_path,
-        )  # fmt: skip
+def _is_wanted(found: Found, wanted: Wanted) -> bool:
+    return found.scene in wanted and bool(wanted[found.scene][found.thing])
 
 
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:

@@ -1,31 +1,36 @@
-"""The scans of an archive in memory, and in a file beside them."""
+"""The scans of an archive in memory, and their vectors: a matrix [rows, D] of float16 in one file, mapped into memory.
+
+Writers hold the lock of the matrix. They write the vectors of a scan to free rows, then its Parquet file, which names
+these rows. So a killed writer leaves free rows. Readers hold no lock: they ask again if a scan that answers has changed
+meanwhile.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
-from functools import lru_cache
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from scoup.archive.read_scans import ScanBlock, read_block, read_records
-from scoup.archive.scan_files import ScanRecord, header_of, record_of
-from scoup.base.errors import FileFormatError, ScoupError
-from scoup.uplift.storage.array_file import read_arrays, write_arrays
+import numpy as np
+import torch
+from torch import Tensor
+
+from scoup.archive.scan_files import ENDING, Scan, read_scans
+from scoup.base.errors import FileFormatError, WriteError
+from scoup.base.existing import refuse_pointer
+from scoup.base.locks import WAIT, locked
+from scoup.query.thing_index import ThingIndex
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-ENDING, KEPT, VERSION = ".parquet", ".scans.safetensors", 1
-LEAST_KEPT, SHARE_KEPT = 10_000, 1 / 8
-"""The file is written again once at least so many things, and this share of all, differ from those in it."""
-SCANS_KEPT = 128  # with all that was computed of them
+MATRIX = "vectors.f16"
 Stamp: TypeAlias = "tuple[int, int]"
 """Time and size of a file."""
-Place: TypeAlias = "tuple[ScanBlock, int]"
-"""A scan: its block, and its number there."""
 Found = TypeVar("Found")
 
 
@@ -40,76 +45,96 @@ def file_of(folder: Path, name: str) -> Path:
     return folder / f"{name}{ENDING}"
 
 
+def vector_bytes(vectors: Tensor) -> bytes:
+    """Return vectors [T, D] as the matrix has them."""
+    return vectors.cpu().half().numpy().astype("<f2").tobytes()
+
+
 class KeptScans:
     """What was read of the scans of an archive; files that have not changed are read once.
-
-    Reading many Parquet files takes long. So what was read of many is written to a file beside them, too, and used as
-    long as names, times and sizes of theirs are the same. It may be removed at any time.
 
     Args:
         folder: of the archive.
         connection: returns a connection to DuckDB.
-        check: refuses records.
+        check: refuses scans.
     """
 
     def __init__(
         self,
         folder: Path,
         connection: Callable[[], DuckDBPyConnection],
-        check: Callable[[Sequence[ScanRecord]], None],
+        check: Callable[[Sequence[Scan]], None],
     ) -> None:
         self._folder, self._connection, self._check = folder, connection, check
         self._lock = Lock()  # of all that follow
-        self._stamps: dict[str, Stamp] = {}
-        self._places: dict[str, Place] = {}
-        self._stored: ScanBlock | None = None  # what the file contains
-        self.scan = lru_cache(SCANS_KEPT)(ScanBlock.scan)
+        self._scans: dict[str, tuple[Stamp, Scan]] = {}
+        self._parts: dict[Scan, ThingIndex] = {}
+        self._index: ThingIndex | None = None  # of these parts
+        self._digest = ""  # of their words
 
-    def records(self, names: Iterable[str]) -> list[ScanRecord]:
-        """Read the metadata of scans, and check them."""
-        records = read_records([file_of(self._folder, name) for name in names], self._connection())
-        self._check(records)
-        return records
-
-    def places(self) -> dict[str, Place]:
-        """Return the scans as they are now, by name."""
-        with self._lock:
-            return self.read_now(self._updated)
-
-    def places_where(
-        self, matching: Callable[[Iterable[str]], dict[str, set[int]]]
-    ) -> dict[str, tuple[Place, set[int]]]:
-        """Return the scans with things for which a condition holds, and these things, both of the same files.
-
-        Args:
-            matching: returns the things of files, by scan; scans without any are left out.
-        """
-        chosen: dict[str, tuple[Place, set[int]]] = {}
-        changed: set[str] | None = None
-        while changed is None or changed:
-            with self._lock:
-                places, stamps = self.read_now(self._updated), self._stamps
-            names = {*places} if changed is None else changed & {*places}
-            found = self.read_now(lambda now, names=names: matching(sorted(names & {*now})))
-            now = self._listed()
-            changed = {name for name in found if now.get(name) != stamps[name]}
-            chosen |= {name: (places[name], found[name]) for name in {*found} - changed}
-        return dict(sorted(chosen.items()))
-
-    def read_now(self, read: Callable[[dict[str, Stamp]], Found]) -> Found:
-        """Return ``read(stamps)`` of the scans as they are now; again if it failed and they have changed.
-
-        Where the error names a scan, that one must have changed: others may be added all the time.
-        """
+    def ask(
+        self,
+        use: Callable[[dict[str, Scan]], Found],
+        used: Callable[[Found], Iterable[str]] = lambda found: (),
+    ) -> Found:
+        """Return ``use(scans)`` of the scans as they are now, by name; again if those ``used`` have changed meanwhile,
+        or those that an error may be about: others may be added all the time."""
         while True:
-            stamps = self._listed()
+            stamps, failure = self._listed(), None
+            found: Any = None
             try:
-                return read(stamps)
+                found = use(self._read(stamps))
+                names = {*used(found)}
             except Exception as error:  # DuckDB has its own
-                now = self._listed()
-                names = {error.path.stem} if isinstance(error, FileFormatError) else {*stamps, *now}
-                if all(stamps.get(name) == now.get(name) for name in names):
-                    raise
+                path = error.path if isinstance(error, FileFormatError) else None
+                failure, names = (
+                    error,
+                    {each for each in stamps if file_of(self._folder, each) == path} or {*stamps},
+                )
+            now = self._listed()
+            if all(stamps.get(name) == now.get(name) for name in names):
+                if failure is not None:
+                    raise failure
+                return found
+
+    def index(self, scans: Mapping[str, Scan], words: Tensor, digest: str) -> ThingIndex:
+        """Return the things of scans, one at least, compared with words of a digest, or with whatever they were
+        compared with; it is kept until they change."""
+        with self._lock:
+            if digest and digest != self._digest:
+                self._parts, self._digest = {}, digest
+            if self._index is None or [*scans.values()] != [*self._parts]:
+                new = [scan for scan in scans.values() if scan not in self._parts]
+                parts = self._parts | dict(zip(new, self._compared(new, words), strict=True))
+                self._parts = {scan: parts[scan] for scan in scans.values()}
+                self._index = ThingIndex.joined([*self._parts.values()])
+            return self._index
+
+    @contextmanager
+    def writing(self) -> Iterator[dict[str, Scan]]:
+        """Keep others from writing until the block ends, and yield the scans, without damaged ones."""
+        with locked(self._folder / MATRIX, WAIT):
+            stamps, scans = self._listed(), None
+            while scans is None:
+                try:
+                    scans = self._read(stamps)
+                except FileFormatError as error:
+                    del stamps[error.path.stem]
+            yield scans
+
+    def write_vectors(self, vectors: bytes, row: int, dim: int) -> None:
+        """Write vectors to the matrix from a row on."""
+        path = self._folder / MATRIX
+        try:
+            with suppress(FileExistsError):
+                path.touch(exist_ok=False)
+            with path.open("r+b") as stream:
+                stream.seek(2 * dim * row)
+                stream.write(vectors)
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise WriteError.of(path, error) from error
 
     def _listed(self) -> dict[str, Stamp]:
         stamps: dict[str, Stamp] = {}
@@ -119,45 +144,36 @@ class KeptScans:
                 stamps[name] = state.st_mtime_ns, state.st_size
         return stamps
 
-    def _updated(self, stamps: dict[str, Stamp]) -> dict[str, Place]:
-        if not self._stamps:
-            self._read()
-        if stamps != self._stamps:
-            new = [name for name, stamp in stamps.items() if stamp != self._stamps.get(name)]
-            places = self._places
-            if new:
-                block = read_block(self.records(new), self._connection())
-                places = places | {name: (block, number) for number, name in enumerate(new)}
-            self._places = self._written(stamps, {name: places[name] for name in stamps})
-            self._stamps = stamps
-            self.scan.cache_clear()  # it has the old blocks
-        return self._places
+    def _read(self, stamps: Mapping[str, Stamp]) -> dict[str, Scan]:
+        with self._lock:
+            known = {name: self._scans[name] for name in stamps if name in self._scans}
+            new = [name for name, stamp in stamps.items() if name not in known or known[name][0] != stamp]
+            read = read_scans([file_of(self._folder, name) for name in new], self._connection())
+            self._check(read)
+            known |= {name: (stamps[name], scan) for name, scan in zip(new, read, strict=True)}
+            self._scans = known
+            return {name: known[name][1] for name in stamps}
 
-    def _read(self) -> None:
-        with suppress(ScoupError, AttributeError, LookupError, TypeError, ValueError):
-            stored = read_arrays(self._folder / KEPT)
-            if stored.header["version"] != VERSION:
-                return
-            scans = stored.header["scans"]
-            records = tuple(record_of(file_of(self._folder, name), header) for name, _, header in scans)
-            self._check(records)
-            for array in stored.arrays.values():
-                array.setflags(write=True)  # torch warns of others; what it changes is not in the file
-            self._stored = block = ScanBlock(records, stored.arrays)
-            self._places = {name: (block, number) for number, (name, _, _) in enumerate(scans)}
-            self._stamps = {name: (time, size) for name, (time, size), _ in scans}
+    def _compared(self, scans: Sequence[Scan], words: Tensor) -> Iterator[ThingIndex]:
+        path, data = self._folder / MATRIX, np.empty(0, np.uint8)
+        if path.is_file() and path.stat().st_size:
+            data = np.memmap(path, np.uint8, "c")  # private, for torch warns of what it may not write
+        for scan in scans:
+            size = 2 * scan.dim
+            rows = data[scan.row * size : (scan.row + len(scan)) * size]
+            if zlib.crc32(rows.data) != scan.vectors_checksum:
+                refuse_pointer(path)
+                problem = f"is missing, or the vectors of the scan {scan.name} in it are damaged"
+                raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
+            vectors = torch.from_numpy(rows.view("<f2").reshape(-1, scan.dim))
+            yield scan.index(vectors, words, self._digest)
 
-    def _written(self, stamps: dict[str, Stamp], places: dict[str, Place]) -> dict[str, Place]:
-        """Return scans, which are written if many differ from those in the file, as one block then."""
-        sizes = [(block, block.records[number].n_things) for block, number in places.values()]
-        same = sum(size for block, size in sizes if block is self._stored)
-        stored = 0 if self._stored is None else self._stored.starts[-1]
-        total = sum(size for _, size in sizes)
-        if not total or total + stored - 2 * same < max(LEAST_KEPT, SHARE_KEPT * total):
-            return places
-        self._stored = block = ScanBlock.joined([*places.values()])
-        headers = map(header_of, block.records)
-        header = {"version": VERSION, "scans": [*zip(stamps, stamps.values(), headers, strict=True)]}
-        with suppress(ScoupError):  # a folder that is only read
-            write_arrays(self._folder / KEPT, header, block.columns, overwrite=True)
-        return {name: (block, number) for number, name in enumerate(places)}
+
+def free_row(scans: Iterable[Scan], count: int) -> int:
+    """Return the first of ``count`` rows of the matrix that no scan has."""
+    row = 0
+    for scan in sorted(scans, key=lambda scan: scan.row):
+        if scan.row - row >= count:
+            break
+        row = max(row, scan.row + len(scan))
+    return row

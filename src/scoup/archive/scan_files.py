@@ -1,38 +1,51 @@
-"""One scan of an archive as a Parquet file with a row per thing, written by DuckDB."""
+"""One scan of an archive: a Parquet file with a row per thing, written by DuckDB, for people and for conditions in SQL.
+What is needed to compare its things with a text is in the metadata, and their vectors are in the matrix.
+"""
 
 from __future__ import annotations
 
 import base64
 import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-import numpy as np
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
 from scoup.base.atomic import atomic_path
-from scoup.base.errors import FileFormatError, InputError, ScoupError, check_format_version
+from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, check_format_version
+from scoup.base.existing import refuse_pointer
 from scoup.base.locks import WAIT
 from scoup.field.container import place_of
-from scoup.query.matching import ComparedTable
+from scoup.query.boxes import OrientedBox
+from scoup.query.thing_index import Shares, ThingIndex
+from scoup.query.things import Thing
+from scoup.scene.names import NameTable
 from scoup.scene.things import NO_THING, ThingTable
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 FORMAT, VERSION = "scoup scan", 1
-"""What the metadata of a Parquet file says under the key ``scoup``."""
+"""What the metadata of a Parquet file says under the key ``scoup``. Raise the version when the rules of
+``scoup.query.thing_index`` change: the arrays depend on them."""
+ENDING = ".parquet"
 OwnColumns: TypeAlias = "Mapping[str, str | int | float]"
 """What the user says of a scan: name of the column -> value in every row."""
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 
 _COLUMNS = {
     "scan": "VARCHAR",
     "thing": "INTEGER",  # its number in the field
+    "row": "BIGINT",  # of its vector in the matrix
     "level": "VARCHAR",
     "parent": "INTEGER",
     # Three numbers each, nine for the axes, row by row; NULL for things without a usable Gaussian.
@@ -43,146 +56,214 @@ _COLUMNS = {
     "gaussians": "INTEGER",
     "regions": "INTEGER",
     "stability": "FLOAT",
-    "agreement": "FLOAT",
-    "mass": "FLOAT",
-    "hub": "FLOAT",  # cosine with the everyday words that fit it best
-    "vector": "FLOAT[]",  # mean embedding, of unit norm
-    "shares": "STRUCT(thing INTEGER, gaussians INTEGER)[]",  # Gaussians shared with things of other levels
     "names": "STRUCT(name VARCHAR, vote FLOAT)[]",  # votes of a model with words
 }
-PLACE = {"position": 3, "box_centre": 3, "box_axes": 9, "box_extent": 3}
-"""Columns of the place of a thing, and how many numbers each has."""
+_PLACE = {"position": (3,), "box_centre": (3,), "box_axes": (3, 3), "box_extent": (3,)}
 _OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
+_PLAIN = {"field": str, "embedding_model": str, "dim": int, "row": int, "vectors_checksum": int, "words": str}
+"""Attributes of a scan that its metadata have as they are, and their types."""
+_OF_INDEX = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "best_fits")
+_OF_NAMES = ("presence", "rows", "things", "votes")
 
 
-@dataclass(frozen=True, eq=False)
-class ScanRecord:
-    """What the metadata of a scan's file says."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scan:
+    """What the file of a scan says of its T things together."""
 
-    name: str
-    file: Path  # of the scan
-    field_file: str  # relative to this one's folder
+    file: Path
+    field: str  # its file, relative to the folder of the archive
     embedding_model: str
     dim: int
     levels: tuple[str, ...]
     columns: OwnColumns
-    n_things: int
-    words: (
-        str  # digest of the everyday words, and of the rule, of the two statistics ``hub`` and ``best_fits``
-    )
-    best_fits: Tensor  # [B] float32 of each everyday word with a thing of this scan
-    names: Mapping[str, tuple[float, int]] = field(default_factory=dict)
-    """Texts that a model with words looked for -> presence, and number of votes (``NameTable``)."""
+    row: int  # of the vector of its first thing in the matrix
+    vectors_checksum: int  # CRC-32
+    words: str  # digest of the everyday words that its things were compared with
+    texts: tuple[str, ...]  # that a model with words looked for
+    arrays: Mapping[str, Tensor]
+    """Those of ``ThingIndex``, of ``Shares`` and of ``NameTable``, and ``placed``, [T] boolean: things with a place."""
+
+    def __len__(self) -> int:
+        return len(self.arrays["levels"])
+
+    @property
+    def name(self) -> str:
+        """Return its name."""
+        return self.file.stem
 
     @cached_property
     def field_path(self) -> Path:
         """File of the field."""
-        return place_of(self.file, self.field_file) or self.file
+        return place_of(self.file, self.field) or self.file
+
+    @cached_property
+    def names(self) -> NameTable | None:
+        """The names that its things have."""
+        return NameTable(self.texts, *map(self.arrays.__getitem__, _OF_NAMES)) if self.texts else None
+
+    def index(self, vectors: Tensor, words: Tensor, digest: str) -> ThingIndex:
+        """Return its things with their vectors [T, D], compared with words of a digest; "" if any will do."""
+        parts = {name: self.arrays[name] for name in _OF_INDEX}
+        shares = Shares(*map(self.arrays.__getitem__, Shares._fields))
+        known = ThingIndex(words, (vectors,), shares=shares, known_best_fits=parts.pop("best_fits"), **parts)
+        return known if digest in (self.words, "") else known.with_words(words)
 
 
-@dataclass(frozen=True, eq=False)
-class Scan:
-    """The things of a scan, without their Gaussians."""
-
-    record: ScanRecord
-    table: ThingTable  # its ``owners`` are empty
-    counts: Tensor  # [T] float32, Gaussians
-    shared: Tensor  # [T, T] sparse float32, Gaussians that two things share
-    hubs: Tensor  # [T] float32
-    places: Tensor  # [T, 18] float64, ``PLACE`` of each thing; NaN without a usable Gaussian
-    compared: dict[str, tuple[ComparedTable, Tensor]] = field(default_factory=dict)
-    """Digest of words -> the things compared with them, and the best fit of each: those asked last."""
+def arrays_of(index: ThingIndex, names: NameTable | None, placed: Tensor) -> dict[str, Tensor]:
+    """Return the arrays of a scan."""
+    arrays = {name: getattr(index, name) for name in _OF_INDEX} | index.shares._asdict() | {"placed": placed}
+    return arrays | ({} if names is None else {name: getattr(names, name) for name in _OF_NAMES})
 
 
-def header_of(record: ScanRecord) -> dict[str, Any]:
-    """Return a record as JSON values, for ``record_of``."""
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "field": record.field_file,
-        "embedding_model": record.embedding_model,
-        "dim": record.dim,
-        "levels": list(record.levels),
-        "columns": dict(record.columns),
-        "things": record.n_things,
-        "words": record.words,
-        "best_fits": base64.b64encode(record.best_fits.numpy().astype("<f4").tobytes()).decode(),
-        "names": dict(record.names),
-    }
+def read_scans(files: Sequence[Path], connection: DuckDBPyConnection) -> list[Scan]:
+    """Read the metadata of scans.
+
+    Raises:
+        FileFormatError: a file is damaged, or not a scan.
+        MissingFileError: it is not there.
+    """
+
+    def read(files: Sequence[Path]) -> list[Scan]:
+        texts = connection.execute(
+            "SELECT file_name, value FROM parquet_kv_metadata($files) WHERE key = 'scoup'",
+            {"files": [str(file) for file in files]},
+        ).fetchall()
+        headers = dict(texts)
+        return [_scan(file, json.loads(headers.get(str(file), b"{}"))) for file in files]
+
+    return _read(read, files, lambda file: file)
 
 
-def record_of(file: Path, header: Mapping[str, Any]) -> ScanRecord:
-    """Return the record of a file from JSON values; a FileFormatError, LookupError, TypeError or ValueError if they
-    are no scan's."""
+def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
     if header.get("format") != FORMAT:
         remedy = "add its field again, or remove the file"
         raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", remedy)
     check_format_version(file, header["version"], VERSION)
-    best_fits = np.frombuffer(base64.b64decode(header["best_fits"]), "<f4").astype(np.float32)
-    return ScanRecord(
-        file.stem,
-        file,
-        str(header["field"]),
-        str(header["embedding_model"]),
-        int(header["dim"]),
-        tuple(map(str, header["levels"])),
-        check_columns(header["columns"]),
-        int(header["things"]),
-        str(header["words"]),
-        torch.from_numpy(best_fits),
-        {str(text): (float(presence), int(count)) for text, (presence, count) in header["names"].items()},
+    if _checksum(header) != header["checksum"]:
+        raise ValueError("checksum")
+    plain = {name: kind(header[name]) for name, kind in _PLAIN.items()}
+    texts, arrays = (
+        (tuple(map(str, header[name])) for name in ("levels", "texts")),
+        load(base64.b64decode(header["arrays"])),
     )
+    levels, columns = next(texts), check_columns(header["columns"])
+    if not len(arrays["levels"]) or int(arrays["levels"].max()) >= len(levels):
+        raise ValueError("a thing is of an unknown level")
+    return Scan(file=file, levels=levels, columns=columns, texts=next(texts), arrays=arrays, **plain)
 
 
-def write_scan(scan: Scan) -> None:
+def read_places(
+    wanted: Sequence[tuple[Scan, int]], connection: DuckDBPyConnection
+) -> list[tuple[Tensor, OrientedBox]]:
+    """Read positions [3] and boxes of things, by scan and number; errors as of ``read_scans``."""
+
+    def read(wanted: Sequence[tuple[Scan, int]]) -> list[tuple[Tensor, OrientedBox]]:
+        rows = connection.execute(
+            f"SELECT filename, thing, {', '.join(_PLACE)} FROM read_parquet($files, filename := true)"
+            " WHERE list_contains($things, thing)",
+            {
+                "files": list({str(scan.file) for scan, _ in wanted}),
+                "things": list({thing for _, thing in wanted}),
+            },
+        ).fetchall()
+        places = {(file, thing): place for file, thing, *place in rows}
+        found = []
+        for scan, thing in wanted:
+            parts = zip(places[str(scan.file), thing], _PLACE.values(), strict=True)
+            position, *box = (torch.tensor(each, dtype=torch.float64).reshape(shape) for each, shape in parts)
+            found.append((position, OrientedBox(*box)))
+        return found
+
+    return _read(read, wanted, lambda each: each[0].file)
+
+
+def _read(
+    read: Callable[[Sequence[Item]], list[Found]], items: Sequence[Item], file_of: Callable[[Item], Path]
+) -> list[Found]:
+    """Read all items together; if that fails, one by one, and name the file that is damaged."""
+    import duckdb
+
+    try:
+        return read(items) if items else []
+    except FileFormatError:
+        raise
+    except (duckdb.Error, SafetensorError, ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError,
+            ValueError) as error:  # fmt: skip
+        if len(items) > 1:
+            for item in items:
+                _read(read, [item], file_of)
+            return read(items)
+        file = file_of(items[0])
+        if not file.is_file():
+            raise MissingFileError.of(file, "a scan of an archive") from error
+        refuse_pointer(file)
+        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
+        remedy = "add its field again, or remove the file"
+        raise FileFormatError(file, f"is damaged, or not a scan of an archive ({reason})", remedy) from error
+
+
+def write_scan(scan: Scan, table: ThingTable, things: Sequence[Thing]) -> None:
     """Write the file of a scan, in place of the one that is there; another writer of the file is waited for.
+
+    Args:
+        scan: all of it.
+        table: its T things.
+        things: those that have a position.
 
     Raises:
         InputError: a column of the user's has no usable name.
         WriteError: the system refuses.
     """
-    record, table, file = scan.record, scan.table, scan.record.file
-    shares: list[list[dict[str, int]]] = [[] for _ in range(len(table))]
-    pairs = scan.shared.coalesce()
-    for one, other, count in zip(*pairs.indices().tolist(), pairs.values().tolist(), strict=True):
-        if one != other:
-            shares[one].append({"thing": other, "gaussians": int(count)})
-    names: list[list[dict[str, Any]]] = [[] for _ in range(len(table))]
-    if (given := table.names) is not None:
-        votes = (given.rows.tolist(), given.things.tolist(), given.votes.tolist())
-        for row, thing, vote in zip(*votes, strict=True):
+    names: list[list[dict[str, Any]]] = [[] for _ in range(len(scan))]
+    if (given := scan.names) is not None:
+        for row, thing, vote in zip(*(scan.arrays[name].tolist() for name in _OF_NAMES[1:]), strict=True):
             names[thing].append({"name": given.texts[row], "vote": vote})
-    ends = torch.tensor(list(PLACE.values())).cumsum(0)[:-1]
-    places = {
-        name: [None if row[0] != row[0] else row for row in part.tolist()]
-        for name, part in zip(PLACE, scan.places.tensor_split(ends, 1), strict=True)
-    }
+    places: dict[str, list[Any]] = {name: [None] * len(scan) for name in _PLACE}
+    for thing in things:
+        parts = (thing.position, thing.box.centre, thing.box.axes, thing.box.extent)
+        for name, part in zip(_PLACE, parts, strict=True):
+            places[name][thing.number or 0] = part.flatten().tolist()
     values: dict[str, Sequence[Any]] = {
-        "scan": [record.name] * len(table),
-        "thing": list(range(len(table))),
-        "level": [record.levels[level] for level in table.levels.tolist()],
+        "scan": [scan.name] * len(scan),
+        "thing": list(range(len(scan))),
+        "row": list(range(scan.row, scan.row + len(scan))),
+        "level": [scan.levels[level] for level in table.levels.tolist()],
         "parent": [None if parent == NO_THING else parent for parent in table.parents.tolist()],
         **places,
-        "gaussians": scan.counts.int().tolist(),
+        "gaussians": scan.arrays["counts"].int().tolist(),
         "regions": table.n_regions.tolist(),
-        **{name: getattr(table, name).tolist() for name in ("stability", "agreement", "mass")},
-        "hub": scan.hubs.tolist(),
-        "vector": table.embeddings.float().tolist(),
-        "shares": shares,
+        "stability": table.stability.tolist(),
         "names": names,
     }
     columns = ", ".join(f"unnest(${name}::{kind}[]) AS {name}" for name, kind in _COLUMNS.items())
     own = "".join(
-        f", $own_{name}::{_OWN_TYPES[type(value)]} AS {name}" for name, value in record.columns.items()
+        f", $own_{name}::{_OWN_TYPES[type(value)]} AS {name}" for name, value in scan.columns.items()
     )
-    given = {**values, **{f"own_{name}": value for name, value in record.columns.items()}}
-    metadata = _quoted(json.dumps(header_of(record)))
-    with atomic_path(file, overwrite=True, wait=WAIT) as temporary:
+    given_values = {**values, **{f"own_{name}": value for name, value in scan.columns.items()}}
+    metadata = _quoted(json.dumps(_header(scan)))
+    with atomic_path(scan.file, overwrite=True, wait=WAIT) as temporary:
         connection = connect()
-        connection.execute(f"CREATE TABLE things AS SELECT {columns}{own}", given)
+        connection.execute(f"CREATE TABLE things AS SELECT {columns}{own}", given_values)
         connection.execute(
             f"COPY things TO {_quoted(str(temporary))} (FORMAT parquet, KV_METADATA {{scoup: {metadata}}})"
         )
+
+
+def _header(scan: Scan) -> dict[str, Any]:
+    data = save({name: each.contiguous() for name, each in scan.arrays.items()})
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        **{name: getattr(scan, name) for name in (*_PLAIN, "levels", "columns", "texts")},
+        "arrays": base64.b64encode(data).decode(),
+    }
+    return {**header, "checksum": _checksum(header)}
+
+
+def _checksum(header: Mapping[str, Any]) -> int:
+    """Return the CRC-32 of a header without its checksum."""
+    rest = {name: value for name, value in header.items() if name not in ("arrays", "checksum")}
+    return zlib.crc32(header["arrays"].encode(), zlib.crc32(json.dumps(rest, sort_keys=True).encode()))
 
 
 def connect(folder: Path | None = None) -> DuckDBPyConnection:

@@ -1,49 +1,52 @@
-"""One scan of an archive, asked: by the code that answers ``field.things``, without the Gaussians."""
+"""A text or an image for all scans of an archive: judged as in their fields (``scoup.query.thing_index``)."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.archive.read_scans import ScanBlock
-from scoup.archive.scan_files import Scan, ScanRecord
+from scoup.archive.scan_files import Scan
 from scoup.base.errors import InputError, MissingFileError
 from scoup.models.text import TextEncoder
-from scoup.query import matching
-from scoup.query.answer_scene import compared_others
 from scoup.query.ask import things_of_question
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.language_field import LanguageField
-from scoup.query.matching import ComparedTable, compared_words, hub_cosines
-from scoup.query.named import Named, choose, joined_presence, named_texts
+from scoup.query.named import Named, find_named
 from scoup.query.phrases import texts_of
-from scoup.query.presence import TextScore, is_present, presence_threshold
+from scoup.query.presence import TextScore, presence_threshold, text_scores
 from scoup.query.question import Question, encode_texts, make_question, near_names
-from scoup.scene.names import number_of
+from scoup.query.thing_index import ThingIndex, Verdict, compared_words
+from scoup.scene.names import NameTable
 from scoup.scene.things import ThingTable
 
 Encode: TypeAlias = "Callable[[tuple[str, ...]], Tensor]"
 LEAD = 0.5
 """By how much a rank grows with the lead of a thing. Chosen on simulated archives (seeds 10 and 11) and four scenes of
 real models; ``python -m benchmarks archive`` reports others."""
-ROUNDING = 1e-3
-"""Fits that are computed together differ by less from those of a scan."""
 SAME_PLACE = 0.5
 """Of two things that look like an image, the lower is left out if they share more of the Gaussians of one."""
-_RULE = (
-    matching.HUB_QUANTILE,
-    matching.HUB_SHARE,
-    matching.FEW_REGIONS,
-    matching.UNSTABLE,
-    matching.LEAST_STABILITY,
-)
+
+
+class Found(NamedTuple):
+    """A thing that answers."""
+
+    scene: int  # number of its scan
+    thing: int
+    text: str
+    score: float | None
+    rank: float  # among the things of all scans
+
+
+class UnaskedScanError(InputError):
+    """A scan whose field cannot be asked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +56,12 @@ class Search:
     expression: Expression
     question: Question[Any]  # of its texts
     encoder: TextEncoder
-    words: Tensor  # [B, D]
-    digest: str  # of the words
-    others: Tensor  # [Q, B] boolean, the words that count (``compared_others``); none with too few words
     encode: Encode  # of the encoder, with a cache
+    words: Tensor  # [B, D], what things are compared with
+    digest: str  # of the words
 
     @classmethod
-    def of(
-        cls, text: str, encoder: TextEncoder, encode: Encode, counted: bool, present_from: float | None
-    ) -> Search:
+    def of(cls, text: str, encoder: TextEncoder, encode: Encode, present_from: float | None) -> Search:
         """Parse and encode a text; errors are those of ``LanguageField.things``."""
         expression, source = parse_expression([text], encoder.names), encoder.name or "the word table"
         if any(not phrase.text for phrase in expression.phrases) or not expression.leaves(True):
@@ -72,215 +72,158 @@ class Search:
         least = presence_threshold(len(vectors.everyday), source, present_from)
         question = Question.from_vectors(vectors.with_everyday(), present_from=least)
         words = compared_words(question)
-        others = compared_others(question)
-        return cls(expression, question, encoder, words, words_digest(words), others, encode)
+        return cls(expression, question, encoder, encode, words, words_digest(words))
 
-    def ask(self, scan: Scan) -> AskedScan:
-        """Ask a scan."""
-        return AskedScan.of(self, scan)
-
-    def near(self, record: ScanRecord) -> tuple[str | None, ...]:
-        """Return the names of things of a scan that are nearly the texts."""
-        given = [text for text, (_, votes) in record.names.items() if votes]
-        return near_names(record.names, given, self.encoder, self.question, self.encode)
-
-    def bounds(self, block: ScanBlock) -> list[float | None]:
-        """Return a rank for each scan that none of its things exceeds; None where nothing can answer."""
-        cosines = block.cosines(self.question.queries.float().cpu())
-        every = cosines * block.scales[:, None] - block.lowered[:, None]
-        fits, leads = (block.most(each) + ROUNDING for each in (every, every - block.rest_of_hubs[:, None]))
-        known = [words == (self.digest, len(self.words)) for words in block.words]
-        if not any(known):
-            return [math.inf] * len(known)  # statistics of other words
-        scores = torch.stack(
-            [
-                (block.best_fits[:, : len(others)][:, others] < fit[:, None]).sum(1) / others.sum().double()
-                for others, fit in zip(self.others, fits.T, strict=True)
-            ],
-            1,
-        )  # NaN if no word counts
-        for number, record in enumerate(block.records):
-            if record.names:
-                scores[number] = self._joined(record, scores[number])
-        least = self.question.present_from
-        there = (fits > -math.inf) & (scores >= least if least is not None else True)
-        columns = []
-        for target in self.expression.leaves(True):
-            texts = [self.question.texts.index(text) for text in texts_of(target)]
-            ranks = rank_of(scores, leads)[:, texts[0]].tolist()
-            found = there[:, texts].all(1).tolist()
-            columns.append([rank if each else None for rank, each in zip(ranks, found, strict=True)])
-        every = (max((rank for rank in ranks if rank), default=None) for ranks in zip(*columns, strict=True))
-        return [rank if is_known else math.inf for rank, is_known in zip(every, known, strict=True)]
-
-    def _joined(self, record: ScanRecord, scores: Tensor) -> Tensor:
-        """Return scores [Q] of a scan in which a model has looked for names."""
-        near, presences = self.near(record), [presence for presence, _ in record.names.values()]
-        joined = scores.tolist()
-        for number, text in enumerate(self.question.texts):
-            name = number_of(record.names, near[number] or text if near else text)
-            if name is not None:
-                score = None if math.isnan(joined[number]) else joined[number]
-                joined[number] = joined_presence(presences[name], score)
-        return torch.tensor(joined, dtype=torch.float64)
-
-
-class UnaskedScanError(InputError):
-    """A scan whose field cannot be asked."""
+    def named(self, scan: Scan) -> list[Named | None]:
+        """Return what a model with words said of the texts in a scan."""
+        names = scan.names
+        if names is None:
+            return [None] * len(self.question.texts)
+        given = [names.texts[row] for row in names.rows.unique()]
+        near = near_names(names.texts, given, self.encoder, self.question, self.encode)
+        return find_named(names, len(scan), replace(self.question, near=near))
 
 
 @dataclass(frozen=True, eq=False)
-class AskedScan:
-    """A scan, and how its things fit the texts of a search."""
+class AskedScans:
+    """A search in S scans."""
 
     search: Search
-    scan: Scan
-    known: ComparedTable
-    fits: Tensor  # [T, Q]
-    scores: list[TextScore]  # Q
-    named: list[Named | None]  # Q
+    scans: Sequence[Scan]
+    index: ThingIndex
 
-    @classmethod
-    def of(cls, search: Search, scan: Scan) -> AskedScan:
-        compared = scan.compared.get(search.digest)
-        if compared is None:
-            record = scan.record
-            known_words = record.words == search.digest and len(record.best_fits) == len(search.words)
-            hubs = scan.hubs if known_words else hub_cosines(scan.table, search.words)
-            table = ComparedTable.known(scan.table, search.words, hubs, scan.counts, scan.shared)
-            compared = table, record.best_fits if known_words else table.best_fits
-            scan.compared.clear()
-            scan.compared[search.digest] = compared
-        known, best_fits = compared
-        fits = known.fits(search.question.queries.float().cpu())
-        named = named_texts(scan.table, replace(search.question, near=search.near(scan.record)))
-        scores = [
-            TextScore(best_fits[: len(others)], others, name)
-            for others, name in zip(search.others, named, strict=True)
-        ]
-        return cls(search, scan, known, fits, scores, named)
+    @cached_property
+    def _fits(self) -> Tensor:
+        return self.index.fits(self.search.question.queries)
 
-    def rank(self, thing: int, text: str) -> tuple[float | None, float]:
-        """Return the score of a thing for a text, and its rank among the things of all scans."""
-        number = self.search.question.texts.index(text)
-        score = self.scores[number](float(self.fits[thing, number]), thing)
-        known = torch.tensor(math.nan if score is None else score, dtype=torch.float64)
-        return score, float(rank_of(known, self._leads[thing, number]))
+    @cached_property
+    def _named(self) -> list[dict[int, Named]]:
+        """For each text, by scan."""
+        named = {scene: self.search.named(scan) for scene, scan in enumerate(self.scans) if scan.texts}
+        texts = range(len(self.search.question.texts))
+        return [{scene: own for scene, of in named.items() if (own := of[text])} for text in texts]
+
+    @cached_property
+    def _scores(self) -> dict[str, TextScore]:
+        scores = text_scores(self.search.question, self.index.best_fits, self._named)
+        return dict(zip(self.search.question.texts, scores, strict=True))
+
+    @cached_property
+    def _verdicts(self) -> dict[str, list[Verdict]]:
+        """For each text, of the scans."""
+        verdicts = self.index.judge(self.search.question, self._fits, self._named)
+        return dict(zip(self.search.question.texts, verdicts, strict=True))
+
+    def _of_text(self, values: Tensor, text: str) -> Tensor:
+        return values[:, self.search.question.texts.index(text)]
+
+    def batches(self) -> Iterator[tuple[float, Callable[[], list[Found]]]]:
+        """Yield functions that return the things that answer in some scans, each once and with the text it answers, and
+        a rank that none of these things exceeds, falling.
+
+        All scans are one batch, or each is one where its field has to be asked: then the function may raise an
+        UnaskedScanError, as the field is gone or has changed.
+        """
+        expression, verdicts = self.search.expression, self._verdicts
+        targets = expression.leaves(True)
+        if expression.is_plain:
+            yield math.inf, lambda: self.found(
+                [(scene, thing, str(text)) for scene in range(len(self.scans)) for text in targets
+                 if (own := verdicts[str(text)][scene]).presence for thing in own.things])  # fmt: skip
+            return
+        best: dict[int, float] = {}
+        for target in targets:
+            needed = texts_of(target)
+            ranks = self._best_ranks(needed[0])
+            for scene, rank in enumerate(ranks):
+                if all(verdicts[text][scene].presence for text in needed):
+                    best[scene] = max(rank, best.get(scene, -math.inf))
+        for scene, rank in sorted(best.items(), key=lambda each: -each[1]):
+            yield rank, lambda scene=scene: self.found(self._of_field(scene))
+
+    def found(self, answers: Sequence[tuple[int, int, str]]) -> list[Found]:
+        """Return things, by scan, number and text, with scores and ranks, each for its first text."""
+        first = {(scene, thing): text for scene, thing, text in reversed(answers)}
+        ranked: dict[tuple[int, int], Found] = {}
+        for text in dict.fromkeys(first.values()):
+            mine = [each for each, own in first.items() if own == text]
+            rows = [self.index.starts[scene] + thing for scene, thing in mine]
+            fits = self._of_text(self._fits, text)[rows].tolist()
+            scores = self._scores[text].each(fits, *zip(*mine, strict=True))
+            ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
+            for each, score, rank in zip(mine, scores, ranks, strict=True):
+                ranked[each] = Found(*each, text, score, rank)
+        return [ranked[scene, thing] for scene, thing in dict.fromkeys(each[:2] for each in answers)]
 
     @cached_property
     def _leads(self) -> Tensor:
-        return self.known.leads(self.fits)
+        return self.index.leads(self._fits)
 
-    def things(self) -> list[tuple[int, str]]:
-        """Return the numbers of the things that answer, each once and with the text it answers, best first.
+    def _best_ranks(self, text: str) -> list[float]:
+        """Return a rank for each scan that none of its things has more than, for a text."""
+        usable = self.index.usable
+        fits, leads = (
+            np.maximum.reduceat(
+                torch.where(usable, self._of_text(values, text), -torch.inf).numpy(), self.index.starts[:-1]
+            )
+            for values in (self._fits, self._leads)
+        )
+        return rank_of(self._scores[text].each(fits.tolist(), range(len(fits))), torch.from_numpy(leads))
 
-        Raises:
-            UnaskedScanError: the field is needed, and is gone or has changed.
-        """
-        expression = self.search.expression
-        chosen = dict(zip(self.search.question.texts, self._chosen(), strict=True))
-        targets = [
-            target for target in expression.leaves(True) if all(chosen[text] for text in texts_of(target))
-        ]
-        if targets and not expression.is_plain:
-            return self._of_field()
-        found: dict[int, str] = {}
-        for text in map(str, targets):
-            for thing in chosen[text]:
-                found.setdefault(thing, text)
-        return list(found.items())
-
-    def _chosen(self) -> Iterator[list[int]]:
-        """The things that answer each text; none where it is not present."""
-        least = self.search.question.present_from
-        for number, choice in enumerate(choose(self.known, self.fits, self.named)):
-            if choice is None:
-                yield []
-                continue
-            size = int(self.known.counts[choice.things].sum())
-            score = self.scores[number](choice.fit)
-            things = choice.things
-            yield things.tolist() if is_present(score, size, least) else []
-
-    def _of_field(self) -> list[tuple[int, str]]:
+    def _of_field(self, scene: int) -> list[tuple[int, int, str]]:
         """The things that answer phrases, for which shapes are compared: the field itself is asked."""
-        record, search = self.scan.record, self.search
+        scan, search = self.scans[scene], self.search
         try:
-            field = LanguageField.load(record.field_path)
-            if field.thing_table is None or not _is_same(field.thing_table, self.scan.table):
-                problem = f"the field of scan {record.name} has changed: {record.field_path}"
+            field = LanguageField.load(scan.field_path)
+            if field.thing_table is None or not _is_same(
+                field.thing_table, self.index.vectors[scene], scan.names
+            ):
+                problem = f"the field of scan {scan.name} has changed: {scan.field_path}"
                 raise UnaskedScanError(f"{problem}; add it again")
             least = search.question.present_from
             question = make_question(field, search.encoder, search.expression, least is None, least)
             found = things_of_question(field, question)
         except MissingFileError as error:
-            part = "field" if error.path == record.field_path else "splat"
-            problem = f"the {part} of scan {record.name} is gone: {error.path}"
+            part = "field" if error.path == scan.field_path else "splat"
+            problem = f"the {part} of scan {scan.name} is gone: {error.path}"
             raise UnaskedScanError(f"{problem}; put it back or add the field again") from error
-        return [(thing.number, thing.text) for thing in found if thing.number is not None]
+        return [(scene, thing.number, thing.text) for thing in found if thing.number is not None]
 
 
-@dataclass(frozen=True, eq=False)
-class ImageSearch:
-    """An image for every scan. Its things are ordered by their cosines with it: those of texts, by which scans are
-    compared otherwise, are all lower."""
-
-    name: str
-    vector: Tensor  # [D] of unit norm
-
-    def bounds(self, block: ScanBlock) -> list[float | None]:
-        """Return a rank for each scan that none of its things exceeds; None where nothing can answer."""
-        cosines = block.cosines(self.vector[None]).masked_fill(block.lowered[:, None].isinf(), -torch.inf)
-        best = block.most(cosines)[:, 0].tolist()
-        return [None if cosine == -math.inf else cosine + ROUNDING for cosine in best]
-
-    def ask(self, scan: Scan) -> AskedImage:
-        """Ask a scan."""
-        cosines = scan.table.embeddings.float() @ self.vector
-        cosines[(scan.counts <= 0) | (scan.table.mass <= 0)] = -torch.inf
-        return AskedImage(self, scan, cosines)
+def look_alikes(index: ThingIndex, vector: Tensor, name: str) -> Iterator[Found]:
+    """Yield the things that look most like an image with a vector [D] of unit norm, best first; parts of one before,
+    and what it is a part of, are left out. Score and rank are the cosine with the image."""
+    cosines = torch.where(index.usable, index.cosines(vector[None])[:, 0], -torch.inf)
+    left, counts = index.usable.numpy().copy(), index.counts.clamp(min=1).numpy()
+    scenes = np.repeat(np.arange(len(index.vectors)), np.diff(index.starts)).tolist()
+    ends, others, shared = (part.numpy() for part in index.shares)
+    values = cosines.tolist()
+    for row in cosines.argsort(descending=True, stable=True).tolist():
+        if left[row]:
+            start, pairs = index.starts[scenes[row]], slice(ends[row], ends[row + 1])
+            near = start + others[pairs]
+            left[near[shared[pairs] > SAME_PLACE * np.minimum(counts[near], counts[row])]] = False
+            yield Found(scenes[row], row - start, name, values[row], values[row])
 
 
-@dataclass(frozen=True, eq=False)
-class AskedImage:
-    """A scan, and the cosines of its things with an image."""
-
-    search: ImageSearch
-    scan: Scan
-    cosines: Tensor  # [T]
-
-    def rank(self, thing: int, text: str) -> tuple[float, float]:
-        """Return the cosine of a thing, which is its rank, too."""
-        return float(self.cosines[thing]), float(self.cosines[thing])
-
-    def things(self) -> Iterator[tuple[int, str]]:
-        """Yield the numbers of things, best first; parts of one before, and what it is a part of, are left out."""
-        shared = self.scan.shared.to_dense() > SAME_PLACE * self.scan.counts.clamp(min=1)
-        left = shared.new_ones(len(shared)) & (self.cosines > -torch.inf)
-        for thing in self.cosines.argsort(descending=True, stable=True).tolist():
-            if left[thing]:
-                left &= ~(shared[thing] | shared[:, thing])
-                yield thing, self.search.name
+def _is_same(table: ThingTable, vectors: Tensor, names: NameTable | None) -> bool:
+    """Return whether the things of a field have the names and embeddings of a scan."""
+    votes = [torch.zeros(0) if each is None else each.matrix(len(table)) for each in (table.names, names)]
+    return torch.equal(table.embeddings, vectors) and torch.equal(*votes)
 
 
-Asked: TypeAlias = "AskedScan | AskedImage"
-
-
-def _is_same(one: ThingTable, other: ThingTable) -> bool:
-    """Return whether two tables say the same of names and embeddings."""
-    votes = [torch.zeros(0) if each.names is None else each.names.matrix(len(each)) for each in (one, other)]
-    return torch.equal(one.embeddings, other.embeddings) and torch.equal(*votes)
-
-
-def rank_of(scores: Tensor, leads: Tensor) -> Tensor:
-    """Return the ranks of things of all scans from their scores (NaN if not judged) and leads.
+def rank_of(scores: Sequence[float | None], leads: Tensor) -> list[float]:
+    """Return the ranks of things of all scans from their scores (None if not judged) and leads.
 
     A lead says how much better a thing fits a text than the everyday words that fit it best. Where many scores are
     high, it tells scans apart better than they do.
     """
-    return scores.nan_to_num(-1) + LEAD * leads
+    return [
+        (-1 if score is None else score) + LEAD * lead
+        for score, lead in zip(scores, leads.tolist(), strict=True)
+    ]
 
 
 def words_digest(words: Tensor) -> str:
-    """Return the digest of words [B, D] and of the rule by which things are compared with them."""
-    return hashlib.sha256(repr(_RULE).encode() + words.contiguous().numpy().tobytes()).hexdigest()[:32]
+    """Return the digest of words [B, D]."""
+    return hashlib.sha256(words.contiguous().numpy().tobytes()).hexdigest()[:32]

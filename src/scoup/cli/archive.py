@@ -52,7 +52,7 @@ class SearchOptions:
     top: int = 20
     """Most things to return; with --at-least, most scans."""
     at_least: OptionalInteger = None
-    """Only scans with so many instances, those with the most first. Default: every thing that answers."""
+    """Only scans with so many things that answer, those with the most first. Default: every thing that answers."""
     presence: OptionalNumber = None
     """Least score of a text that is in a scan, as for scoup query. Default: 0.37."""
     text: Model = None

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from scoup.field import Field
-from scoup.query.answer import Answer, RunnerUp
-from scoup.query.matching import compare_things
-from scoup.query.named import Named, choose, named_texts
-from scoup.query.presence import TextScore, is_present, other_words
+from scoup.query.answer import Answer
+from scoup.query.named import named_texts
+from scoup.query.presence import is_present, text_scores
 from scoup.query.question import Question
+from scoup.query.thing_index import ThingIndex, thing_index
 from scoup.query.votes import SampledVotes, select_each
 
 
@@ -32,41 +30,26 @@ def answer_scene(field: Field, question: Question[Any]) -> list[Answer]:
 
 def each_answer(field: Field, question: Question[Any]) -> Iterator[Answer]:
     """Yield the answers of ``answer_scene`` one by one, for many texts about many Gaussians."""
-    answers = _by_things if question.threshold is None and field.thing_table is not None else _by_votes
-    for answer in answers(field, question):
-        if is_present(answer.score, int(answer.mask.sum()), question.present_from):
-            yield answer
-        else:
-            nothing = torch.zeros_like(answer.mask)
-            yield replace(answer, presence=False, mask=nothing, things=(), scores=())
+    index = None if question.threshold is not None else thing_index(field, question)
+    yield from _by_votes(field, question) if index is None else _by_things(field, index, question)
 
 
-def _by_things(field: Field, question: Question[Any]) -> Iterator[Answer]:
-    known = compare_things(field, question)
-    if known is None:
-        yield from _by_votes(field, question)
-        return
-    fits = known.fits(question.queries)
-    names = named_texts(field.thing_table, question)
-    scores = text_scores(question, known.best_fits, names)
-    for number, choice in enumerate(choose(known, fits, names, question.level)):
-        text, score = question.texts[number], scores[number]
-        if choice is None:
-            nothing, level = torch.zeros(len(field), dtype=torch.bool), question.level or 0
-            least = 0.0 if question.can_judge_presence else None
-            yield Answer(text, nothing, field.levels[level], least, question.vectors_of(number, level))
-            continue
-        level, rival = int(known.things.levels[choice.things[0]]), choice.runner_up
-        things = choice.things.tolist()
+def _by_things(field: Field, index: ThingIndex, question: Question[Any]) -> Iterator[Answer]:
+    table = field.thing_table
+    assert table is not None
+    verdicts = index.judge(question, index.fits(question.queries), named_texts(table, question))
+    for number, (verdict,) in enumerate(verdicts):
+        things = verdict.things if verdict.presence else ()
         yield Answer(
-            text=text,
-            mask=known.things.members(choice.things).cpu(),
-            level=field.levels[level],
-            score=score(choice.fit),
-            asked=question.vectors_of(number, level),
-            things=tuple(things),
-            scores=tuple(score(float(fits[thing, number]), thing) for thing in things),
-            runner_up=None if rival is None else RunnerUp(rival, score(float(fits[rival, number]), rival)),
+            text=question.texts[number],
+            mask=table.members(torch.tensor(things, dtype=torch.int64)).cpu(),
+            level=field.levels[verdict.level],
+            score=verdict.score,
+            asked=question.vectors_of(number, verdict.level),
+            presence=verdict.presence,
+            things=things,
+            scores=verdict.scores if verdict.presence else (),
+            runner_up=verdict.runner_up,
         )
 
 
@@ -74,29 +57,14 @@ def _by_votes(field: Field, question: Question[Any]) -> Iterator[Answer]:
     scores: list[float | None] = [None] * len(question.texts)
     if question.can_judge_presence:
         votes = sampled_votes(field, question)
-        fits, of_texts = votes.fits(question.queries).tolist(), text_scores(question, votes.best_fits)
+        fits, of_texts = votes.fits(question.queries).tolist(), text_scores(question, votes.best_fits[None])
         scores = [score(fit) for score, fit in zip(of_texts, fits, strict=True)]
     for number, (selection, score) in enumerate(zip(select_each(field, question), scores, strict=True)):
+        text, level, mask = question.texts[number], field.levels[selection.level], selection.mask.cpu()
+        presence = is_present(score, int(mask.sum()), question.present_from)
         asked = question.vectors_of(number, selection.level)
-        mask, level = selection.mask.cpu(), field.levels[selection.level]
-        yield Answer(question.texts[number], mask, level, score, asked, threshold=selection.threshold)
-
-
-def text_scores(
-    question: Question[Any], best_fits: Tensor, names: Sequence[Named | None] = ()
-) -> list[TextScore]:
-    """Return the score of each text against the best fits of everyday words [B], joined with that of its name; with
-    too few words, none counts."""
-    every = zip(compared_others(question), names or [None] * len(question.texts), strict=True)
-    return [TextScore(best_fits[: len(own)], own, named) for own, named in every]
-
-
-def compared_others(question: Question[Any]) -> Tensor:
-    """Return which everyday words count for each text, [Q, B] boolean; [Q, 0] with too few words."""
-    queries = question.queries.float().cpu()
-    if not question.can_judge_presence:
-        return torch.zeros(len(queries), 0, dtype=torch.bool)
-    return other_words(queries, question.everyday.float().cpu())
+        mask = mask if presence else torch.zeros_like(mask)
+        yield Answer(text, mask, level, score, asked, presence, threshold=selection.threshold)
 
 
 def sampled_votes(field: Field, question: Question[Any]) -> SampledVotes:

@@ -9,15 +9,15 @@ Presence has the odds of the photographs, times a power of the field's. Measured
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from scoup.field import Field
-from scoup.query.matching import Choice, ComparedTable, choose_things
+from scoup.query.matching import Choice
 from scoup.query.presence import LIKELY
 from scoup.query.question import Question
 from scoup.scene.names import NameTable
@@ -71,61 +71,56 @@ def joined_presence(presence: float, by_field: float | None) -> float:
     return raised / (raised + 1 - presence)
 
 
-def named_texts(table: ThingTable | None, question: Question) -> list[Named | None]:
-    """Return what things are known of each text by its name, or by a name near to it; None for all other texts."""
-    names = None if table is None else table.names
-    if table is None or names is None:
-        return [None] * len(question.texts)
+def named_texts(table: ThingTable | None, question: Question) -> list[dict[int, Named]]:
+    """Return what things of a field are known of each text by its name, or by a name near to it, as of scene 0; nothing
+    of all other texts."""
+    if table is None or table.names is None:
+        return [{} for _ in question.texts]
+    return [{} if own is None else {0: own} for own in find_named(table.names, len(table), question)]
+
+
+def find_named(names: NameTable, count: int, question: Question) -> list[Named | None]:
+    """Return what ``count`` things are known of each text by its name, or by a name near to it."""
     near = question.near or (None,) * len(question.texts)
     numbers = [
         names.number(other or text) if names.number(text) is None else names.number(text)
         for text, other in zip(question.texts, near, strict=True)
     ]
-    return [None if number is None else Named(names, number, len(table)) for number in numbers]
-
-
-def choose(
-    known: ComparedTable, fits: Tensor, named: Sequence[Named | None], level: int | None = None
-) -> list[Choice | None]:
-    """Return the things that answer each text of a question, by the field's choice and by names.
-
-    Args:
-        known, fits: of the field and the question (``choose_things``).
-        named: of the question (``named_texts``).
-        level: the one that answers; None: the best.
-    """
-    return [
-        joined(known, choice, fits[:, number], own.votes, level) if choice and own and own.is_sure else choice
-        for number, (choice, own) in enumerate(zip(choose_things(known, fits, level), named, strict=True))
-    ]
+    return [None if number is None else Named(names, number, count) for number in numbers]
 
 
 def joined(
-    known: ComparedTable, choice: Choice, fits: Tensor, votes: Tensor, level: int | None = None
+    choice: Choice, votes: Tensor, levels: Tensor, usable: Tensor, fits: Tensor, level: int | None = None
 ) -> Choice:
-    """Return the things that answer a text, from the field's choice and the votes [T] of a model."""
-    levels = known.things.levels.cpu()
-    votes = torch.where(known.usable & (levels == level) if level is not None else known.usable, votes, 0.0)
-    most = votes.max()
+    """Return the things that answer a text, from a scene's choice and the votes [T] of a model that is sure of it.
+
+    Args:
+        choice, votes: of the text.
+        levels, usable, fits: [T], of the scene (``ThingIndex``).
+        level: the one that answers; None: the best.
+    """
+    votes = torch.where(usable & (levels == level) if level is not None else usable, votes, 0.0)
+    most, things = votes.max(), torch.tensor(choice.things)
     if most == 0:
         return choice
-    mine = votes[choice.things]
+    mine = votes[things]
     if mine.max() >= AGREES * most:
-        return _chosen(choice, choice.things[mine >= TOGETHER * mine.max()], fits)
-    usable = fits[known.usable]
-    best = usable.max()
+        return _chosen(choice, things[mine >= TOGETHER * mine.max()], levels, fits)
+    best = fits[usable].max()
     # A thing that fits like the median thing has e times fewer votes than one that fits best; as logarithms, because
     # where most things fit alike, others have fewer than any number is small.
-    lowered = votes.log() + (fits - best).clamp(max=0) / (best - usable.median()).clamp(min=1e-6)
+    lowered = votes.log() + (fits - best).clamp(max=0) / (best - fits[usable].median()).clamp(min=1e-6)
     together = (lowered >= lowered.max() + math.log(TOGETHER)) & (levels == levels[lowered.argmax()])
     things = together.nonzero()[:, 0]
-    return _chosen(choice, things[lowered[things].argsort(descending=True, stable=True)], fits)
+    things = things[lowered[things].argsort(descending=True, stable=True)]
+    return _chosen(choice, things, levels, fits)
 
 
-def _chosen(choice: Choice, things: Tensor, fits: Tensor) -> Choice:
-    rival = choice.runner_up if choice.runner_up is None or choice.runner_up not in things.tolist() else None
-    lost = [thing for thing in choice.things.tolist() if thing not in things.tolist()]
-    return replace(choice, things=things, fit=float(fits[things].max()), runner_up=lost[0] if lost else rival)
+def _chosen(choice: Choice, chosen: Tensor, levels: Tensor, fits: Tensor) -> Choice:
+    things = tuple(chosen.tolist())
+    rival = None if choice.runner_up in things else choice.runner_up
+    lost = [thing for thing in choice.things if thing not in things]
+    return Choice(things, int(levels[chosen[0]]), float(fits[chosen].max()), lost[0] if lost else rival)
 
 
 def voted_names(

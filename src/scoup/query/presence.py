@@ -13,8 +13,9 @@ docs/answers.md.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor
@@ -26,6 +27,7 @@ from scoup.models.words import LEAST_WORDS
 
 if TYPE_CHECKING:
     from scoup.query.named import Named
+    from scoup.query.question import Question
 
 Certainty = Literal["sure", "likely", "doubtful", "not here"]
 PRESENT_FROM = 0.37
@@ -88,23 +90,51 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
     return ~alike & (near < SAME)
 
 
+def compared_others(question: Question[Any]) -> Tensor:
+    """Return which everyday words count for each text, [Q, B] boolean; [Q, 0] with too few words."""
+    queries = question.queries.float().cpu()
+    if not question.can_judge_presence:
+        return torch.zeros(len(queries), 0, dtype=torch.bool)
+    return other_words(queries, question.everyday.float().cpu())
+
+
 class TextScore:
-    """The score of one text for a fit: against the best fits of everyday words, and by its name if it has one.
+    """The score of one text for fits in S scenes: against the best fits of everyday words, and by its name if it has
+    one.
 
     Args:
-        best_fits: [B] of the words in this scene.
+        best_fits: [S, B] of the words in each scene.
         others: [B] boolean, the words that count (``other_words``).
-        named: what a model with words said of the text, if it has a name.
+        named: by scene, what a model with words said of the text.
     """
 
-    def __init__(self, best_fits: Tensor, others: Tensor, named: Named | None = None) -> None:
-        self._ordered, self._named = best_fits[others].sort().values, named
+    def __init__(self, best_fits: Tensor, others: Tensor, named: Mapping[int, Named] | None = None) -> None:
+        self._best, self._named = best_fits[:, others], named or {}
 
     def __call__(self, fit: float, thing: int | None = None) -> float | None:
-        """Return the share of the words whose best fit is lower, or None if no word counts, joined with the score of
-        the name (``Named.score``): of the text, or of it in one thing."""
-        score = None
-        if len(self._ordered):
-            below = torch.searchsorted(self._ordered, torch.tensor(fit, dtype=self._ordered.dtype))
-            score = int(below) / len(self._ordered)
-        return score if self._named is None else self._named.score(score, thing)
+        """Return the score of one fit in the first scene, of the text, or of it in one thing."""
+        return self.each([fit], [0], [thing])[0]
+
+    def each(
+        self, fits: Sequence[float], scenes: Sequence[int], things: Sequence[int | None] | None = None
+    ) -> list[float | None]:
+        """Return for each fit the share of the words whose best fit in its scene is lower, or None if no word counts,
+        joined with the score of the name (``Named.score``): of the text, or of it in one thing."""
+        scores: list[float | None] = [None] * len(fits)
+        if count := self._best.shape[1]:
+            lower = self._best[[*scenes]] < torch.tensor(fits)[:, None]
+            scores = [number / count for number in lower.sum(1).tolist()]
+        for place, scene in enumerate(scenes if self._named else ()):
+            if scene in self._named:
+                thing = None if things is None else things[place]
+                scores[place] = self._named[scene].score(scores[place], thing)
+        return scores
+
+
+def text_scores(
+    question: Question[Any], best_fits: Tensor, named: Sequence[Mapping[int, Named]] = ()
+) -> list[TextScore]:
+    """Return the score of each text against the best fits of everyday words [S, B], joined with those of its names in
+    the scenes; with too few words, none counts."""
+    every = zip(compared_others(question), named or [None] * len(question.texts), strict=True)
+    return [TextScore(best_fits[:, : len(own)], own, names) for own, names in every]

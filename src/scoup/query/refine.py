@@ -23,8 +23,8 @@ from scoup.io.camera_images import attach_images
 from scoup.models.concepts import ConceptModel, open_concepts
 from scoup.query.field_view import FieldView
 from scoup.query.language_field import LanguageField
-from scoup.query.matching import compare_things
 from scoup.query.question import literal
+from scoup.query.thing_index import thing_index
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.names import Detections
 from scoup.uplift.naming import name_things
@@ -125,7 +125,7 @@ def choose_views(
 ) -> list[Camera]:
     """Return up to ``most`` cameras in which things that may answer texts are seen best, in order of their names."""
     question = field.question(literal(list(texts)))
-    known = compare_things(field, question)
+    known = thing_index(field, question)
     assert known is not None
     fits = known.fits(question.queries)[known.usable]
     weights = (fits - fits.amax(0)).exp().amax(1) + SOME / max(1, len(fits))

@@ -16,10 +16,12 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from scoup.field import Field
-from scoup.query.answer_scene import each_answer, text_scores
-from scoup.query.matching import SAME, ComparedTable, compare_things, compared_words, shared_gaussians
+from scoup.query.answer_scene import each_answer
+from scoup.query.matching import SAME
 from scoup.query.named import NAMES, less_common, voted_names
+from scoup.query.presence import text_scores
 from scoup.query.question import Question
+from scoup.query.thing_index import ThingIndex, compared_words, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
 from scoup.scene.things import ThingTable
 
@@ -51,12 +53,12 @@ def thing_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
 
 
 def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
-    known = compare_things(field, question)
+    known = thing_index(field, question)
     if known is None:
         return {}
     queries, everyday = question.queries.float().cpu(), compared_words(question)
-    near = less_common(known.embeddings @ queries.T)
-    words = less_common(known.embeddings @ everyday.T)
+    near = less_common(known.cosines(queries))
+    words = less_common(known.cosines(everyday))
     found: dict[int, list[tuple[float, int]]] = {}
     for number, answer in enumerate(each_answer(field, question)):
         for thing in answer.things:
@@ -74,12 +76,11 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     return names
 
 
-def _alike(known: ComparedTable, named: Collection[int]) -> dict[int, int]:
+def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
     """Return the named things, and those of other levels with the same Gaussians, each with the named one."""
-    (rows, columns), shared = known.shared.indices().tolist(), known.shared.values().tolist()
     counts = known.counts.tolist()
     best: dict[int, tuple[float, int]] = {}
-    for one, other, both in zip(rows, columns, shared, strict=True):
+    for one, other, both in known.shares.pairs():
         share = both / max(1.0, counts[one] + counts[other] - both)
         if one in named and (one == other or (other not in named and share >= SAME)):
             best[other] = max(best.get(other, (0.0, one)), (share, one))
@@ -130,8 +131,7 @@ def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
 def _nesting(table: ThingTable) -> tuple[dict[int | None, int], set[int | None]]:
     """Return the thing of the next coarser level that has half of the Gaussians of each thing, and the things that are
     stable, or that another level found, too."""
-    shared, levels = shared_gaussians(table), table.levels.tolist()
-    pairs = list(zip(*shared.indices().tolist(), shared.values().tolist(), strict=True))
+    pairs, levels = shared_gaussians(table).pairs(), table.levels.tolist()
     counts = {one: both for one, other, both in pairs if one == other}
     wholes: dict[int | None, int] = {}
     steady: set[int | None] = {*(table.stability >= STABLE).nonzero()[:, 0].tolist()}

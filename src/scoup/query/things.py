@@ -16,12 +16,11 @@ from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.field import Field
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
-from scoup.query.answer_scene import text_scores
 from scoup.query.boxes import OrientedBox, PointSets
-from scoup.query.matching import compare_things
 from scoup.query.named import named_texts, voted_names
-from scoup.query.presence import LEAST_GAUSSIANS
+from scoup.query.presence import LEAST_GAUSSIANS, text_scores
 from scoup.query.question import Question
+from scoup.query.thing_index import thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
 from scoup.scene.neighbours import connected_parts
@@ -154,15 +153,16 @@ def things_of_answer(field: Field, answer: Answer) -> list[Thing]:
 def best_part(field: Field, question: Question[Any], text: str, thing: Thing) -> Thing:
     """Return the part of a thing that fits a text of a question best, or the thing itself."""
     one = question.one(question.texts.index(text))
-    known = compare_things(field, one)
+    known, table = thing_index(field, one), field.thing_table
     assert known is not None
+    assert table is not None
     assert thing.number is not None
     fits = known.fits(one.queries)[:, 0].tolist()
-    inside = known.things.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
+    inside = table.parts(thing.number) & known.usable & (known.counts >= LEAST_GAUSSIANS)
     best = max(inside.nonzero()[:, 0].tolist(), key=fits.__getitem__, default=thing.number)
     if best == thing.number:
         return thing
-    (score,) = text_scores(one, known.best_fits, named_texts(field.thing_table, one))
+    (score,) = text_scores(one, known.best_fits, named_texts(table, one))
     found = [
         replace(part, text=text, score=score(fits[best], best)) for part in things_of_table(field, [best])
     ]

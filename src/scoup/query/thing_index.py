@@ -1,0 +1,287 @@
+"""Things of one scene or many, compared with everyday words: which of them answer a text, and whether it is there.
+
+The fit of a thing to a text is their cosine, less half of the cosine with the words that fit the thing best: some
+things are near to any word (local scaling of cosines, one side of it; Conneau et al. 2018). Its unit is the scene's
+spread, by how much the cosines of one thing's regions with a text differ (``ThingTable.spread``), so that a gap means
+the same for every embedding model. Things of few regions, and those that views segment differently, fit less: their
+means are less certain, and they are more often a part or a blend of what people name.
+
+Fields, pages, agents and archives ask ``ThingIndex``; a field is an index of one scene. ``scoup.query.matching``
+chooses, ``scoup.query.presence`` scores. Ours; measured in docs/answers.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate, combinations, islice, pairwise
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+
+from scoup.field import Field
+from scoup.query.answer import RunnerUp
+from scoup.query.matching import Choice, choose_things
+from scoup.query.named import Named, joined
+from scoup.query.presence import TextScore, is_present, text_scores
+from scoup.query.question import Question, TextVectors
+from scoup.scene.things import NO_THING, ThingTable
+
+HUB_QUANTILE = 0.99
+"""The words that fit a thing best are those above this quantile."""
+HUB_SHARE = 0.5
+"""This share of the cosine with the words that fit a thing best is subtracted."""
+FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
+"""The fit of a thing of R regions is lowered by the first / sqrt(R), as the error of a mean falls, and by the second
+times the logarithm of 1 / its stability."""
+THINGS_AT_A_TIME = 512  # whose fits to all everyday words are in memory together
+
+
+class Shares(NamedTuple):
+    """Gaussians that two things of a scene share, both ways; a thing shares all that it has with itself."""
+
+    ends: Tensor
+    """[N + 1] int64: the pairs of thing n are those from ``ends[n]`` to ``ends[n + 1]``."""
+    others: Tensor
+    """[E] int32, number of the other thing in its scene, rising."""
+    gaussians: Tensor
+    """[E] float32."""
+
+    def pairs(self) -> list[tuple[int, int, float]]:
+        """Return two things of one scene, and the Gaussians that they share, for each pair."""
+        rows = torch.arange(len(self.ends) - 1).repeat_interleave(self.ends.diff())
+        return list(zip(rows.tolist(), self.others.tolist(), self.gaussians.tolist(), strict=True))
+
+
+class Verdict(NamedTuple):
+    """The answer of one scene to one text."""
+
+    things: tuple[int, ...]
+    """Numbers in the scene, of one level, best first; empty where no thing is usable."""
+    scores: tuple[float | None, ...]
+    """Of each of them alone."""
+    level: int
+    score: float | None
+    presence: bool
+    runner_up: RunnerUp | None
+
+
+@dataclass(frozen=True, eq=False)
+class ThingIndex:
+    """N things of S scenes, compared with B everyday words. Things of a scene follow each other."""
+
+    words: Tensor  # [B, D]
+    vectors: tuple[Tensor, ...]  # per scene [T, D], mean embeddings of unit norm
+    levels: Tensor  # [N] uint8
+    counts: Tensor  # [N] float32, Gaussians
+    mass: Tensor  # [N] float32
+    usable: Tensor  # [N] boolean: things that may answer, as they have Gaussians and an embedding
+    doubt: Tensor  # [N] float32, how much few regions and instability lower a fit
+    spread: Tensor  # [N] float32, of the scene
+    hubs: Tensor  # [N] float32, the cosine at ``HUB_QUANTILE``
+    shares: Shares
+    known_best_fits: Tensor | None = None  # [S, B] float32
+
+    @classmethod
+    def of(cls, things: ThingTable, words: Tensor) -> ThingIndex:
+        """Compare the things of a field with everyday words, or with whatever stands in their place."""
+        counts = things.sums(torch.ones(len(things.owners))).float()
+        return cls.counted(things, words.clone(), counts, shared_gaussians(things))
+
+    @classmethod
+    def counted(cls, things: ThingTable, words: Tensor, counts: Tensor, shares: Shares) -> ThingIndex:
+        """Compare things whose Gaussians were counted before; ``owners`` of the table is not read."""
+        vectors, mass = things.embeddings.float().cpu(), things.mass.cpu()
+        return cls(
+            words=words,
+            vectors=(vectors,),
+            levels=things.levels.cpu(),
+            counts=counts,
+            mass=mass,
+            usable=(counts > 0) & vectors.any(1) & (mass > 0),
+            doubt=_doubt(things.n_regions.cpu(), things.stability.cpu()),
+            spread=torch.full_like(mass, things.spread),
+            hubs=hub_cosines(vectors, words),
+            shares=shares,
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[ThingIndex]) -> ThingIndex:
+        """Return one index of the scenes of several, one at least, all compared with the same words."""
+        names = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs")
+        first = [0, *accumulate(len(part.shares.others) for part in parts)]
+        shares = Shares(
+            torch.cat([part.shares.ends[:-1] + start for part, start in zip(parts, first, strict=False)]
+                      + [torch.tensor(first[-1:])]),
+            torch.cat([part.shares.others for part in parts]),
+            torch.cat([part.shares.gaussians for part in parts]),
+        )  # fmt: skip
+        return cls(
+            words=parts[0].words,
+            vectors=tuple(each for part in parts for each in part.vectors),
+            shares=shares,
+            known_best_fits=pad_sequence([each for part in parts for each in part.best_fits], True),
+            **{name: torch.cat([getattr(part, name) for part in parts]) for name in names},
+        )
+
+    def with_words(self, words: Tensor) -> ThingIndex:
+        """Return the index of other words."""
+        hubs = torch.cat([hub_cosines(each, words) for each in self.vectors])
+        return replace(self, words=words, hubs=hubs, known_best_fits=None)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its largest tensors."""
+        return self.words.nbytes + sum(each.nbytes for each in self.vectors)
+
+    @cached_property
+    def starts(self) -> list[int]:
+        """[S + 1] first thing of each scene, and N."""
+        return [*accumulate(map(len, self.vectors), initial=0)]
+
+    def cosines(self, queries: Tensor) -> Tensor:
+        """Return the cosines [N, Q] float32 of all things with unit vectors [Q, D].
+
+        Each scene has a product of its own: of several together, the last bits would differ from those of one alone.
+        """
+        queries = queries.float().cpu().T
+        return torch.cat([each.float() @ queries for each in self.vectors])
+
+    def fits(self, queries: Tensor) -> Tensor:
+        """Return the fits [N, Q] float32 of all things to unit vectors [Q, D], in units of the scene's spread."""
+        return self._fits(self.cosines(queries), slice(None))
+
+    def _fits(self, cosines: Tensor, rows: slice) -> Tensor:
+        lowered = cosines - HUB_SHARE * self.hubs[rows, None]
+        return lowered / self.spread[rows, None] - self.doubt[rows, None]
+
+    def leads(self, fits: Tensor) -> Tensor:
+        """Return how much better things fit texts than the everyday words that fit them best, [N, Q], of their fits."""
+        return fits - ((1 - HUB_SHARE) * self.hubs / self.spread)[:, None]
+
+    @cached_property
+    def best_fits(self) -> Tensor:
+        """The best fit of each everyday word with a thing that it does not name, in each scene, [S, B] float32.
+
+        A word names the things that it fits better than all other words. So words of what is in the scene, of which a
+        small table may have nothing else, say the same as words of what is not.
+        """
+        if self.known_best_fits is not None:
+            return self.known_best_fits
+        best = torch.full((len(self.vectors), len(self.words)), -torch.inf)
+        for scene, (first, end) in enumerate(pairwise(self.starts)):
+            for start in range(first, end, THINGS_AT_A_TIME):
+                rows = slice(start, min(end, start + THINGS_AT_A_TIME))
+                cosines = self.vectors[scene][start - first :][:THINGS_AT_A_TIME].float() @ self.words.T
+                fits = self._fits(cosines, rows)
+                fits.scatter_(1, cosines.argmax(1, keepdim=True), -torch.inf)
+                fits[~self.usable[rows]] = -torch.inf
+                best[scene] = torch.maximum(best[scene], fits.amax(0))
+        return best
+
+    def shared(self, things: Tensor, counted: Tensor, width: int) -> Tensor:
+        """Return the Gaussians that things [...], where they are ``counted``, share with the first ``width`` of their
+        scenes, [..., width] float32."""
+        ends, things = self.shares.ends, things.flatten()
+        sizes = torch.where(counted.flatten(), ends[things + 1] - ends[things], 0)
+        rows = torch.arange(len(things)).repeat_interleave(sizes)
+        pairs = torch.arange(len(rows)) + (ends[things] - sizes.cumsum(0) + sizes)[rows]
+        found = torch.zeros(len(things), width)
+        found[rows, self.shares.others[pairs].long()] = self.shares.gaussians[pairs]
+        return found.view(*counted.shape, width)
+
+    def judge(
+        self, question: Question[Any], fits: Tensor, named: Sequence[Mapping[int, Named]]
+    ) -> Iterator[list[Verdict]]:
+        """Yield the answer of each scene to each text of a question.
+
+        Args:
+            fits: [N, Q] of its texts.
+            named: for each text, by scene, what a model with words said of it (``named_texts``).
+        """
+        scores = text_scores(question, self.best_fits, named)
+        for number, choices in enumerate(choose_things(self, fits, question.level)):
+            mine = fits[:, number]
+            for scene, own in named[number].items():
+                choice, rows = choices[scene], slice(*self.starts[scene : scene + 2])
+                if choice is not None and own.is_sure:
+                    parts = self.levels[rows], self.usable[rows], mine[rows]
+                    choices[scene] = joined(choice, own.votes, *parts, question.level)
+            yield self._verdicts(question, choices, mine, scores[number])
+
+    def _verdicts(
+        self, question: Question[Any], choices: Sequence[Choice | None], fits: Tensor, score: TextScore
+    ) -> list[Verdict]:
+        level, least = question.level or 0, question.present_from
+        nothing = 0.0 if question.can_judge_presence else None
+        verdicts = [Verdict((), (), level, nothing, is_present(nothing, 0, least), None)] * len(choices)
+        made = [(scene, choice) for scene, choice in enumerate(choices) if choice is not None]
+        rivals = [(scene, each.runner_up) for scene, each in made if each.runner_up is not None]
+        rows = [self.starts[scene] + rival for scene, rival in rivals]
+        of_rivals = score.each(fits[rows].tolist(), *zip(*rivals, strict=True)) if rivals else []
+        runners_up = {
+            scene: RunnerUp(rival, own) for (scene, rival), own in zip(rivals, of_rivals, strict=True)
+        }
+        scores = score.each([each.fit for _, each in made], [scene for scene, _ in made])
+        things = [(scene, thing) for scene, each in made for thing in each.things]
+        rows = [self.starts[scene] + thing for scene, thing in things]
+        counts = iter(self.counts[rows].tolist())
+        alone = iter(score.each(fits[rows].tolist(), *zip(*things, strict=True)) if things else ())
+        for (scene, choice), own in zip(made, scores, strict=True):
+            size = len(choice.things)
+            present = is_present(own, int(sum(islice(counts, size))), least)
+            verdicts[scene] = Verdict(
+                choice.things, tuple(islice(alone, size)), choice.level, own, present, runners_up.get(scene)
+            )
+        return verdicts
+
+
+def _doubt(n_regions: Tensor, stability: Tensor) -> Tensor:
+    few = FEW_REGIONS * n_regions.clamp(min=1).rsqrt()
+    return few - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
+
+
+def hub_cosines(vectors: Tensor, words: Tensor) -> Tensor:
+    """Return the cosine [T] of each thing with the words [B, D] that fit it best, at ``HUB_QUANTILE``."""
+    rank = max(1, math.ceil(HUB_QUANTILE * len(words)))
+    parts = vectors.split(THINGS_AT_A_TIME) or [vectors]
+    return torch.cat([(part.float() @ words.T).kthvalue(rank, dim=1).values for part in parts])
+
+
+def shared_gaussians(things: ThingTable) -> Shares:
+    """Return how many Gaussians each two things of a field share."""
+    owners, count = things.owners.cpu().long(), len(things)
+    rows = others = torch.arange(count)
+    counts = things.sums(torch.ones(len(owners))).float()
+    for one, other in combinations(owners.T, 2):
+        both = (one != NO_THING) & (other != NO_THING)
+        keys, shared = (one[both] * count + other[both]).unique(return_counts=True)
+        pairs = keys // max(count, 1), keys % max(count, 1)
+        rows, others = torch.cat([rows, *pairs]), torch.cat([others, *reversed(pairs)])
+        counts = torch.cat([counts, *[shared.float()] * 2])
+    return shares_of(rows, others, counts, count)
+
+
+def shares_of(rows: Tensor, others: Tensor, gaussians: Tensor, count: int) -> Shares:
+    """Return the Gaussians that pairs of ``count`` things share, in order of these."""
+    order = (rows * count + others).argsort()
+    ends = torch.zeros(count + 1, dtype=torch.int64)
+    ends[1:] = torch.bincount(rows, minlength=count).cumsum(0)
+    return Shares(ends, others[order].int(), gaussians[order])
+
+
+def compared_words(texts: TextVectors) -> Tensor:
+    """Return the words [B, D] float32 that things are compared with; the canonical phrases replace too few."""
+    return (texts.everyday if texts.can_judge_presence else texts.canonical).float().cpu()
+
+
+def thing_index(field: Field, texts: TextVectors) -> ThingIndex | None:
+    """Return the things of a field, compared with ``compared_words``; None for a field without things."""
+    if field.thing_table is None or not len(field.thing_table):
+        return None
+    table, words = field.thing_table, compared_words(texts)
+    return field.kept((ThingIndex, words.numpy().tobytes()), lambda: ThingIndex.of(table, words))
