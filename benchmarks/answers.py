@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
-from types import ModuleType
 from typing import Any, ClassVar
-from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -19,13 +17,13 @@ from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence
 from benchmarks.answer_scenes import AnswerScene, SceneSize, make_scene
 from benchmarks.data import data_folder
 from benchmarks.drawn import answers_of, mask_ious
+from benchmarks.left_out import SETTINGS, TABLES, WITHOUT, left_out, table_of_constant
 from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Record, Study
 from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
 from scoup.base.errors import looked_up
 from scoup.models.words import with_everyday
 from scoup.query.presence import PRESENT_FROM
-from scoup.uplift import constants
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import MethodSettings
@@ -35,12 +33,6 @@ from scoup_lab.evaluate.metrics import any_inside, bootstrap_interval, iou
 from scoup_lab.evaluate.relevancy_maps import localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES
 
-TABLES: tuple[ModuleType, ...] = (constants,)
-"""The tables of constants, one per room: those that a ``WITHOUT`` names can be left out."""
-WITHOUT = "without "
-"""Begins the name of the default way without a constant."""
-SETTINGS = ("desk", "table-real", "shelves-real", "hall-real", "yard-real")
-"""The scenes with real models on which constants are left out."""
 RULES = ("peak", "always", "asked", "localisation")
 SLOW = frozenset({"paper"})  # which takes a minute a level: the first seed alone
 COMPARED = (
@@ -180,17 +172,6 @@ class Answers(Study):
     def table(record: Record) -> str:
         keys = next(iter(record["ways"].values()))
         return "\n".join(f"\n{key}\n\n" + table_of(record, key) for key in keys)
-
-
-def table_of_constant(name: str) -> ModuleType:
-    """Return the table that can leave a constant out; an error for none."""
-    return looked_up("constant", name, {name: table for table in TABLES for name in table.WITHOUT})
-
-
-def left_out(name: str) -> AbstractContextManager[Any]:
-    """Give a constant the value at which it has no effect, while a block runs: modules read it when they need it."""
-    table = table_of_constant(name)
-    return patch.object(table, name, table.WITHOUT[name])
 
 
 def score(scene: AnswerScene, fitted: FittedMethod) -> Record:

@@ -17,7 +17,9 @@ from benchmarks.ways import WAYS
 
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.coding.exact import EFFORTS, ExactSettings
+from scoup.uplift import constants
 from scoup.uplift.build_settings import BUILD_PRESETS
+from scoup_lab.baselines import rasterised_scene
 from scoup_lab.baselines.method import DEFAULTS
 from scoup_lab.baselines.sparse import SparseUplift
 from scoup_lab.evaluate.metrics import bootstrap_interval
@@ -108,3 +110,27 @@ def test_ways_are_what_their_names_say() -> None:
     assert (build_of("default"), build_of("paper")) == (default, BUILD_PRESETS["paper"])
     assert build_of("votes") == replace(default, things=False)
     assert {name for pair in answers.COMPARED for name in pair} <= set(WAYS)
+
+
+def test_constants_are_left_out_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(answers, "SETTINGS", ("table-0",))
+    study = tiny(without=("LEAST_REGIONS", "INSIDE"), seeds=(0,), out=tmp_path / "a.json")
+    assert (study.scenes, study.ways) == (
+        ("table-0",),
+        ("default", "without LEAST_REGIONS", "without INSIDE"),
+    )
+    seen = []
+    find_things = rasterised_scene.find_things
+
+    def watched(*given: Any) -> Any:
+        seen.append((constants.LEAST_REGIONS, constants.INSIDE))
+        return find_things(*given)
+
+    monkeypatch.setattr(rasterised_scene, "find_things", watched)
+    record = run(study, "answers")
+    assert seen == [(2, 0.5), (1, 0.5), (2, 1.0)]
+    assert (constants.LEAST_REGIONS, constants.INSIDE) == (2, 0.5)
+    assert set(record["differences"]) == {"default - without LEAST_REGIONS", "default - without INSIDE"}
+    assert len(answers.Answers(without=("all",)).ways) == 1 + len(constants.WITHOUT)
+    with pytest.raises(UnknownNameError, match="NEAREST"):
+        run(tiny(without=("NEAREST",)), "answers")

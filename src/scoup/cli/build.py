@@ -253,7 +253,7 @@ class Build:
 
     def _report_resumed(self, console: Console, sums: RegionSums, views: int) -> None:
         """Report what is resumed, and what an interruption leaves."""
-        from scoup.uplift.region_sums import view_files
+        from scoup.uplift.storage.array_file import view_files
 
         if self.region_sums.keep_sums is None:
             return

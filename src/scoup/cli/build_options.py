@@ -131,7 +131,7 @@ def report_field(
 ) -> None:
     """Report what was built; the folder of ``sums`` that are kept, and the extraction if there was one."""
     from scoup.field.part_sizes import part_sizes
-    from scoup.uplift.region_sums import stored_bytes, view_files
+    from scoup.uplift.storage.array_file import stored_bytes, view_files
 
     coding, views = field.info.provenance["coding"], len(field.info.provenance["views"])
     for level, report in coding.items():

@@ -33,7 +33,15 @@ from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.build_settings import Scale, check_scale
-from scoup.uplift.storage.array_file import ENDING, SCENE, StoredArrays, read_arrays, view_file, write_arrays
+from scoup.uplift.storage.array_file import (
+    ENDING,
+    SCENE,
+    StoredArrays,
+    read_arrays,
+    view_file,
+    view_files,
+    write_arrays,
+)
 from scoup.uplift.storage.entries import BUCKET, Packer, ViewRecord
 from scoup.uplift.storage.matrices import csr_matrix, triplets_of
 
@@ -311,21 +319,6 @@ class RegionSums:
         if view_name not in self.views:
             raise InputError(f"there are no region sums of the view {view_name!r}")
         return self.views[view_name]
-
-
-def stored_files(path: Path) -> list[Path]:
-    """Return the files of kept sums: that of the scene, and one per view."""
-    return sorted(path.glob(f"[!.]*{ENDING}"))
-
-
-def view_files(path: Path) -> list[Path]:
-    """Return the files of the views of kept sums."""
-    return [file for file in stored_files(path) if file.stem != SCENE]
-
-
-def stored_bytes(path: Path) -> int:
-    """Return the size of kept sums."""
-    return sum(file.stat().st_size for file in stored_files(path))
 
 
 @contextmanager

@@ -43,6 +43,21 @@ def view_file(view_name: str) -> str:
     return f"view.{slug(view_name)}.{hashlib.sha256(view_name.encode()).hexdigest()[:12]}{ENDING}"
 
 
+def stored_files(path: Path) -> list[Path]:
+    """Return the files of region sums in a folder: that of the scene, and one per view."""
+    return sorted(path.glob(f"[!.]*{ENDING}"))
+
+
+def view_files(path: Path) -> list[Path]:
+    """Return the files of the views among them."""
+    return [file for file in stored_files(path) if file.stem != SCENE]
+
+
+def stored_bytes(path: Path) -> int:
+    """Return their size in bytes."""
+    return sum(file.stat().st_size for file in stored_files(path))
+
+
 @dataclass(frozen=True, eq=False)
 class StoredArrays:
     """The contents of one file."""
