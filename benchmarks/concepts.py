@@ -113,7 +113,7 @@ class Concepts(Study):
                     auc(*(np.array([sure[text] for text in some]) for some in (labels, absent))), 4
                 ),
                 "counts": [
-                    [scene.counts[label], len(found[label].instances)]
+                    [scene.counts[label], len(found[label].things)]
                     for label in labels
                     if scene.counts.get(label, 1) > 1
                 ],

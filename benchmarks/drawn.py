@@ -47,7 +47,7 @@ def answers_of(
         field.attach(scene.gaussians, known=True)
         found = {}
         for answer in answer_scene(field, question):
-            counting, count = counting_gaussians(field, answer), len(answer.instances) or None
+            counting, count = counting_gaussians(field, answer), len(answer.things) or None
             found[answer.text] = DrawnAnswer(answer.mask, counting, answer.score, count)
         return found
     coded, found = fitted.coded(), {}
