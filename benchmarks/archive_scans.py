@@ -235,7 +235,7 @@ class _Scan:
         pairs = torch.from_numpy(shared).float().to_sparse()
         rows, others = pairs.indices()
         shares = shares_of(rows, others, pairs.values(), len(levels))
-        index = ThingIndex.counted(table, everyday, torch.from_numpy(counts).float(), shares)
+        index = ThingIndex.of(table, everyday, torch.from_numpy(counts).float(), shares)
         middles = torch.from_numpy((pieces * self.sizes) @ self.middles / counts[:, None])
         sides, none = torch.full((3,), 0.1, dtype=torch.float64), torch.zeros(0, dtype=torch.int64)
         things = [

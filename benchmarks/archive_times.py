@@ -92,7 +92,7 @@ def _times(world: World, count: int, folder: Path) -> Record:
             matrix.write(vectors)
             scan = Scan(
                 file=folder / f"{each.name}-{scans:05}.parquet", field=f"{each.name}.scoup",
-                embedding_model="simulated", dim=512, levels=("s", "m", "l"), columns={}, row=total,
+                levels=("s", "m", "l"), columns={}, row=total,
                 vectors_checksum=zlib.crc32(vectors), words=digest, texts=(),
                 arrays=arrays_of(each.index, None, torch.ones(len(each.table), dtype=torch.bool)),
             )  # fmt: skip

@@ -200,22 +200,22 @@ def test_things_are_of_the_files_that_a_condition_holds_for(
     monkeypatch: pytest.MonkeyPatch,
     is_before: bool,
 ) -> None:
-    floors, asked, matching = [7], list[list[str]](), scoup.Archive._matching
+    floors, asked, matching = [7], list[list[str]](), scoup.Archive._wanted
 
     def replace_office() -> None:
         while floors:
             archive.add(fields["office"], floor=floors.pop())
 
-    def matching_meanwhile(self: scoup.Archive, where: str, names: list[str]) -> dict[str, set[int]]:
+    def matching_meanwhile(self: scoup.Archive, where: str, scans: dict[str, Scan]) -> Any:
         if is_before:
             replace_office()
-        asked.append(names)
-        found = matching(self, where, names)
+        asked.append([*scans])
+        found = matching(self, where, scans)
         replace_office()
         return found
 
     archive.find("lamp")
-    monkeypatch.setattr(scoup.Archive, "_matching", matching_meanwhile)
+    monkeypatch.setattr(scoup.Archive, "_wanted", matching_meanwhile)
     found = archive.find("lamp", "floor != 1")
     assert {each.scan: each.columns["floor"] for each in found} == {"office": 7, "hall": 2}
     assert asked == [["hall", "kitchen", "office"]] * 2
@@ -265,7 +265,7 @@ def test_what_does_not_fit_is_refused(
         scoup.Archive(tmp_path / "nothing").find("mug")
 
 
-def cut(data: bytes) -> bytes:
+def cut(data: bytes | bytearray) -> bytes | bytearray:
     return data[: len(data) // 2]
 
 

@@ -7,12 +7,12 @@ import json
 import re
 import warnings
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -69,8 +69,8 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 FORMAT, VERSION, ABOUT = "scoup archive", 1, "archive.json"
-Wanted: TypeAlias = "Mapping[int, Tensor]"
-"""Number of a scan -> its things that may be found, [T] boolean; scans without any are left out."""
+Wanted: TypeAlias = "Mapping[int, set[int] | None]"
+"""Number of a scan -> its things that may be found; None: all. Scans without any are left out."""
 ENCODED = 16  # lists of names whose vectors are in memory
 
 
@@ -163,7 +163,7 @@ class Archive:
         self._connection: DuckDBPyConnection | None = None
         if find_spec("duckdb") is None:
             connect()  # says what to install
-        self._kept = KeptScans(self.folder, self._cursor, self._check_scans)
+        self._kept = KeptScans(self.folder, self._cursor)
         self._about()
 
     def scans(self) -> dict[str, Scan]:
@@ -229,8 +229,6 @@ class Archive:
             scan = Scan(
                 file=file,
                 field=relative_place(file.resolve(), path) or "",
-                embedding_model=field.embedding_model,
-                dim=field.dim,
                 levels=field.levels,
                 columns=columns,
                 row=row,
@@ -285,17 +283,12 @@ class Archive:
             if not (wanted := self._wanted(where, scans)):
                 return []
             index = self._kept.index(scans, search.words, search.digest)
-            answers = self._answers(
-                AskedScans(search, [*scans.values()], index), wanted, None if at_least else top
-            )
+            asked = AskedScans(search, [*scans.values()], index)
+            answers = self._answers(asked, wanted, None if at_least else top)
             if at_least is not None:
-                of_scan: dict[int, list[Found]] = {}
-                for each in answers:
-                    of_scan.setdefault(each.scene, []).append(each)
-                enough = sorted(
-                    (each for each in of_scan.values() if len(each) >= at_least), key=len, reverse=True
-                )
-                answers = [found for each in enough[:top] for found in each]
+                of_scan = [[*each] for _, each in groupby(answers, lambda found: found.scene)]
+                of_scan.sort(key=len, reverse=True)
+                answers = [found for each in of_scan[:top] if len(each) >= at_least for found in each]
             return self._found(scans, answers)
 
         return self._kept.ask(found, lambda found: (each.scan for each in found))
@@ -330,7 +323,13 @@ class Archive:
             if not (wanted := self._wanted(where, scans)):
                 return []
             index = self._kept.index(scans, vector[None], "")
-            alike = (each for each in look_alikes(index, vector, name) if _is_wanted(each, wanted))
+            alike = (
+                each
+                for each in look_alikes(
+                    index, vector, name, [scan.arrays["placed"] for scan in scans.values()]
+                )
+                if _is_wanted(each, wanted)
+            )
             return self._found(scans, [*islice(alike, top)])
 
         return self._kept.ask(found, lambda found: (each.scan for each in found))
@@ -398,22 +397,12 @@ class Archive:
     def _check_model(self, field: LanguageField) -> dict[str, Any]:
         """Refuse a field of another embedding model; returns what archive.json says, or will say."""
         words = relative_place(self.folder.resolve() / ABOUT, field.info.words)
-        own = {"embedding_model": field.embedding_model, "dim": field.dim, "words": words}
-        about = self._about() or {"format": FORMAT, "version": VERSION, **own}
-        assert field.path is not None
-        self._refuse_others(about, field.path, field.embedding_model, field.dim)
+        own = {"embedding_model": field.embedding_model, "dim": field.dim}
+        about = self._about() or {"format": FORMAT, "version": VERSION, **own, "words": words}
+        if own != {name: about[name] for name in own}:
+            problem = f"contains {_embeddings(**own)}, the archive {self.folder} {_embeddings(**about)}"
+            raise FileFormatError(field.path or self.folder, problem, "use an archive per embedding model")
         return about
-
-    def _check_scans(self, scans: Sequence[Scan]) -> None:
-        about = self._about()
-        for scan in scans:
-            self._refuse_others(about, scan.file, scan.embedding_model, scan.dim)
-
-    def _refuse_others(self, about: dict[str, Any], path: Path, model: str, dim: int) -> None:
-        if (model, dim) != (about["embedding_model"], about["dim"]):
-            own, others = _embeddings(model, dim), _embeddings(about["embedding_model"], about["dim"])
-            problem = f"contains {own}, the archive {self.folder} {others}"
-            raise FileFormatError(path, problem, "use an archive per embedding model")
 
     def _encode(self, encoder: TextEncoder) -> Encode:
         """Return ``encoder.encode`` with a cache."""
@@ -430,7 +419,7 @@ class Archive:
         about = self._about()
         if not about:
             raise InputError(f"{self.folder}: contains no scan; add fields")
-        own = _embeddings(about["embedding_model"], about["dim"])
+        own = _embeddings(**about)
         try:
             self._embedder = self._embedder or open_embedder(about["embedding_model"])
             if self._embedder.dim != about["dim"]:
@@ -465,55 +454,41 @@ class Archive:
         return answers
 
     def _wanted(self, where: str | None, scans: Mapping[str, Scan]) -> Wanted:
-        """Return by number the scans with things for which a condition holds, and these things: placed ones."""
-        rows = [scan.arrays["placed"] for scan in scans.values()]
-        if where is None:
-            return dict(enumerate(rows))
-        matching, wanted = self._matching(where, [*scans]), {}
-        for number, (name, placed) in enumerate(zip(scans, rows, strict=True)):
-            if name in matching:
-                wanted[number] = torch.zeros_like(placed)
-                wanted[number][[thing for thing in matching[name] if thing < len(placed)]] = True
-                wanted[number] &= placed
-        return wanted
-
-    def _matching(self, where: str, names: Iterable[str]) -> dict[str, set[int]]:
+        """Return by number the scans with things for which a condition holds, and these things."""
         import duckdb
 
-        files = [str(file_of(self.folder, name)) for name in names]
-        wanted: dict[str, set[int]] = {}
-        if not files:
-            return wanted
+        if where is None or not scans:
+            return dict.fromkeys(range(len(scans)))
         try:
             # An expression, not a statement: it reads, and only this folder (``connect``).
+            files = [str(scan.file) for scan in scans.values()]
             every = self._cursor().read_parquet(files, union_by_name=True, filename=True)
             rows = every.filter(where).project("filename, thing").fetchall()
         except duckdb.Error as error:
             reason = " ".join(str(error).split("\n\n")[0].split())
             raise InputError(f"the condition {where!r} cannot be used: {reason}") from error
+        wanted: dict[str, set[int]] = {}
         for file, thing in rows:
             wanted.setdefault(Path(file).stem, set()).add(thing)
-        return wanted
+        return {number: wanted[name] for number, name in enumerate(scans) if name in wanted}
 
     def _found(self, scans: Mapping[str, Scan], answers: Sequence[Found]) -> list[FoundThing]:
         """Return things with their places."""
         of_scene = [*scans.values()]
         places = read_places([(of_scene[each.scene], each.thing) for each in answers], self._cursor())
-        found = []
-        for each, (position, box) in zip(answers, places, strict=True):
-            scan = of_scene[each.scene]
-            level, count = (int(scan.arrays[name][each.thing]) for name in ("levels", "counts"))
-            found.append(
-                FoundThing(
-                    scan.name, each.thing, each.text, scan.levels[level], each.score, position, box, count,
-                    scan.columns, scan.field_path,
-                )
-            )  # fmt: skip
-        return found
+        return [
+            FoundThing(
+                scan.name, each.thing, each.text, scan.levels[int(scan.arrays["levels"][each.thing])], each.score,
+                position, box, int(scan.arrays["counts"][each.thing]), scan.columns, scan.field_path,
+            )
+            for each, (position, box) in zip(answers, places, strict=True)
+            for scan in [of_scene[each.scene]]
+        ]  # fmt: skip
 
 
 def _is_wanted(found: Found, wanted: Wanted) -> bool:
-    return found.scene in wanted and bool(wanted[found.scene][found.thing])
+    things = wanted.get(found.scene, ())
+    return things is None or found.thing in things
 
 
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:
@@ -521,6 +496,6 @@ def _pixels(image: Image.Image) -> NDArray[np.uint8]:
     return np.array(rgb_image(ImageOps.exif_transpose(image)))
 
 
-def _embeddings(model: str, dim: int) -> str:
+def _embeddings(embedding_model: str, dim: int, **_: Any) -> str:
     """Return in words what a field contains."""
-    return f"embeddings of {model or 'an unnamed model'} ({dim} dimensions)"
+    return f"embeddings of {embedding_model or 'an unnamed model'} ({dim} dimensions)"

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 import torch
@@ -56,16 +56,10 @@ class KeptScans:
     Args:
         folder: of the archive.
         connection: returns a connection to DuckDB.
-        check: refuses scans.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        connection: Callable[[], DuckDBPyConnection],
-        check: Callable[[Sequence[Scan]], None],
-    ) -> None:
-        self._folder, self._connection, self._check = folder, connection, check
+    def __init__(self, folder: Path, connection: Callable[[], DuckDBPyConnection]) -> None:
+        self._folder, self._connection = folder, connection
         self._lock = Lock()  # of all that follow
         self._scans: dict[str, tuple[Stamp, Scan]] = {}
         self._parts: dict[Scan, ThingIndex] = {}
@@ -80,22 +74,16 @@ class KeptScans:
         """Return ``use(scans)`` of the scans as they are now, by name; again if those ``used`` have changed meanwhile,
         or those that an error may be about: others may be added all the time."""
         while True:
-            stamps, failure = self._listed(), None
-            found: Any = None
+            stamps = self._listed()
             try:
                 found = use(self._read(stamps))
-                names = {*used(found)}
+                if not self._changed(stamps, used(found)):
+                    return found
             except Exception as error:  # DuckDB has its own
-                path = error.path if isinstance(error, FileFormatError) else None
-                failure, names = (
-                    error,
-                    {each for each in stamps if file_of(self._folder, each) == path} or {*stamps},
-                )
-            now = self._listed()
-            if all(stamps.get(name) == now.get(name) for name in names):
-                if failure is not None:
-                    raise failure
-                return found
+                path = getattr(error, "path", None)
+                named = [each for each in stamps if file_of(self._folder, each) == path]
+                if not self._changed(stamps, named or stamps):
+                    raise
 
     def index(self, scans: Mapping[str, Scan], words: Tensor, digest: str) -> ThingIndex:
         """Return the things of scans, one at least, compared with words of a digest, or with whatever they were
@@ -119,7 +107,8 @@ class KeptScans:
                 try:
                     scans = self._read(stamps)
                 except FileFormatError as error:
-                    del stamps[error.path.stem]
+                    if stamps.pop(error.path.stem, None) is None:
+                        raise
             yield scans
 
     def write_vectors(self, vectors: bytes, row: int, dim: int) -> None:
@@ -144,12 +133,15 @@ class KeptScans:
                 stamps[name] = state.st_mtime_ns, state.st_size
         return stamps
 
+    def _changed(self, stamps: Mapping[str, Stamp], names: Iterable[str]) -> bool:
+        now = self._listed()
+        return any(stamps[name] != now.get(name) for name in names)
+
     def _read(self, stamps: Mapping[str, Stamp]) -> dict[str, Scan]:
         with self._lock:
             known = {name: self._scans[name] for name in stamps if name in self._scans}
             new = [name for name, stamp in stamps.items() if name not in known or known[name][0] != stamp]
             read = read_scans([file_of(self._folder, name) for name in new], self._connection())
-            self._check(read)
             known |= {name: (stamps[name], scan) for name, scan in zip(new, read, strict=True)}
             self._scans = known
             return {name: known[name][1] for name in stamps}
@@ -158,14 +150,14 @@ class KeptScans:
         path, data = self._folder / MATRIX, np.empty(0, np.uint8)
         if path.is_file() and path.stat().st_size:
             data = np.memmap(path, np.uint8, "c")  # private, for torch warns of what it may not write
+        size = 2 * words.shape[1]
         for scan in scans:
-            size = 2 * scan.dim
             rows = data[scan.row * size : (scan.row + len(scan)) * size]
             if zlib.crc32(rows.data) != scan.vectors_checksum:
                 refuse_pointer(path)
                 problem = f"is missing, or the vectors of the scan {scan.name} in it are damaged"
                 raise FileFormatError(path, problem, "add the field of this scan again, or remove it")
-            vectors = torch.from_numpy(rows.view("<f2").reshape(-1, scan.dim))
+            vectors = torch.from_numpy(rows.view("<f2").reshape(len(scan), -1))
             yield scan.index(vectors, words, self._digest)
 
 

@@ -60,7 +60,7 @@ _COLUMNS = {
 }
 _PLACE = {"position": (3,), "box_centre": (3,), "box_axes": (3, 3), "box_extent": (3,)}
 _OWN_TYPES = {str: "VARCHAR", int: "BIGINT", float: "DOUBLE"}
-_PLAIN = {"field": str, "embedding_model": str, "dim": int, "row": int, "vectors_checksum": int, "words": str}
+_PLAIN = {"field": str, "row": int, "vectors_checksum": int, "words": str}
 """Attributes of a scan that its metadata have as they are, and their types."""
 _OF_INDEX = ("levels", "counts", "mass", "usable", "doubt", "spread", "hubs", "best_fits")
 _OF_NAMES = ("presence", "rows", "things", "votes")
@@ -72,8 +72,6 @@ class Scan:
 
     file: Path
     field: str  # its file, relative to the folder of the archive
-    embedding_model: str
-    dim: int
     levels: tuple[str, ...]
     columns: OwnColumns
     row: int  # of the vector of its first thing in the matrix

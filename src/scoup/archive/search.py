@@ -153,7 +153,8 @@ class AskedScans:
             ranks = rank_of(scores, self._of_text(self._leads, text)[rows])
             for each, score, rank in zip(mine, scores, ranks, strict=True):
                 ranked[each] = Found(*each, text, score, rank)
-        return [ranked[scene, thing] for scene, thing in dict.fromkeys(each[:2] for each in answers)]
+        every = dict.fromkeys((scene, thing) for scene, thing, _ in answers)
+        return [ranked[each] for each in every if self.scans[each[0]].arrays["placed"][each[1]]]
 
     @cached_property
     def _leads(self) -> Tensor:
@@ -190,11 +191,12 @@ class AskedScans:
         return [(scene, thing.number, thing.text) for thing in found if thing.number is not None]
 
 
-def look_alikes(index: ThingIndex, vector: Tensor, name: str) -> Iterator[Found]:
+def look_alikes(index: ThingIndex, vector: Tensor, name: str, placed: Sequence[Tensor]) -> Iterator[Found]:
     """Yield the things that look most like an image with a vector [D] of unit norm, best first; parts of one before,
-    and what it is a part of, are left out. Score and rank are the cosine with the image."""
+    and what it is a part of, are left out, and so are things that are not ``placed``, [T] boolean per scan. Score and
+    rank are the cosine with the image."""
     cosines = torch.where(index.usable, index.cosines(vector[None])[:, 0], -torch.inf)
-    left, counts = index.usable.numpy().copy(), index.counts.clamp(min=1).numpy()
+    left, counts = (index.usable & torch.cat([*placed])).numpy(), index.counts.clamp(min=1).numpy()
     scenes = np.repeat(np.arange(len(index.vectors)), np.diff(index.starts)).tolist()
     ends, others, shared = (part.numpy() for part in index.shares)
     values = cosines.tolist()

@@ -60,16 +60,14 @@ def choose_things(known: ThingIndex, fits: Tensor, level: int | None = None) -> 
     starts = torch.tensor(known.starts)
     sizes = starts.diff()
     choices: list[list[Choice | None]] = [[None] * len(sizes) for _ in range(fits.shape[1])]
-    order = sizes.argsort(descending=True)[
-        : int((sizes > 0).sum())
-    ]  # similar sizes together: they are padded
+    order = sizes.argsort(descending=True)  # scenes of similar sizes together, as they are padded
+    order = order[sizes[order] > 0]
     while len(order):
         size = int(sizes[order[0]])
         scenes, order = order.tensor_split([max(1, FITS_AT_A_TIME // size)])
+        rows = starts[scenes], starts[scenes + 1]
         for texts in torch.arange(fits.shape[1]).split(max(1, FITS_AT_A_TIME // (size * len(scenes)))):
-            for scene, text, choice in _choose(
-                known, fits[:, texts], starts[scenes], starts[scenes + 1], level
-            ):
+            for scene, text, choice in _choose(known, fits[:, texts], *rows, level):
                 choices[int(texts[text])][int(scenes[scene])] = choice
     return choices
 

@@ -87,17 +87,16 @@ class ThingIndex:
     known_best_fits: Tensor | None = None  # [S, B] float32
 
     @classmethod
-    def of(cls, things: ThingTable, words: Tensor) -> ThingIndex:
-        """Compare the things of a field with everyday words, or with whatever stands in their place."""
-        counts = things.sums(torch.ones(len(things.owners))).float()
-        return cls.counted(things, words.clone(), counts, shared_gaussians(things))
-
-    @classmethod
-    def counted(cls, things: ThingTable, words: Tensor, counts: Tensor, shares: Shares) -> ThingIndex:
-        """Compare things whose Gaussians were counted before; ``owners`` of the table is not read."""
+    def of(
+        cls, things: ThingTable, words: Tensor, counts: Tensor | None = None, shares: Shares | None = None
+    ) -> ThingIndex:
+        """Compare things with everyday words, or with whatever stands in their place; ``counts`` and ``shares`` replace
+        the owners of the table."""
+        if counts is None:
+            counts = things.sums(torch.ones(len(things.owners))).float()
         vectors, mass = things.embeddings.float().cpu(), things.mass.cpu()
         return cls(
-            words=words,
+            words=words.clone(),
             vectors=(vectors,),
             levels=things.levels.cpu(),
             counts=counts,
@@ -106,7 +105,7 @@ class ThingIndex:
             doubt=_doubt(things.n_regions.cpu(), things.stability.cpu()),
             spread=torch.full_like(mass, things.spread),
             hubs=hub_cosines(vectors, words),
-            shares=shares,
+            shares=shares or shared_gaussians(things),
         )
 
     @classmethod
