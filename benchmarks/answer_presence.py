@@ -9,11 +9,11 @@ import numpy as np
 
 from benchmarks.real_scenes import REAL_SCENES, place_of
 from benchmarks.study import Record
-from scoup.query.presence import PRESENT_FROM
+from scoup.query import constants
 from scoup_lab.bench import markdown
 
 MOST_ABSENT = 40
-BOUNDS = (0.2, 0.3, PRESENT_FROM, 0.5, 0.6, 0.9)
+BOUNDS = (0.2, 0.3, constants.PRESENT_FROM, 0.5, 0.6, 0.9)
 LOST = 0.05
 """Share of the present words of all other scenes that the threshold chosen on them loses."""
 

@@ -23,7 +23,7 @@ from benchmarks.study import Record, Study
 from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
 from scoup.base.errors import looked_up
 from scoup.models.words import with_everyday
-from scoup.query.presence import PRESENT_FROM
+from scoup.query import constants
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.fitted import FittedMethod
 from scoup_lab.baselines.method import MethodSettings
@@ -186,7 +186,7 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
     for found, (_, label) in zip(scores["always"], scene.pairs, strict=True):
         score = answers[label].score
         if score is not None:
-            scores["asked"].append(found * float(score >= PRESENT_FROM))
+            scores["asked"].append(found * float(score >= constants.PRESENT_FROM))
     for frame, view in scene.frames:
         queries = torch.stack([scene.queries[label] for label in frame.labels])
         plain = fitted.relevancy(view, queries, scene.canonical)  # [S, Q, H, W]

@@ -21,11 +21,12 @@ from benchmarks.study import Record, Study
 from benchmarks.ways import WAYS
 from scoup.base.errors import InputError
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
+from scoup.query import constants
 from scoup.query.answer_scene import answer_scene
 from scoup.query.field_view import counting_gaussians
 from scoup.query.language_field import LanguageField
-from scoup.query.named import TOGETHER, best_words, voted_names
-from scoup.query.refine import MOST_VIEWS, choose_views
+from scoup.query.named import best_words, voted_names
+from scoup.query.refine import choose_views
 from scoup.scene.names import Detections, NameTable
 from scoup.scene.things import ThingTable
 from scoup.uplift.naming import ViewVotes, count_votes, things_in_view, votes_in_view
@@ -53,7 +54,7 @@ class Concepts(Study):
     """Folder of the detections."""
     scenes: tuple[str, ...] = tuple(REAL_SCENES)
     """Scenes of benchmarks.real_scenes."""
-    views: int = MOST_VIEWS
+    views: int = constants.MOST_PHOTOGRAPHS
     """Photographs looked at on demand."""
     data: Path = field(default_factory=data_folder)
     """Folder that contains desk/ and real/."""
@@ -204,7 +205,9 @@ def voted(asked: LanguageField, table: ThingTable, names: NameTable, text: str) 
     """Return the things with most votes for a text, without the field's opinion."""
     votes = names.votes_of(names.number(text) or 0, len(table))
     level = int(table.levels[votes.argmax()])
-    things = ((votes >= TOGETHER * votes.max()) & (votes > 0) & (table.levels == level)).nonzero()[:, 0]
+    things = ((votes >= constants.TOGETHER * votes.max()) & (votes > 0) & (table.levels == level)).nonzero()[
+        :, 0
+    ]
     mask = table.members(things) if len(things) else torch.zeros(len(asked), dtype=torch.bool)
     return DrawnAnswer(mask, mask | table.owned[level])
 

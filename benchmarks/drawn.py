@@ -10,8 +10,9 @@ from torch import Tensor
 
 from benchmarks.answer_scenes import AnswerScene
 from scoup import raster
+from scoup.query import constants
 from scoup.query.answer_scene import answer_scene
-from scoup.query.field_view import INSIDE, counting_gaussians
+from scoup.query.field_view import counting_gaussians
 from scoup.query.question import Question
 from scoup.query.votes import select_by_relevancy
 from scoup_lab.baselines.fitted import FittedField, FittedMethod
@@ -70,4 +71,7 @@ def drawn_masks(answers: Sequence[DrawnAnswer], view: raster.Projection) -> list
     """Return the pixels [H, W] boolean of each answer (``scoup.query.field_view.FieldView.masks``)."""
     values = torch.stack([part for answer in answers for part in (answer.mask, answer.counting)], 1)
     image = raster.render_values(view, values.float())
-    return [mask > INSIDE * whole for mask, whole in image.unflatten(2, (-1, 2)).permute(2, 3, 0, 1)]
+    return [
+        mask > constants.PIXEL_SHARE * whole
+        for mask, whole in image.unflatten(2, (-1, 2)).permute(2, 3, 0, 1)
+    ]

@@ -8,9 +8,10 @@ from typing import Any
 from unittest.mock import patch
 
 from scoup.base.errors import looked_up
-from scoup.uplift import constants
+from scoup.query import constants as of_query
+from scoup.uplift import constants as of_uplift
 
-TABLES: tuple[ModuleType, ...] = (constants,)
+TABLES: tuple[ModuleType, ...] = (of_uplift, of_query)
 """The tables of constants, one per room: those that a ``WITHOUT`` names can be left out."""
 SETTINGS = ("desk", "table-real", "shelves-real", "hall-real", "yard-real")
 """The scenes with real models on which constants are left out."""

@@ -28,8 +28,8 @@ from scoup.base.errors import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.models.image import open_image_model
 from scoup.models.word_table import save_table
+from scoup.query import constants
 from scoup.query.language_field import LanguageField
-from scoup.query.presence import LIKELY
 from scoup.query.thing_index import ThingIndex, shares_of, thing_index
 from scoup.scene.names import NameTable
 from support import altered, unit
@@ -175,7 +175,7 @@ def test_names_that_a_model_gave_answer_as_in_the_field(
     table = dict(zip(encoder.names, encoder.encode(encoder.names), strict=True))
     table["beaker"] = unit(table["mug"] + 0.1 * table["ball"])  # near to a name
     votes = {"mug": {MUG: 0.6, BALL: 0.5}, "lamp": {BALL: 0.3}, ABSENT: {}, "pen": {LAPTOP: 0.3}}
-    presence = {"mug": 0.9, "lamp": 0.9 * LIKELY, ABSENT: 0.05, "pen": 0.05}
+    presence = {"mug": 0.9, "lamp": 0.9 * constants.LIKELY, ABSENT: 0.05, "pen": 0.05}
     archive, field = scoup.Archive(tmp_path / "a", table), planted_room()
     archive.add(fields["hall"])
     assert field.thing_table is not None

@@ -15,10 +15,10 @@ from cli_support import run
 from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
 from scoup.base.errors import InputError
 from scoup.models.text import TextEncoder, everyday_vocabulary
+from scoup.query import constants
 from scoup.query.language_field import LanguageField
 from scoup.query.matching import Choice
-from scoup.query.named import AGREES, FIELD_POWER, TOGETHER, Named, joined
-from scoup.query.presence import LIKELY
+from scoup.query.named import Named, joined
 from scoup.query.refine import choose_views, refine
 from scoup.query.thing_index import thing_index
 from scoup.scene.cameras import Cameras
@@ -54,11 +54,15 @@ def with_names(field: LanguageField, names: NameTable) -> LanguageField:
 @pytest.mark.parametrize(
     ("votes", "sure", "things"),
     [
-        ({LAMP: 0.6}, LIKELY - 0.01, {MUG, OTHER_MUG}),  # the field alone
-        ({MUG: 0.3, LAMP: 0.3 / (AGREES + 0.1)}, 0.9, {MUG}),  # they agree; a mug without votes is left out
-        ({MUG: 0.3, OTHER_MUG: 0.3 * (TOGETHER + 0.01)}, 0.9, {MUG, OTHER_MUG}),
+        ({LAMP: 0.6}, constants.LIKELY - 0.01, {MUG, OTHER_MUG}),  # the field alone
+        (
+            {MUG: 0.3, LAMP: 0.3 / (constants.AGREES + 0.1)},
+            0.9,
+            {MUG},
+        ),  # they agree; a mug without votes is left out
+        ({MUG: 0.3, OTHER_MUG: 0.3 * (constants.TOGETHER + 0.01)}, 0.9, {MUG, OTHER_MUG}),
         ({LAMP: 0.6, MUG: 0.02}, 0.8, {LAMP}),
-        ({LAMP: 0.6, BALL: 0.6 * (TOGETHER + 0.2), LAPTOP: 0.02}, 0.9, {LAMP, BALL}),
+        ({LAMP: 0.6, BALL: 0.6 * (constants.TOGETHER + 0.2), LAPTOP: 0.02}, 0.9, {LAMP, BALL}),
     ],
 )
 def test_votes_and_the_field_answer_together(votes: dict[int, float], sure: float, things: set[int]) -> None:
@@ -82,7 +86,7 @@ def test_votes_for_things_that_do_not_count_decide_nothing() -> None:
 def test_presence_joins_the_odds_of_the_photographs_and_of_the_field() -> None:
     named = Named(names_of({"mug": {MUG: 0.4, LAMP: 0.1}}, presence=0.8), 0, 6)
     assert named.score() == pytest.approx(named.score(0.5)) == pytest.approx(0.8)
-    assert named.score(0.9) == pytest.approx(1 - 1 / (1 + 4 * 9**FIELD_POWER))
+    assert named.score(0.9) == pytest.approx(1 - 1 / (1 + 4 * 9**constants.FIELD_POWER))
     assert named.score(0.0) == named.score(0.01) > 0
     assert named.score(0.9, LAMP) == pytest.approx(named.score(0.9) / 4)
 
@@ -167,7 +171,7 @@ def test_on_demand_the_thing_that_the_model_sees_answers() -> None:
     assert field.answer("lamp").things == (LAMP,), "the field that was refined has not changed"
     score = refined.answer("lamp").score
     assert score is not None
-    assert LIKELY < score < 0.8 / (0.8 + EVEN_SCORE), "the ball hardly fits a lamp"
+    assert constants.LIKELY < score < 0.8 / (0.8 + EVEN_SCORE), "the ball hardly fits a lamp"
     both = refine(refined, ["mug on the table", "mug"], Finder(field, LAPTOP))
     assert both.texts == ("mug", "table"), "those of a phrase, each once"
     assert both.field.answer(["lamp", "table"])[0].things == (BALL,), "names of before stay"

@@ -14,10 +14,9 @@ from children import finished
 from query.conftest import without_things
 from scoup import raster
 from scoup.io import load_cameras, load_gaussians, load_regions
+from scoup.query import constants
 from scoup.query.answer import Answer
-from scoup.query.field_view import INSIDE
 from scoup.query.language_field import LanguageField, build
-from scoup.query.matching import SAME
 from scoup.query.question import Question, literal
 from scoup.query.view_answer import ViewAnswer, main_parts
 from scoup.scene.cameras import Camera
@@ -74,8 +73,8 @@ def check_view(seen: ViewAnswer, answer: Answer, shares: torch.Tensor, whole: to
     assert (seen.text, seen.level, seen.score, seen.presence) == (
         answer.text, answer.level, answer.score, answer.presence,
     )  # fmt: skip
-    clear = (shares - INSIDE * whole).abs() > ROUNDING
-    assert seen.mask[clear].equal((shares > INSIDE * whole)[clear])
+    clear = (shares - constants.PIXEL_SHARE * whole).abs() > ROUNDING
+    assert seen.mask[clear].equal((shares > constants.PIXEL_SHARE * whole)[clear])
     parts, largest = main_parts(seen.mask)
     assert seen.main_parts.equal(parts)
     assert not (parts & ~seen.mask).any()
@@ -88,7 +87,7 @@ def check_view(seen: ViewAnswer, answer: Answer, shares: torch.Tensor, whole: to
     x, y = seen.point
     assert bool(largest[y, x])
     assert bool(seen.mask[y, x])
-    assert float(shares[y, x]) > INSIDE * float(whole[y, x]) - ROUNDING
+    assert float(shares[y, x]) > constants.PIXEL_SHARE * float(whole[y, x]) - ROUNDING
 
 
 def check_words(field: LanguageField, words: Sequence[str]) -> list[Answer]:
@@ -122,7 +121,7 @@ def check_catalog(field: LanguageField, answers: Sequence[Answer]) -> None:
         assert scores.get(thing.number, thing.score) == thing.score
         own = set(thing.gaussians.tolist())
         alike = [len(own & (of := set(each.gaussians.tolist()))) / len(own | of) for each in found]
-        assert max(alike) >= SAME
+        assert max(alike) >= constants.SAME_GAUSSIANS
 
 
 def check_everything(field: LanguageField, words: Sequence[str], cameras: Sequence[Camera]) -> None:

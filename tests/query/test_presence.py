@@ -15,9 +15,10 @@ from query.conftest import Queried, random_vectors
 from query.planted_room import Box, planted_room
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
+from scoup.query import constants
 from scoup.query.answer_scene import answer_scene
 from scoup.query.language_field import LanguageField
-from scoup.query.presence import PRESENT_FROM, SAME, SIMILAR, TextScore, other_words, presence_threshold
+from scoup.query.presence import TextScore, other_words, presence_threshold
 from scoup.query.question import Question
 from scoup.query.thing_index import thing_index
 from scoup.query.votes import SampledVotes, select_each
@@ -37,7 +38,7 @@ def literal_others(query: Tensor, words: Tensor) -> list[bool]:
     near = [float(query @ word) for word in words]
     mean = sum(near) / len(near)
     deviation = math.sqrt(sum((one - mean) ** 2 for one in near) / (len(near) - 1))
-    return [one < SAME and one <= mean + SIMILAR * deviation for one in near]
+    return [one < constants.SAME_WORD and one <= mean + constants.OTHER_NAME * deviation for one in near]
 
 
 def test_other_names_of_a_text_are_no_words_to_compare_it_with() -> None:
@@ -84,7 +85,7 @@ def test_scores_of_things(queried: Queried) -> None:
     assert found == pytest.approx(literal_scores(room, question))
     assert found[:2] == [1, 1]
     assert found[2] is not None
-    assert found[2] < PRESENT_FROM
+    assert found[2] < constants.PRESENT_FROM
 
 
 def test_scores_of_votes(voted: Queried) -> None:
@@ -122,7 +123,10 @@ def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Querie
     assert presence_threshold(LEAST_WORDS - 1, "words.npz") is None
     with pytest.raises(InputError, match=r"words\.npz: has \d+ words, but presence is judged against"):
         presence_threshold(LEAST_WORDS - 1, "words.npz", 0.5)
-    assert [presence_threshold(LEAST_WORDS, "", bound) for bound in (None, 0.0)] == [PRESENT_FROM, 0]
+    assert [presence_threshold(LEAST_WORDS, "", bound) for bound in (None, 0.0)] == [
+        constants.PRESENT_FROM,
+        0,
+    ]
     for wrong in (-0.01, 1.01, 100, math.nan, math.inf):
         with pytest.raises(InputError, match="must be 0 to 1"):
             presence_threshold(LEAST_WORDS, "", wrong)

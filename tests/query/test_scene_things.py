@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import ASKED, without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room
+from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
-from scoup.query.boxes import FARTHEST, PointSets
+from scoup.query.boxes import PointSets
 from scoup.query.catalog_files import draw_things, viewing_cameras
 from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
@@ -173,7 +174,9 @@ def naive_points(gaussians: Gaussians, rows: list[int]) -> list[tuple[list[float
     middle = [naive_quantile([mean[axis] for mean, _ in there], weights, 0.5) for axis in range(3)]
     distances = [float(np.linalg.norm(np.subtract(mean, middle))) for mean, _ in there]
     usual = naive_quantile(distances, weights, 0.5)
-    return [one for one, distance in zip(there, distances, strict=True) if distance <= FARTHEST * usual]
+    return [
+        one for one, distance in zip(there, distances, strict=True) if distance <= constants.FARTHEST * usual
+    ]
 
 
 coordinates = st.one_of(st.integers(-6, 6).map(float), st.sampled_from([50.0, float("nan"), float("inf")]))

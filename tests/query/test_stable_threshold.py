@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.query.votes import CENTRE, HIGHEST, LOWEST, PULL, WINDOW, level_thresholds
+from scoup.query import constants
+from scoup.query.votes import level_thresholds
 from support import examples
 
 STEPS = range(44, 85)
@@ -56,8 +57,8 @@ def grid_values(draw: st.DrawFn) -> list[int]:
 
 
 def test_the_constants_are_those_of_the_rule_read_here() -> None:
-    assert (round(100 * LOWEST), round(100 * HIGHEST)) == (STEPS[0], STEPS[-1])
-    assert (WINDOW, CENTRE, PULL) == (0.1, 0.64, 0.05)
+    assert (round(100 * constants.LOWEST), round(100 * constants.HIGHEST)) == (STEPS[0], STEPS[-1])
+    assert (constants.WINDOW, constants.CENTRE, constants.PULL) == (0.1, 0.64, 0.05)
 
 
 @settings(max_examples=examples(240))
@@ -90,7 +91,7 @@ def test_the_first_and_the_last_window_count(start: int, expected: float) -> Non
 def test_the_centre_wins_where_all_are_alike() -> None:
     step = torch.tensor([0.0] * 9 + [1.0])
     for row in (torch.full((7,), 0.5), torch.tensor([0.4]), torch.zeros(5), step):
-        assert stable_thresholds(row[None]).tolist() == pytest.approx([CENTRE])
+        assert stable_thresholds(row[None]).tolist() == pytest.approx([constants.CENTRE])
 
 
 def no_values() -> list[Tensor]:
@@ -100,7 +101,7 @@ def no_values() -> list[Tensor]:
 
 @pytest.mark.parametrize("values", no_values(), ids=["empty", "nan", "inf", "-inf"])
 def test_rows_without_meaning_have_the_centre(values: Tensor) -> None:
-    assert stable_thresholds(values).tolist() == pytest.approx([CENTRE] * len(values))
+    assert stable_thresholds(values).tolist() == pytest.approx([constants.CENTRE] * len(values))
 
 
 def test_rows_are_judged_each_for_itself_and_always_alike() -> None:

@@ -15,20 +15,12 @@ from torch import Tensor
 
 from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
-from scoup.query import matching
+from scoup.query import constants, matching
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import answer_scene
 from scoup.query.language_field import LanguageField, build
-from scoup.query.matching import AGREEMENT, MOST_GAP, MOST_TOGETHER, RIVAL, SAME, choose_things
-from scoup.query.thing_index import (
-    FEW_REGIONS,
-    HUB_QUANTILE,
-    HUB_SHARE,
-    LEAST_STABILITY,
-    UNSTABLE,
-    ThingIndex,
-    thing_index,
-)
+from scoup.query.matching import choose_things
+from scoup.query.thing_index import ThingIndex, thing_index
 from scoup.scene.things import NO_THING, ThingTable
 from support import altered, examples, things_of, unit
 
@@ -65,7 +57,7 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
         mine = [thing for thing in usable if int(things.levels[thing]) == each]
         mine.sort(key=lambda thing: -fits[thing])
         alone.append([])
-        for size in range(1, min(MOST_TOGETHER, len(mine)) + 1):
+        for size in range(1, min(constants.MOST_TOGETHER, len(mine)) + 1):
             chosen, last = mine[:size], fits[mine[size - 1]]
             behind = fits[mine[size]] if size < len(mine) else min(middle, fits[mine[-1]])
             weights = [float(things.mass[thing]) for thing in chosen]
@@ -74,11 +66,20 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
             rivals = {}
             for thing in usable:
                 both = len(gaussians[thing] & whole)
-                if both / len(gaussians[thing]) < SAME and both / len(whole) <= SAME:
+                if (
+                    both / len(gaussians[thing]) < constants.SAME_GAUSSIANS
+                    and both / len(whole) <= constants.SAME_GAUSSIANS
+                ):
                     rivals[thing] = fits[thing]
             rival = max(rivals, key=lambda thing: rivals[thing], default=None)
             lead = 0.0 if rival is None else max(0.0, rivals[rival] - mean)
-            alone[-1].append((min(last - behind, MOST_GAP) - (top - mean) - RIVAL * lead, chosen, rival))
+            alone[-1].append(
+                (
+                    min(last - behind, constants.MOST_GAP) - (top - mean) - constants.RIVAL * lead,
+                    chosen,
+                    rival,
+                )
+            )
     found = []
     for each, sets in enumerate(alone):
         for score, chosen, rival in sets if level in (None, each) else ():
@@ -87,10 +88,10 @@ def literal_sets(things: ThingTable, fits: Sequence[float], level: int | None) -
                 best = 0.0
                 for their_score, theirs, _ in others if other != each else ():
                     them = set().union(*(gaussians[thing] for thing in theirs))
-                    if len(whole & them) > SAME * len(whole | them):
-                        best = max(best, their_score + MOST_GAP)
+                    if len(whole & them) > constants.SAME_GAUSSIANS * len(whole | them):
+                        best = max(best, their_score + constants.MOST_GAP)
                 added += best
-            found.append((score + AGREEMENT * added, chosen, rival))
+            found.append((score + constants.AGREEMENT * added, chosen, rival))
     return found
 
 
@@ -269,11 +270,13 @@ def test_fits_are_cosines_less_half_of_what_words_reach(asked: Asked) -> None:
         fits = known.fits(texts.queries)
         for number, vector in enumerate(things.embeddings.double()):
             cosines = sorted((words.double() @ vector).tolist())
-            best = cosines[math.ceil(HUB_QUANTILE * len(words)) - 1]
-            doubt = FEW_REGIONS / math.sqrt(int(things.n_regions[number]))
-            doubt -= UNSTABLE * math.log(max(LEAST_STABILITY, float(things.stability[number])))
+            best = cosines[math.ceil(constants.HUB_QUANTILE * len(words)) - 1]
+            doubt = constants.FEW_REGIONS / math.sqrt(int(things.n_regions[number]))
+            doubt -= constants.UNSTABLE * math.log(
+                max(constants.LEAST_STABILITY, float(things.stability[number]))
+            )
             for query, text in enumerate(texts.queries.double()):
-                expected = (float(text @ vector) - HUB_SHARE * best) / things.spread - doubt
+                expected = (float(text @ vector) - constants.HUB_SHARE * best) / things.spread - doubt
                 assert float(fits[number, query]) == pytest.approx(expected, abs=1e-3)
 
 

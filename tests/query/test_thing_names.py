@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from query.planted_room import ABSENT, ROOM, planted_room, with_whole
+from scoup.query import constants
 from scoup.query.boxes import OrientedBox
-from scoup.query.thing_names import LEAST_REGIONS, STABLE, UNNAMED, best_of_trees, find_objects, thing_names
+from scoup.query.thing_names import best_of_trees, find_objects, thing_names
 from scoup.query.things import Thing
 from scoup.scene.things import NO_THING
 
@@ -40,7 +41,7 @@ def thing(number: int, parent: int | None, score: float | None, size: int, regio
         ([(0, None, 0.7, 100), (1, 0, 0.9, 50), (2, 0, 0.9, 50)], [1, 2]),  # a group of better named objects
         ([(0, None, 0.7, 100), (1, 0, 0.9, 30)], [0]),  # what has a name is a small part
         ([(0, None, None, 100), (1, 0, 0.9, 90)], [1]),
-        ([(0, None, None, 100), (1, 0, UNNAMED + 0.1, 50)], [0]),
+        ([(0, None, None, 100), (1, 0, constants.UNNAMED + 0.1, 50)], [0]),
         ([(0, None, None, 100), (1, 0, None, 100)], [0]),
         ([(0, 7, 0.5, 100)], [0]),  # its parent is not listed
     ],
@@ -52,10 +53,10 @@ def test_objects_are_the_best_named_level_of_each_tree(tree: list[tuple], object
 @pytest.mark.parametrize(
     ("regions", "stability", "again", "name", "is_object"),
     [
-        (9, STABLE, False, "", True),
-        (9, STABLE - 0.1, False, "", False),
-        (9, STABLE - 0.1, True, "", True),  # another level has it, too
-        (LEAST_REGIONS - 1, STABLE, True, "", False),
+        (9, constants.STABLE, False, "", True),
+        (9, constants.STABLE - 0.1, False, "", False),
+        (9, constants.STABLE - 0.1, True, "", True),  # another level has it, too
+        (constants.LEAST_REGIONS - 1, constants.STABLE, True, "", False),
         (1, 0.0, False, "lamp", True),
     ],
 )

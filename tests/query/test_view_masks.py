@@ -8,12 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.query.view_answer import (
-    LEAST_SHARE,
-    main_parts,
-    mask_box,
-    most_relevant_pixel,
-)
+from scoup.query import constants
+from scoup.query.view_answer import main_parts, mask_box, most_relevant_pixel
 from support import examples
 
 
@@ -55,7 +51,7 @@ def test_boxes_and_main_parts_are_what_a_flood_reaches(mask: Tensor) -> None:
     areas = [len(part) for part in parts]
     most = max(areas)
     assert {tuple(each) for each in largest.nonzero().tolist()} == parts[areas.index(most)]
-    expected = set().union(*(part for part in parts if len(part) >= LEAST_SHARE * most))
+    expected = set().union(*(part for part in parts if len(part) >= constants.SPECK * most))
     assert {tuple(each) for each in kept.nonzero().tolist()} == expected
     rows, columns = zip(*expected, strict=True)
     assert mask_box(kept) == (min(columns), min(rows), max(columns) + 1, max(rows) + 1)

@@ -14,17 +14,8 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.records import rounded_vector
+from scoup.query import constants
 from scoup.scene.gaussians import Gaussians
-
-INSIDE = 0.98
-"""Share of the weight inside a box along each of its axes."""
-FARTHEST = 4.0
-"""Gaussians farther from the middle of a thing than so many times its median distance are strays."""
-TURNS, SAMPLED, CLEARLY = 9, 200, 0.9
-"""Of so many pairs of horizontal axes the one is taken along which a sample of a thing's Gaussians fills the smallest
-rectangle, if this is below a share of that along the principal axes."""
-SPAN = 0.96
-"""Share of a thing's weight within its span along a direction."""
 
 BINS = 256
 """Per thing and axis, in which quantiles are looked for."""
@@ -85,7 +76,7 @@ class PointSets:
         every = cls(means, weights, starts)
         distance = np.linalg.norm(means - every.medians()[every.owners], axis=1)
         usual = cls(distance[:, None], weights, starts).quantiles([0.5])[:, 0, 0]
-        near = (distance <= FARTHEST * usual[every.owners]) & (weights > 0)
+        near = (distance <= constants.FARTHEST * usual[every.owners]) & (weights > 0)
         kept = np.concatenate([[0], np.cumsum(near)])[starts]
         return cls(means[near], weights[near], kept)
 
@@ -127,7 +118,7 @@ class PointSets:
 
     def spans(self) -> Array:
         """[T, 3, 2] lower and upper end along each axis; NaN without Gaussians."""
-        return self.quantiles([(1 - SPAN) / 2, (1 + SPAN) / 2])
+        return self.quantiles([(1 - constants.SPAN) / 2, (1 + constants.SPAN) / 2])
 
     def boxes(self, up: Tensor) -> list[OrientedBox | None]:
         """Return the upright box around each thing; None without Gaussians.
@@ -143,10 +134,12 @@ class PointSets:
         side = np.cross(upright, np.eye(3)[np.abs(upright).argmin()])
         side /= np.linalg.norm(side)
         level = np.stack([side, np.cross(upright, side)])
-        turns = self._principal_turns(level)[:, None] + np.arange(TURNS) * (np.pi / 2 / TURNS)
-        some = self.sample(SAMPLED)
+        turns = self._principal_turns(level)[:, None] + np.arange(constants.TURNS) * (
+            np.pi / 2 / constants.TURNS
+        )
+        some = self.sample(constants.SAMPLED)
         areas = np.stack([some._extents(_upright(turn, level))[:, :2].prod(1) for turn in turns.T], 1)
-        best = np.where(areas.min(1) < CLEARLY * areas[:, 0], areas.argmin(1), 0)
+        best = np.where(areas.min(1) < constants.CLEARLY * areas[:, 0], areas.argmin(1), 0)
         axes = _upright(turns[np.arange(len(self)), best], level)
         extents = self._extents(axes)
         # The longer side first, in the direction whose largest component is positive.
@@ -154,7 +147,7 @@ class PointSets:
         largest = np.take_along_axis(longer, np.abs(longer).argmax(1)[:, None], 1)
         longer = longer * np.where(largest < 0, -1.0, 1.0)
         axes = np.stack([longer, np.cross(upright, longer), axes[:, 2]], 1)
-        ends = self.quantiles([(1 - INSIDE) / 2, (1 + INSIDE) / 2], axes)
+        ends = self.quantiles([(1 - constants.BOX_WEIGHT) / 2, (1 + constants.BOX_WEIGHT) / 2], axes)
         centres = np.einsum("ta,tad->td", ends.mean(2), axes)
         extents = ends[..., 1] - ends[..., 0]
         return [
@@ -173,7 +166,7 @@ class PointSets:
 
     def _extents(self, axes: Array) -> Array:
         """[T, A] length of each thing along axes [T, A, 3]."""
-        ends = self.quantiles([(1 - INSIDE) / 2, (1 + INSIDE) / 2], axes)
+        ends = self.quantiles([(1 - constants.BOX_WEIGHT) / 2, (1 + constants.BOX_WEIGHT) / 2], axes)
         return ends[..., 1] - ends[..., 0]
 
     def sample(self, most: int) -> PointSets:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.field import Field
 from scoup.field.renders import render_depth
+from scoup.query import constants
 from scoup.query.boxes import PointSets
 from scoup.query.language_field import LanguageField
 from scoup.query.thing_names import find_objects, named_things
@@ -33,26 +34,6 @@ if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
 SCHEMA = "scoup comparison"
-REACH = 0.05
-"""Gaussians lie on each other up to this share of an object's size, or its size over the root of its Gaussians."""
-LIKE = (0.2, 0.5)
-"""Cosines, less the mean of all things, from which a thing looks like an object a little, and fully."""
-GONE = 0.7
-"""A thing has gone if this share of it is not there."""
-LEAST_REGIONS = 6
-"""What has gone had so many regions, over all levels; less is a fragment."""
-SEEN = 0.65
-"""A place was seen from this share of it on."""
-RESIZED = 1.5
-"""A thing that moved is at most so many times as large as before."""
-STILL = 0.25
-"""In sizes of an object, how far it has to move."""
-SAMPLED = 150  # Gaussians of a thing that are looked for
-NEAREST = 8  # Gaussians of the other capture that are tried for each of them
-LEAST_OPACITY = 0.1  # of a Gaussian that something can lie on
-SIDE = 320  # pixels of the longer side of a depth map
-INNER = (0.02, 0.98)  # shares of the Gaussians between which a capture lies
-MOST_CHANGES = 0.5  # share of the objects, beyond which the frames may differ
 
 Array = NDArray[np.floating[Any]]
 Kind = Literal["added", "removed", "moved", "unseen"]
@@ -134,7 +115,7 @@ class _Capture:
     def points(self) -> PointSets:
         """Some Gaussians of each thing, without strays."""
         members = [thing.gaussians for thing in self.things]
-        return PointSets.of(self.field.gaussians, members).sample(SAMPLED)
+        return PointSets.of(self.field.gaussians, members).sample(constants.LOOKED_FOR)
 
     @cached_property
     def embeddings(self) -> Array:
@@ -147,7 +128,9 @@ class _Capture:
     def solid(self) -> NDArray[np.int64]:
         """Gaussians that something can lie on."""
         gaussians = self.field.gaussians
-        return np.flatnonzero((gaussians.finite() & (gaussians.opacities >= LEAST_OPACITY)).cpu().numpy())
+        return np.flatnonzero(
+            (gaussians.finite() & (gaussians.opacities >= constants.LEAST_OPACITY)).cpu().numpy()
+        )
 
     @cached_property
     def tree(self) -> KDTree:
@@ -163,7 +146,9 @@ class _Capture:
     @property
     def reach(self) -> Array:
         """[M] up to which distance, in the other's units, each point lies on another."""
-        sizes = np.array([thing.size * max(REACH, thing.n_gaussians**-0.5) for thing in self.things])
+        sizes = np.array(
+            [thing.size * max(constants.REACH, thing.n_gaussians**-0.5) for thing in self.things]
+        )
         return sizes[self.points.owners] * scale_of(self.to_other)
 
 
@@ -204,7 +189,7 @@ def compare(
         _changes(gone, come, matrix), key=lambda each: (KINDS.index(each.kind), -each.confidence)
     )
     counts = len(find_objects(old, named[0])), len(find_objects(new, named[1]))
-    if len(gone) + len(come) > MOST_CHANGES * sum(counts):
+    if len(gone) + len(come) > constants.MOST_CHANGES * sum(counts):
         warnings.warn(
             f"{_name(new)}: {len(gone) + len(come)} of {sum(counts)} objects are in one place here and in another, or "
             f"nowhere, in {_name(old)}; if most did not change, the frames differ: pass `transform`",
@@ -233,8 +218,8 @@ def _check(old: Field, new: Field) -> None:
 
 
 def _check_frames(old: _Capture, new: _Capture) -> None:
-    low, high = np.quantile(old.tree.data, INNER, axis=0)
-    ends = np.quantile(moved_points(new.tree.data, new.to_other), INNER, axis=0)
+    low, high = np.quantile(old.tree.data, constants.INNER, axis=0)
+    ends = np.quantile(moved_points(new.tree.data, new.to_other), constants.INNER, axis=0)
     if bool(((ends[1] < low) | (ends[0] > high)).any()):
         raise InputError(
             f"{_name(new.field)}: lies beside {_name(old.field)}, so the frames differ; pass the `transform` from its "
@@ -256,7 +241,7 @@ class _Missing:
         most = [thing for thing in self.things if 2 * thing.n_gaussians >= self.things[0].n_gaussians]
         thing = next((each for each in most if each.text), self.things[0])
         old, new = (thing, None) if kind == "removed" else (None, thing)
-        if self.seen < SEEN:
+        if self.seen < constants.SEEN:
             return Change("unseen", old, new, None, self.absent * (1 - self.seen))
         return Change(kind, old, new, None, self.absent * self.seen)
 
@@ -267,14 +252,14 @@ def _missing(one: _Capture, other: _Capture, centre: Array) -> list[_Missing]:
         return []
     absent, things = 1 - _present(one, other, centre), one.things
     together: dict[int, list[int]] = {}
-    gone = np.flatnonzero(absent >= GONE).tolist()
+    gone = np.flatnonzero(absent >= constants.GONE).tolist()
     for place in sorted(gone, key=lambda place: -things[place].n_gaussians):
         around = (first for first in together if things[first].box.contains(things[place].position))
         together.setdefault(next(around, place), []).append(place)
     together = {
         first: places
         for first, places in together.items()
-        if sum(things[place].n_regions or 0 for place in places) >= LEAST_REGIONS
+        if sum(things[place].n_regions or 0 for place in places) >= constants.GONE_REGIONS
     }
     seen = _seen(one, other, np.isin(one.points.owners, [*together]))
     looks = _looks(one.embeddings, centre)
@@ -299,10 +284,12 @@ def _present(one: _Capture, other: _Capture, centre: Array) -> Array:
     """Return the share of each thing [T] that lies on what looks like it in the other capture."""
     numbers = np.array([thing.number for thing in one.things], np.int64)
     cosines = _looks(one.embeddings, centre)[numbers] @ _looks(other.embeddings, centre).T
-    alike = np.pad(((cosines - LIKE[0]) / (LIKE[1] - LIKE[0])).clip(0, 1), ((0, 0), (0, 1)))  # last: NO_THING
+    alike = np.pad(
+        ((cosines - constants.LIKE[0]) / (constants.LIKE[1] - constants.LIKE[0])).clip(0, 1), ((0, 0), (0, 1))
+    )  # last: NO_THING
     points, table = one.points, other.field.thing_table
     assert table is not None
-    found = other.tree.query(one.places, k=min(NEAREST, len(other.solid)))
+    found = other.tree.query(one.places, k=min(constants.NEAREST, len(other.solid)))
     distances, near = (np.asarray(part).reshape(len(points.means), -1) for part in found)
     owners = table.owners.cpu().numpy()[other.solid[near]]  # [M, k, S]
     found = alike[points.owners[:, None, None], owners].max(2)
@@ -320,7 +307,7 @@ def _seen(one: _Capture, other: _Capture, asked: NDArray[np.bool_]) -> Array:
     places, reach = torch.from_numpy(one.places[asked]), one.reach[asked]
     seen = np.zeros(len(places), bool)
     for camera in other.field.cameras or ():
-        small = camera.scaled(min(1.0, SIDE / max(camera.width, camera.height)))
+        small = camera.scaled(min(1.0, constants.DEPTH_SIDE / max(camera.width, camera.height)))
         pixels, depths = (each.numpy() for each in small.pixels(places))
         inside = small.shows(places).numpy() & ~seen
         if inside.any():
@@ -339,10 +326,12 @@ def _changes(gone: Sequence[_Missing], come: Sequence[_Missing], matrix: Array) 
     scale, cosines, best = scale_of(matrix), np.zeros((len(gone), len(come))), {}
     for (one, old), (other, new) in product(enumerate(gone), enumerate(come)):
         growth = scale * np.array([each.size for each in new.things]) / [[each.size] for each in old.things]
-        fit = np.where((growth <= RESIZED) & (growth >= 1 / RESIZED), old.looks @ new.looks.T, 0)
-        if fit.max() >= LIKE[1] and max(old.seen, new.seen) >= SEEN:
+        fit = np.where(
+            (growth <= constants.RESIZED) & (growth >= 1 / constants.RESIZED), old.looks @ new.looks.T, 0
+        )
+        if fit.max() >= constants.LIKE[1] and max(old.seen, new.seen) >= constants.SEEN:
             cosines[one, other] = fit.max()
-            first, second = np.argwhere(fit >= LIKE[1])[0]  # the largest
+            first, second = np.argwhere(fit >= constants.LIKE[1])[0]  # the largest
             best[one, other] = old.things[first], new.things[second]
     pairs = [
         pair for pair in zip(*linear_sum_assignment(cosines, maximize=True), strict=True) if pair in best
@@ -352,7 +341,7 @@ def _changes(gone: Sequence[_Missing], come: Sequence[_Missing], matrix: Array) 
         old, new = best[pair]
         place = moved_points(new.position.numpy(), matrix)
         distance = float(np.linalg.norm(place - old.position.numpy()))
-        if distance > STILL * old.size:
+        if distance > constants.STILL * old.size:
             sure = max(each.absent * each.seen for each in (gone[pair[0]], come[pair[1]]))
             found.append(Change("moved", old, new, distance, float(cosines[pair]) * sure))
     paired = [{pair[side] for pair in pairs} for side in (0, 1)]

@@ -13,13 +13,12 @@ from scoup.field import Field
 from scoup.field.cache import Cache, state_of
 from scoup.field.relevancy import PixelCosines, pixel_relevancy
 from scoup.field.renders import Vectors, checked_vectors, render_codes
+from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.question import AskedText
 from scoup.query.view_answer import ViewAnswer, ViewRenders, main_parts, mask_box, most_relevant_pixel
 from scoup.scene.cameras import Camera
 
-INSIDE = 0.5
-"""A pixel belongs to an answer whose Gaussians contribute more than this share of it."""
 BYTES_PER_PIXEL = 8
 """A view keeps so many bytes per pixel and level of what its next question reuses."""
 
@@ -81,7 +80,7 @@ class FieldView:
         values = torch.stack([*wholes, *(answers[number].mask for number in present)], 1)
         image = raster.render_values(self.projection, values.float().to(self.field.codebook.device)).cpu()
         for column, (number, place) in enumerate(zip(present, places, strict=True), start=len(wholes)):
-            masks[number] = image[..., column] > INSIDE * image[..., place]
+            masks[number] = image[..., column] > constants.PIXEL_SHARE * image[..., place]
         return masks
 
     def relevancy(self, queries: Vectors, canonical: Vectors) -> Tensor:

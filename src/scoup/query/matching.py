@@ -21,18 +21,9 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from scoup.query.thing_index import ThingIndex
+    from scoup.query import constants
+from scoup.query.thing_index import ThingIndex
 
-MOST_GAP = 3.0
-"""The most spreads that a gap counts."""
-MOST_TOGETHER = 8
-"""Things that may answer together."""
-SAME = 0.5
-"""Two sets have the same Gaussians from this intersection over union. A thing with at least this share of its Gaussians
-in a set, or that share of the set in it, is no rival."""
-RIVAL, AGREEMENT = 2.0, 0.25
-"""Weights of the choice (docs/answers.md#constants): of the lead of things elsewhere over the mean fit of a set, and of
-the score of a set of another level with the same Gaussians."""
 FITS_AT_A_TIME = 1 << 16
 
 
@@ -100,8 +91,8 @@ class _Sets:
         ordered, order = torch.where(mine[:, None], fits, -torch.inf).sort(
             dim=2, descending=True, stable=True
         )
-        ordered, order = ordered[..., : MOST_TOGETHER + 1], order[..., :MOST_TOGETHER]
-        count, place = mine.sum(1)[:, None, None], torch.arange(MOST_TOGETHER + 1)
+        ordered, order = ordered[..., : constants.MOST_TOGETHER + 1], order[..., : constants.MOST_TOGETHER]
+        count, place = mine.sum(1)[:, None, None], torch.arange(constants.MOST_TOGETHER + 1)
         # Behind all things of a level stands a thing like any other.
         last = ordered.roll(1, 2)
         ordered = torch.where(place == count, torch.minimum(middle, last), ordered)
@@ -113,10 +104,12 @@ class _Sets:
         together, sizes = shared.cumsum(2), known.counts[numbers].cumsum(2)
         inside = together / known.counts[rows].clamp(min=1)[:, None, None]
         around = together / sizes[..., None]
-        elsewhere = (inside < SAME) & (around <= SAME) & usable[:, None, None]
+        elsewhere = (
+            (inside < constants.SAME_GAUSSIANS) & (around <= constants.SAME_GAUSSIANS) & usable[:, None, None]
+        )
         rival_fits, rivals = torch.where(elsewhere, fits[:, :, None], -torch.inf).max(3)
-        gap = (ordered[..., :-1] - ordered[..., 1:]).clamp(max=MOST_GAP)
-        scores = gap - (top - mean) - RIVAL * (rival_fits - mean).clamp(min=0)
+        gap = (ordered[..., :-1] - ordered[..., 1:]).clamp(max=constants.MOST_GAP)
+        scores = gap - (top - mean) - constants.RIVAL * (rival_fits - mean).clamp(min=0)
         return cls(
             order,
             ordered[..., 0],
@@ -128,18 +121,18 @@ class _Sets:
 
     def support(self, other: _Sets) -> Tensor:
         """Return [S, Q, P]: what the best set of another level with the same Gaussians adds to each set."""
-        columns = other.order[:, :, None, :].expand(-1, -1, MOST_TOGETHER, -1)
+        columns = other.order[:, :, None, :].expand(-1, -1, constants.MOST_TOGETHER, -1)
         both = self.shared.gather(3, columns).cumsum(2).cumsum(3)  # [S, Q, P, P of the other]
-        same = both > SAME * (self.sizes[..., None] + other.sizes[:, :, None] - both)
-        added = torch.where(same, other.scores[:, :, None] + MOST_GAP, 0.0).amax(3).clamp(min=0)
-        return AGREEMENT * added
+        same = both > constants.SAME_GAUSSIANS * (self.sizes[..., None] + other.sizes[:, :, None] - both)
+        added = torch.where(same, other.scores[:, :, None] + constants.MOST_GAP, 0.0).amax(3).clamp(min=0)
+        return constants.AGREEMENT * added
 
 
 def _choose(
     known: ThingIndex, fits: Tensor, starts: Tensor, ends: Tensor, level: int | None
 ) -> Iterator[tuple[int, int, Choice]]:
     """Yield place of the scene, of the text, and choice, of some scenes and of texts with fits [N, Q]."""
-    width = max(int((ends - starts).max()), MOST_TOGETHER + 1)
+    width = max(int((ends - starts).max()), constants.MOST_TOGETHER + 1)
     rows = starts[:, None] + torch.arange(width)
     there = rows < ends[:, None]
     rows = torch.where(there, rows, starts[:, None])
@@ -155,10 +148,10 @@ def _choose(
         for each in wanted
     ]
     score, best = torch.cat(scores, 2).max(2)
-    which, place = best // MOST_TOGETHER, best % MOST_TOGETHER
+    which, place = best // constants.MOST_TOGETHER, best % constants.MOST_TOGETHER
     at = which[..., None]
     order = torch.stack([sets[each].order for each in wanted], 2)
-    order = order.gather(2, at[..., None].expand(-1, -1, 1, MOST_TOGETHER))[:, :, 0].tolist()
+    order = order.gather(2, at[..., None].expand(-1, -1, 1, constants.MOST_TOGETHER))[:, :, 0].tolist()
     fit = torch.stack([sets[each].best for each in wanted], 2).gather(2, at)[..., 0].tolist()
     rivals = torch.cat([sets[each].rivals for each in wanted], 2).gather(2, best[..., None])[..., 0].tolist()
     places, kinds = place.tolist(), which.tolist()

@@ -17,23 +17,11 @@ import torch
 from torch import Tensor
 
 from scoup.field import Field
+from scoup.query import constants
 from scoup.query.matching import Choice
-from scoup.query.presence import LIKELY
 from scoup.query.question import Question
 from scoup.scene.names import NameTable
 from scoup.scene.things import ThingTable
-
-AGREES = 0.85
-"""Both agree if a thing of the field's answer has at least this share of the largest vote."""
-TOGETHER = 0.45
-"""Things with at least this share of the largest vote answer together."""
-FIELD_POWER = 1 / 3
-"""Of the field's odds of presence; they are 1 to 99 at least and 99 to 1 at most."""
-NAMES = 3
-"""Names kept per thing: the best and the next best ones."""
-HUB_THINGS, HUB_SHARE = 10, 0.5
-"""Some words are near to many things: this share of the mean of a word's so many largest cosines is subtracted from all
-of them (cross-domain similarity local scaling, Conneau et al. 2018)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +40,7 @@ class Named:
     @property
     def is_sure(self) -> bool:
         """Return whether the votes say which things it means."""
-        return float(self.names.presence[self.number]) >= LIKELY and bool(self.votes.any())
+        return float(self.names.presence[self.number]) >= constants.LIKELY and bool(self.votes.any())
 
     def score(self, by_field: float | None = None, thing: int | None = None) -> float:
         """Return the presence of the text, 0 to 1, or of it in one thing, from the field's score of it."""
@@ -67,7 +55,7 @@ def joined_presence(presence: float, by_field: float | None) -> float:
     if by_field is None:
         return presence
     bounded = min(max(by_field, 0.01), 0.99)
-    raised = presence * (bounded / (1 - bounded)) ** FIELD_POWER
+    raised = presence * (bounded / (1 - bounded)) ** constants.FIELD_POWER
     return raised / (raised + 1 - presence)
 
 
@@ -104,13 +92,15 @@ def joined(
     if most == 0:
         return choice
     mine = votes[things]
-    if mine.max() >= AGREES * most:
-        return _chosen(choice, things[mine >= TOGETHER * mine.max()], levels, fits)
+    if mine.max() >= constants.AGREES * most:
+        return _chosen(choice, things[mine >= constants.TOGETHER * mine.max()], levels, fits)
     best = fits[usable].max()
     # A thing that fits like the median thing has e times fewer votes than one that fits best; as logarithms, because
     # where most things fit alike, others have fewer than any number is small.
     lowered = votes.log() + (fits - best).clamp(max=0) / (best - fits[usable].median()).clamp(min=1e-6)
-    together = (lowered >= lowered.max() + math.log(TOGETHER)) & (levels == levels[lowered.argmax()])
+    together = (lowered >= lowered.max() + math.log(constants.TOGETHER)) & (
+        levels == levels[lowered.argmax()]
+    )
     things = together.nonzero()[:, 0]
     things = things[lowered[things].argsort(descending=True, stable=True)]
     return _chosen(choice, things, levels, fits)
@@ -140,7 +130,11 @@ def voted_names(
     votes = names.matrix(len(table))[:, usable]
     if not usable:
         return {}
-    sure = (votes > 0) & (votes >= TOGETHER * votes.amax(0)) & (names.presence[usable] >= LIKELY)
+    sure = (
+        (votes > 0)
+        & (votes >= constants.TOGETHER * votes.amax(0))
+        & (names.presence[usable] >= constants.LIKELY)
+    )
     found = {}
     for thing, row in enumerate(best_words(votes).tolist()):
         mine = [usable[word] for word in row if sure[thing, word]]
@@ -151,11 +145,11 @@ def voted_names(
 
 
 def best_words(cosines: Tensor) -> Tensor:
-    """Return the up to ``NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
-    return less_common(cosines).topk(min(NAMES, cosines.shape[1]), dim=1).indices
+    """Return up to ``constants.NAMES`` words that name each thing best, [T, n] int64, from cosines [T, Q] of both."""
+    return less_common(cosines).topk(min(constants.NAMES, cosines.shape[1]), dim=1).indices
 
 
 def less_common(cosines: Tensor) -> Tensor:
     """Return cosines [T, Q] of things and words, lowered for words that are near to many things."""
-    count = min(HUB_THINGS, len(cosines))
-    return cosines - HUB_SHARE * cosines.topk(count, dim=0).values.sum(0) / max(1, count)
+    count = min(constants.COMMON_THINGS, len(cosines))
+    return cosines - constants.COMMON_SHARE * cosines.topk(count, dim=0).values.sum(0) / max(1, count)

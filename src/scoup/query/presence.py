@@ -6,9 +6,9 @@ which name nothing in it, fits the same things (the scene's own null). So
     score = share of everyday words whose best fit in this scene is lower, 0 to 1.
 
 It has no unit, and means the same in every scene, for every embedding model, for a text and for a single thing.
-Other names of the text do not count among the words. A text is present from a score of ``PRESENT_FROM`` on and with
-at least ``LEAST_GAUSSIANS`` Gaussians. This is ours; neither the paper nor the protocols judge presence. Measured in
-docs/answers.md.
+Other names of the text do not count among the words. A text is present from a score of
+``constants.PRESENT_FROM`` on and with at least ``LEAST_GAUSSIANS`` Gaussians. This is ours; neither the paper nor the
+protocols judge presence. Measured in docs/answers.md.
 """
 
 from __future__ import annotations
@@ -24,19 +24,13 @@ from scoup.base.counts import counted
 from scoup.base.errors import InputError
 from scoup.field.content import LEAST_GAUSSIANS
 from scoup.models.words import LEAST_WORDS
+from scoup.query import constants
 
 if TYPE_CHECKING:
     from scoup.query.named import Named
     from scoup.query.question import Question
 
 Certainty = Literal["sure", "likely", "doubtful", "not here"]
-PRESENT_FROM = 0.37
-"""The default score from which a text counts as present."""
-LIKELY, SURE = 0.6, 0.9
-"""Scores from which people read "likely" and "sure"."""
-SIMILAR, SAME = 3.0, 0.99
-"""A word is another name of a query from so many standard deviations of words above their mean, and the query itself
-from this cosine."""
 
 
 def certainty(score: float | None, presence: bool) -> Certainty | None:
@@ -45,7 +39,7 @@ def certainty(score: float | None, presence: bool) -> Certainty | None:
         return None
     if not presence:
         return "not here"
-    return "sure" if score >= SURE else "likely" if score >= LIKELY else "doubtful"
+    return "sure" if score >= constants.SURE else "likely" if score >= constants.LIKELY else "doubtful"
 
 
 def check_share(name: str, value: float | None) -> None:
@@ -60,11 +54,11 @@ def presence_threshold(n_words: int, source: str, wanted: float | None = None) -
     Args:
         n_words: number of everyday words.
         source: of the words, for messages.
-        wanted: by default ``PRESENT_FROM``.
+        wanted: by default ``constants.PRESENT_FROM``.
     """
     check_share("the least score of presence", wanted)
     if n_words >= LEAST_WORDS:
-        return PRESENT_FROM if wanted is None else wanted
+        return constants.PRESENT_FROM if wanted is None else wanted
     if wanted is not None:
         raise InputError(
             f"{source}: has {counted(n_words, 'word')}, but presence is judged against {LEAST_WORDS} "
@@ -86,8 +80,8 @@ def other_words(queries: Tensor, words: Tensor) -> Tensor:
     Vectors have unit norm.
     """
     near = queries @ words.T
-    alike = near > near.mean(1, keepdim=True) + SIMILAR * near.std(1, keepdim=True)
-    return ~alike & (near < SAME)
+    alike = near > near.mean(1, keepdim=True) + constants.OTHER_NAME * near.std(1, keepdim=True)
+    return ~alike & (near < constants.SAME_WORD)
 
 
 def compared_others(question: Question[Any]) -> Tensor:

@@ -18,6 +18,7 @@ from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import Field
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
+from scoup.query import constants
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.presence import check_share, presence_threshold
 from scoup.scene.directions import query_vectors
@@ -33,8 +34,6 @@ Asked = TypeVar("Asked", covariant=True)
 Found = TypeVar("Found")
 MOST_TEXTS = 16
 """Questions with more texts are not cached."""
-NEAR = 0.95
-"""Least cosine with a name of a thing of a text that counts as the same."""
 # Words that do not tell models apart.
 _PUBLISHERS = {"open", "clip", "laion", "openai", "google", "hf", "hub"}
 
@@ -101,7 +100,7 @@ class Question(TextVectors, Generic[Asked]):
     is_single: bool = False
     """It was one text, not a list, and so is the answer."""
     near: tuple[str | None, ...] = ()
-    """Of each text, the name of things that is nearly the same (``NEAR``), if there is one."""
+    """Of each text, the name of things that is nearly the same (``constants.NEAR_NAME``), if there is one."""
     asked: tuple[tuple[str, Expression], ...] = ()
     """Each text as it was asked, and what it means, where one is more than a text alone: a phrase or expression, which
     ``texts`` are those of. Otherwise empty."""
@@ -254,7 +253,7 @@ def near_names(
         return ()
     cosines, places = (vectors.queries @ encode(known).to(vectors.queries).T).max(1)
     return tuple(
-        known[place] if cosine >= NEAR else None
+        known[place] if cosine >= constants.NEAR_NAME else None
         for cosine, place in zip(cosines.tolist(), places.tolist(), strict=True)
     )
 

@@ -21,6 +21,7 @@ from scoup.field import Field
 from scoup.io import load_image
 from scoup.io.camera_images import attach_images
 from scoup.models.concepts import ConceptModel, open_concepts
+from scoup.query import constants
 from scoup.query.field_view import FieldView
 from scoup.query.language_field import LanguageField
 from scoup.query.question import literal
@@ -28,12 +29,6 @@ from scoup.query.thing_index import thing_index
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.names import Detections
 from scoup.uplift.naming import name_things
-
-MOST_VIEWS = 12
-SOME = 0.2
-"""All things together weigh so much as the one that fits a text best."""
-LARGE = 0.05
-"""A thing whose radius is this share of a picture's longest side is seen as well as any larger one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +116,14 @@ def photographed_cameras(field: Field) -> Cameras:
 
 
 def choose_views(
-    field: LanguageField, texts: Sequence[str], cameras: Cameras, most: int = MOST_VIEWS
+    field: LanguageField, texts: Sequence[str], cameras: Cameras, most: int = constants.MOST_PHOTOGRAPHS
 ) -> list[Camera]:
     """Return up to ``most`` cameras in which things that may answer texts are seen best, in order of their names."""
     question = field.question(literal(list(texts)))
     known = thing_index(field, question)
     assert known is not None
     fits = known.fits(question.queries)[known.usable]
-    weights = (fits - fits.amax(0)).exp().amax(1) + SOME / max(1, len(fits))
+    weights = (fits - fits.amax(0)).exp().amax(1) + constants.ALL_THINGS / max(1, len(fits))
     sizes = field.kept(
         (_apparent_sizes, *(camera.fingerprint() for camera in cameras)),
         lambda: _apparent_sizes(field, cameras),
@@ -155,7 +150,12 @@ def _apparent_sizes(field: Field, cameras: Cameras) -> Tensor:
     radii = (squares - middles.square().sum(1)).clamp(min=0).sqrt()
     sizes = []
     for camera in cameras:
-        size = camera.fx * radii / camera.pixels(middles)[1] / (LARGE * max(camera.width, camera.height))
+        size = (
+            camera.fx
+            * radii
+            / camera.pixels(middles)[1]
+            / (constants.LARGE * max(camera.width, camera.height))
+        )
         sizes.append(torch.where(camera.shows(middles) & (counts > 0), size.clamp(max=1), 0.0))
     return torch.stack(sizes).float()
 

@@ -13,29 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup.field import Field
+from scoup.query import constants
 from scoup.query.boxes import PointSets
 from scoup.query.frame import Frame
 from scoup.query.things import Thing
 
 RIGHT, UP, AWAY = range(3)
-CLEAR = 0.5
-"""One thing is left of another if its middle lies beyond this share of half the other's extent."""
-OVER = 0.5
-"""Share of a thing's footprint that must lie over another for it to be on or inside it."""
-OVER_PART = 0.25
-"""Share of one of two footprints that must lie over the other for the upper thing to be above the lower."""
-CONTACT = 0.35
-"""Largest gap between the bottom of a thing and what it is on, in units of its height."""
-SECTORS, SURROUNDED = 8, 0.75
-"""A thing contains another only if it has Gaussians in this share of so many directions around it."""
-ENCLOSED = (0.1, 0.25)
-"""Of two things that touch, the lower one contains the upper if close to it so large a share of its Gaussians in each
-of those directions lie beside it, or of those over its footprint above it. Few of a table's Gaussians are misplaced."""
-NEAR = 0.5
-"""Things are near each other if the gap between them is at most this share of the larger one's diagonal."""
-BETWEEN = (0.15, 0.85, 0.5)
-"""A thing is between two others if its place along the line between them lies within the first two, and its distance
-from that line is at most this share of their distance."""
 
 Array = NDArray[np.float64]
 Condition = Callable[["Shapes", int, tuple[int, ...]], bool]
@@ -88,17 +71,17 @@ class Shapes:
         means = self.points.of_one(one)
         low, high = self.spans[other, UP]
         beside = self._sectors(means[(means[:, UP] >= low) & (means[:, UP] <= high)], other)
-        return bool((beside > 0).mean() >= SURROUNDED)
+        return bool((beside > 0).mean() >= constants.SURROUNDED)
 
     def encloses(self, one: int, other: int) -> bool:
         """Return whether a thing that another lies on rises around or above it, as a bowl or a shelf does."""
         low, high = self.spans[other, UP]
         over, near = self._around(other, one, 0.0)[:, UP], self._around(other, one, 1.0)
-        if len(over) and (over > high).mean() >= ENCLOSED[1]:
+        if len(over) and (over > high).mean() >= constants.ENCLOSED[1]:
             return True
         every = self._sectors(near, other)
-        beside = self._sectors(near[near[:, UP] >= low + CONTACT * (high - low)], other)
-        return bool((beside > ENCLOSED[0] * every).mean() >= SURROUNDED)
+        beside = self._sectors(near[near[:, UP] >= low + constants.CONTACT * (high - low)], other)
+        return bool((beside > constants.ENCLOSED[0] * every).mean() >= constants.SURROUNDED)
 
     def _around(self, one: int, other: int, margin: float) -> Array:
         """Means of another over and around the footprint of one, as far as a multiple of its extent."""
@@ -113,8 +96,10 @@ class Shapes:
     def _sectors(self, means: Array, other: int) -> NDArray[np.int64]:
         """How many of the means lie in each direction from another thing."""
         away = means - self.middle(other)
-        sectors = np.floor((np.arctan2(away[:, AWAY], away[:, RIGHT]) / np.pi + 1) / 2 * SECTORS).astype(int)
-        return np.bincount(sectors.clip(0, SECTORS - 1), minlength=SECTORS)
+        sectors = np.floor(
+            (np.arctan2(away[:, AWAY], away[:, RIGHT]) / np.pi + 1) / 2 * constants.DIRECTIONS
+        ).astype(int)
+        return np.bincount(sectors.clip(0, constants.DIRECTIONS - 1), minlength=constants.DIRECTIONS)
 
 
 def _beyond(axis: int, sign: int) -> Condition:
@@ -122,17 +107,17 @@ def _beyond(axis: int, sign: int) -> Condition:
 
     def holds(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
         offset = sign * (shapes.middle(one)[axis] - shapes.middle(others[0])[axis])
-        return bool(offset > CLEAR * 0.5 * shapes.extent(others[0])[axis])
+        return bool(offset > constants.CLEAR * 0.5 * shapes.extent(others[0])[axis])
 
     return holds
 
 
 def _touches(shapes: Shapes, one: int, other: int) -> bool:
     """Return whether the bottom of one is where another ends around its footprint."""
-    if shapes.overlap(one, other) < OVER:
+    if shapes.overlap(one, other) < constants.OVER:
         return False
     gap = shapes.spans[one, UP, 0] - shapes.top_below(one, other)
-    return bool(abs(gap) <= CONTACT * shapes.extent(one)[UP])
+    return bool(abs(gap) <= constants.CONTACT * shapes.extent(one)[UP])
 
 
 def _on(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
@@ -147,10 +132,10 @@ def _above(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     other = others[0]
     over = max(shapes.overlap(one, other), shapes.overlap(other, one))
     height = shapes.extent(one)[UP]
-    clear = shapes.spans[one, UP, 0] >= shapes.spans[other, UP, 1] - CONTACT * height
+    clear = shapes.spans[one, UP, 0] >= shapes.spans[other, UP, 1] - constants.CONTACT * height
     # What stands on the lower end of something tall is not under it.
     clear = clear and not _on(shapes, other, (one,))
-    return bool(over >= OVER_PART and (clear or _on(shapes, one, others)))
+    return bool(over >= constants.OVER_PART and (clear or _on(shapes, one, others)))
 
 
 def _under(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
@@ -159,16 +144,19 @@ def _under(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
 
 def _inside(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     other = others[0]
-    if shapes.overlap(one, other) < OVER or shapes.extent(one).prod() >= shapes.extent(other).prod():
+    if (
+        shapes.overlap(one, other) < constants.OVER
+        or shapes.extent(one).prod() >= shapes.extent(other).prod()
+    ):
         return False
     low, high = shapes.spans[one, UP]
     within = min(high, shapes.spans[other, UP, 1]) - max(low, shapes.spans[other, UP, 0])
-    return bool(within > CONTACT * (high - low) and shapes.surrounds(other, one))
+    return bool(within > constants.CONTACT * (high - low) and shapes.surrounds(other, one))
 
 
 def _near(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     larger = max(np.linalg.norm(shapes.extent(one)), np.linalg.norm(shapes.extent(others[0])))
-    return bool(shapes.gap(one, others[0]) <= NEAR * larger)
+    return bool(shapes.gap(one, others[0]) <= constants.NEAR * larger)
 
 
 def _between(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
@@ -178,7 +166,7 @@ def _between(shapes: Shapes, one: int, others: tuple[int, ...]) -> bool:
     if length <= 0:
         return False
     place = float(offset @ line) / length**2
-    low, high, aside = BETWEEN
+    low, high, aside = constants.BETWEEN
     return bool(low <= place <= high and np.linalg.norm(offset - place * line) <= aside * length)
 
 

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from scoup.field import Field
+from scoup.query import constants
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.phrases import Phrase, Target, texts_of
-from scoup.query.relation_rules import AWAY, CONDITIONS, CONTACT, RIGHT, UP, Shapes
+from scoup.query.relation_rules import AWAY, CONDITIONS, RIGHT, UP, Shapes
 from scoup.query.things import Thing, all_things
 
 _ENDS = {
@@ -116,7 +117,7 @@ def related_pairs(field: Field, things: Sequence[Thing], frame: Frame) -> Iterat
     heights = (high - low)[:, UP]
     for one, thing in enumerate(things):
         gaps = np.maximum(low[one], low) - np.minimum(high[one], high)
-        for other in np.flatnonzero((gaps <= CONTACT * heights[one]).all(1)).tolist():
+        for other in np.flatnonzero((gaps <= constants.CONTACT * heights[one]).all(1)).tolist():
             if other == one:
                 continue
             inside, on = (CONDITIONS[what](shapes, one, (other,)) for what in ("inside", "on"))

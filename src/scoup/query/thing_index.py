@@ -24,6 +24,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from scoup.field import Field
+from scoup.query import constants
 from scoup.query.answer import RunnerUp
 from scoup.query.matching import Choice, choose_things
 from scoup.query.named import Named, joined
@@ -31,13 +32,6 @@ from scoup.query.presence import TextScore, is_present, text_scores
 from scoup.query.question import Question, TextVectors
 from scoup.scene.things import NO_THING, ThingTable
 
-HUB_QUANTILE = 0.99
-"""The words that fit a thing best are those above this quantile."""
-HUB_SHARE = 0.5
-"""This share of the cosine with the words that fit a thing best is subtracted."""
-FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
-"""The fit of a thing of R regions is lowered by the first / sqrt(R), as the error of a mean falls, and by the second
-times the logarithm of 1 / its stability."""
 THINGS_AT_A_TIME = 512  # whose fits to all everyday words are in memory together
 
 
@@ -82,7 +76,7 @@ class ThingIndex:
     usable: Tensor  # [N] boolean: things that may answer, as they have Gaussians and an embedding
     doubt: Tensor  # [N] float32, how much few regions and instability lower a fit
     spread: Tensor  # [N] float32, of the scene
-    hubs: Tensor  # [N] float32, the cosine at ``HUB_QUANTILE``
+    hubs: Tensor  # [N] float32, the cosine at ``constants.HUB_QUANTILE``
     shares: Shares
     known_best_fits: Tensor | None = None  # [S, B] float32
 
@@ -155,12 +149,12 @@ class ThingIndex:
         return self._fits(self.cosines(queries), slice(None))
 
     def _fits(self, cosines: Tensor, rows: slice) -> Tensor:
-        lowered = cosines - HUB_SHARE * self.hubs[rows, None]
+        lowered = cosines - constants.HUB_SHARE * self.hubs[rows, None]
         return lowered / self.spread[rows, None] - self.doubt[rows, None]
 
     def leads(self, fits: Tensor) -> Tensor:
         """Return how much better things fit texts than the everyday words that fit them best, [N, Q], of their fits."""
-        return fits - ((1 - HUB_SHARE) * self.hubs / self.spread)[:, None]
+        return fits - ((1 - constants.HUB_SHARE) * self.hubs / self.spread)[:, None]
 
     @cached_property
     def best_fits(self) -> Tensor:
@@ -240,13 +234,13 @@ class ThingIndex:
 
 
 def _doubt(n_regions: Tensor, stability: Tensor) -> Tensor:
-    few = FEW_REGIONS * n_regions.clamp(min=1).rsqrt()
-    return few - UNSTABLE * stability.clamp(min=LEAST_STABILITY).log()
+    few = constants.FEW_REGIONS * n_regions.clamp(min=1).rsqrt()
+    return few - constants.UNSTABLE * stability.clamp(min=constants.LEAST_STABILITY).log()
 
 
 def hub_cosines(vectors: Tensor, words: Tensor) -> Tensor:
-    """Return the cosine [T] of each thing with the words [B, D] that fit it best, at ``HUB_QUANTILE``."""
-    rank = max(1, math.ceil(HUB_QUANTILE * len(words)))
+    """Return the cosine [T] of each thing with the words [B, D] that fit it best, at ``constants.HUB_QUANTILE``."""
+    rank = max(1, math.ceil(constants.HUB_QUANTILE * len(words)))
     parts = vectors.split(THINGS_AT_A_TIME) or [vectors]
     return torch.cat([(part.float() @ words.T).kthvalue(rank, dim=1).values for part in parts])
 

@@ -16,21 +16,14 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from scoup.field import Field
+from scoup.query import constants
 from scoup.query.answer_scene import each_answer
-from scoup.query.matching import SAME
-from scoup.query.named import NAMES, less_common, voted_names
+from scoup.query.named import less_common, voted_names
 from scoup.query.presence import text_scores
 from scoup.query.question import Question
 from scoup.query.thing_index import ThingIndex, compared_words, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
 from scoup.scene.things import ThingTable
-
-NEARER_WORDS = 0.02
-"""At most this share of the everyday words may be nearer to a thing than its name."""
-UNNAMED = 0.6
-"""How well nothing names a thing, beside the scores of names."""
-LEAST_REGIONS, STABLE = 5, 0.6
-"""Unnamed things of fewer regions are fragments, not objects; so are less stable ones that no other level found."""
 
 
 class ThingName(NamedTuple):
@@ -63,16 +56,19 @@ def _made_names(field: Field, question: Question[Any]) -> dict[int, ThingName]:
     for number, answer in enumerate(each_answer(field, question)):
         for thing in answer.things:
             fit = near[thing, number]
-            if int((words[thing] > fit + 1e-6).sum()) <= NEARER_WORDS * len(everyday):
+            if int((words[thing] > fit + 1e-6).sum()) <= constants.NEARER_WORDS * len(everyday):
                 found.setdefault(thing, []).append((-float(fit), number))
-    best = {thing: [number for _, number in sorted(numbers)[:NAMES]] for thing, numbers in found.items()}
+    best = {
+        thing: [number for _, number in sorted(numbers)[: constants.NAMES]]
+        for thing, numbers in found.items()
+    }
     fits, scores, names = known.fits(queries), text_scores(question, known.best_fits), {}
     for thing, like in _alike(known, best).items():
         texts, first = tuple(question.texts[number] for number in best[like]), best[like][0]
         names[thing] = ThingName(texts, scores[first](float(fits[thing, first])))
     for thing, (texts, voted_score) in voted_names(field, question.texts).items():
         others = names[thing].texts if thing in names else ()
-        names[thing] = ThingName(tuple(dict.fromkeys([*texts, *others]))[:NAMES], voted_score)
+        names[thing] = ThingName(tuple(dict.fromkeys([*texts, *others]))[: constants.NAMES], voted_score)
     return names
 
 
@@ -82,7 +78,7 @@ def _alike(known: ThingIndex, named: Collection[int]) -> dict[int, int]:
     best: dict[int, tuple[float, int]] = {}
     for one, other, both in known.shares.pairs():
         share = both / max(1.0, counts[one] + counts[other] - both)
-        if one in named and (one == other or (other not in named and share >= SAME)):
+        if one in named and (one == other or (other not in named and share >= constants.SAME_GAUSSIANS)):
             best[other] = max(best.get(other, (0.0, one)), (share, one))
     return {thing: one for thing, (_, one) in best.items()}
 
@@ -119,7 +115,9 @@ def find_objects(field: Field, things: Sequence[Thing]) -> list[Thing]:
     wholes, steady = field.kept(find_objects, lambda: _nesting(table))
 
     def is_object(thing: Thing) -> bool:
-        return bool(thing.text) or ((thing.n_regions or 0) >= LEAST_REGIONS and thing.number in steady)
+        return bool(thing.text) or (
+            (thing.n_regions or 0) >= constants.LEAST_REGIONS and thing.number in steady
+        )
 
     nested = [
         replace(each, parent=wholes.get(each.number)) if each.parent is None else each for each in things
@@ -134,12 +132,12 @@ def _nesting(table: ThingTable) -> tuple[dict[int | None, int], set[int | None]]
     pairs, levels = shared_gaussians(table).pairs(), table.levels.tolist()
     counts = {one: both for one, other, both in pairs if one == other}
     wholes: dict[int | None, int] = {}
-    steady: set[int | None] = {*(table.stability >= STABLE).nonzero()[:, 0].tolist()}
+    steady: set[int | None] = {*(table.stability >= constants.STABLE).nonzero()[:, 0].tolist()}
     for one, other, both in sorted(pairs, key=lambda pair: (-levels[pair[1]], pair[2])):
         if levels[one] < levels[other]:
-            if both >= SAME * counts[one]:
+            if both >= constants.SAME_GAUSSIANS * counts[one]:
                 wholes[one] = other  # the last is of the finest level
-            if both >= SAME * (counts[one] + counts[other] - both):
+            if both >= constants.SAME_GAUSSIANS * (counts[one] + counts[other] - both):
                 steady |= {one, other}
     return wholes, steady
 
@@ -155,7 +153,7 @@ def best_of_trees(things: Sequence[Thing]) -> list[Thing]:
     def best(number: int) -> tuple[float, list[int]]:
         """Return how well a thing, or the objects in it, are named."""
         thing = things[number]
-        own = (1.0 if thing.score is None else thing.score) if thing.text else UNNAMED
+        own = (1.0 if thing.score is None else thing.score) if thing.text else constants.UNNAMED
         below = [best(part) for part in parts[number]]
         sizes = [things[part].n_gaussians / thing.n_gaussians for part in parts[number]]
         together = sum(score * size for (score, _), size in zip(below, sizes, strict=True))

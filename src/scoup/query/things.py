@@ -15,6 +15,7 @@ from torch import Tensor
 from scoup.base.html import card
 from scoup.base.records import rounded_vector
 from scoup.field import Field
+from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.boxes import OrientedBox, PointSets
 from scoup.query.named import named_texts, voted_names
@@ -25,9 +26,6 @@ from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
 from scoup.scene.neighbours import connected_parts
 from scoup.scene.up import estimate_up
-
-LEAST_SHARE = 0.1
-"""Where the votes answer, connected parts with less than this share of the weight of the largest are strays."""
 
 MOST_LINKED = 8192
 """Of more points than these, the cells of a grid are linked instead."""
@@ -223,7 +221,7 @@ def _connected_things(field: Field, answer: Answer) -> list[Thing]:
     largest = [
         part
         for part in heaviest
-        if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= LEAST_SHARE * weights.max()
+        if sizes[part] >= LEAST_GAUSSIANS and weights[part] >= constants.STRAY_SHARE * weights.max()
     ] or heaviest[:1]  # where all are small, they are what there is
     members = [rows[torch.from_numpy(parts == part)] for part in largest]
     return [

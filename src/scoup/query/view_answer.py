@@ -17,17 +17,13 @@ from scoup.base.records import rounded_vector
 from scoup.field import Field
 from scoup.field.renders import render_depth
 from scoup.pictures import as_picture, heat_map, mask_overlay
+from scoup.query import constants
 from scoup.query.answer import Answer
 from scoup.raster import Projection, render_colors
 from scoup.scene.cameras import Camera
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-LEAST_SHARE = 0.02
-"""A part of a mask with less than this share of the area of the largest part is a speck."""
-AVERAGED = 7
-"""Side of the box, in pixels, over which relevancy is averaged to find the most relevant pixel."""
 
 
 class ViewRenders:
@@ -221,7 +217,7 @@ def main_parts(mask: Tensor) -> tuple[Tensor, Tensor]:
     ndimage.label(inside, np.ones((3, 3)), output=labels)  # pyright: ignore[reportArgumentType]
     areas = np.bincount(labels.ravel())
     areas[0] = 0
-    kept = areas >= LEAST_SHARE * areas.max()
+    kept = areas >= constants.SPECK * areas.max()
     kept[0] = False
     parts, largest = torch.zeros_like(mask), torch.zeros_like(mask)
     parts[window] = torch.from_numpy(kept[labels])
@@ -236,7 +232,7 @@ def most_relevant_pixel(heat: Tensor, part: Tensor) -> tuple[int, int] | None:
     if not part.any():
         return None
     averaged = torch.nn.functional.avg_pool2d(
-        heat[None], AVERAGED, stride=1, padding=AVERAGED // 2, count_include_pad=False
+        heat[None], constants.AVERAGED, stride=1, padding=constants.AVERAGED // 2, count_include_pad=False
     )[0]
     values = torch.where(part, averaged, -torch.inf)
     pixels = (values == values.max()).nonzero().flip(1)

@@ -23,6 +23,7 @@ from scoup.base.brief import brief
 from scoup.base.native import native_core
 from scoup.field import Field
 from scoup.field.relevancy import FieldCodes, GaussianCosines
+from scoup.query import constants
 from scoup.query.question import Question
 from scoup.scene.codes import rows_of
 
@@ -30,16 +31,6 @@ BINS = 100
 MOST_TEXTS, MOST_BYTES = 16, 192 << 20
 """So many texts are compared with all Gaussians at a time, if their relevancy fits into so many bytes: of a million
 Gaussians at three levels, all of them."""
-MOST_SAMPLED = 8192
-"""Gaussians that stand for all where texts are compared with everyday words."""
-LOWEST, HIGHEST, WINDOW = 0.44, 0.84, 0.1
-"""Thresholds considered, and the window over which the change of area is taken; on the rescaled relevancy, as the
-papers' thresholds are."""
-CENTRE, PULL = 0.64, 0.05
-"""Of thresholds that are almost as stable, the one nearer to the centre is taken: its distance times the pull is added
-to the change."""
-LOWEST_SHARE = 0.5 + 0.5 * (LOWEST - WINDOW / 2)
-"""The share of the span, before rescaling, where the lowest window begins; lower values do not count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +120,7 @@ class SampledVotes:
 
     def __init__(self, field: Field, question: Question) -> None:
         rows = true_rows(field.coded())
-        rows = rows[:: max(1, -(-len(rows) // MOST_SAMPLED))]
+        rows = rows[:: max(1, -(-len(rows) // constants.MOST_SAMPLED))]
         codes = FieldCodes(rows_of(field.code_indices, rows), field.code_weights[rows], field.codebook)
         canonical = question.canonical.to(field.codebook.device)
         self._coded = codes.coded()
@@ -161,12 +152,12 @@ def thresholds_of_counts(counts: Tensor) -> Tensor:
     """
     above = counts.double().flip(1).cumsum(1).flip(1)  # values in bin b and further up
     area = above.clamp(min=1).log()
-    half = round(WINDOW / 2 * BINS)
-    bins = torch.arange(round(LOWEST * BINS), round(HIGHEST * BINS) + 1)
+    half = round(constants.WINDOW / 2 * BINS)
+    bins = torch.arange(round(constants.LOWEST * BINS), round(constants.HIGHEST * BINS) + 1)
     bins = bins[(bins >= half) & (bins < BINS - half)]
     change = area[:, bins - half] - area[:, bins + half]
     at = bins / BINS
-    best = (change + PULL * (at - CENTRE).abs()).argmin(1)
+    best = (change + constants.PULL * (at - constants.CENTRE).abs()).argmin(1)
     return at[best].float()
 
 
@@ -179,13 +170,13 @@ def stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns:
         spans [S, 2], the smallest and the largest value, infinity and minus infinity without any; and counts
-        [S, ``BINS``] int64, of values from ``LOWEST_SHARE`` of the span on, zeros for a row that is empty or not
+        [S, ``BINS``] int64, of values from ``lowest_share`` of the span on, zeros for a row that is empty or not
         finite. Both on the CPU.
     """
     core = _core_for(values)
     if core is None:
         return plain_stretched_counts(values, coded)
-    counted = core.count_stretched(_rows(values), _bytes(coded), LOWEST_SHARE, torch.get_num_threads())
+    counted = core.count_stretched(_rows(values), _bytes(coded), lowest_share(), torch.get_num_threads())
     return torch.from_numpy(counted[0]), torch.from_numpy(counted[1])
 
 
@@ -198,7 +189,7 @@ def plain_stretched_counts(values: Tensor, coded: Tensor) -> tuple[Tensor, Tenso
         spans[number] = torch.stack([low, high])
         if spans[number].isfinite().all():
             # A little lower than needed, for rounding.
-            counted = row[row >= low + (high - low) * LOWEST_SHARE - 1e-6]
+            counted = row[row >= low + (high - low) * lowest_share() - 1e-6]
             for part in rescale(counted, low, high).float().split(1 << 24):  # float32 counts no further
                 counts[number] += torch.histc(part, BINS, 0, 1).cpu().long()
     return spans, counts
@@ -238,6 +229,11 @@ def plain_above_thresholds(
             masks[number] = coded[number] & (rescale(values[number], *spans[number]) > threshold)
     sums = torch.stack([row[mask].double().sum() for row, mask in zip(values, masks, strict=True)])
     return masks, masks.sum(1).cpu(), sums.cpu()
+
+
+def lowest_share() -> float:
+    """Return the share of the span, before rescaling, where the lowest window begins; lower values do not count."""
+    return 0.5 + 0.5 * (constants.LOWEST - constants.WINDOW / 2)
 
 
 def _core_for(values: Tensor) -> ModuleType | None:

@@ -9,8 +9,10 @@ from types import ModuleType
 import pytest
 
 import scoup.extract
+import scoup.query
 import scoup.uplift
 from scoup.extract import constants as of_extract
+from scoup.query import constants as of_query
 from scoup.uplift import constants as of_uplift
 
 
@@ -18,14 +20,17 @@ def names_of(table: ModuleType) -> set[str]:
     return {name for name in vars(table) if name.isupper() and name != "WITHOUT"}
 
 
-def test_what_can_be_left_out_is_in_the_table() -> None:
-    assert set(of_uplift.WITHOUT) < names_of(of_uplift)
-    for name, neutral in of_uplift.WITHOUT.items():
-        assert getattr(of_uplift, name) != neutral
+@pytest.mark.parametrize("table", [of_uplift, of_query], ids=["uplift", "query"])
+def test_what_can_be_left_out_is_in_the_table(table: ModuleType) -> None:
+    assert set(table.WITHOUT) < names_of(table)
+    for name, neutral in table.WITHOUT.items():
+        assert getattr(table, name) != neutral
 
 
 @pytest.mark.parametrize(
-    ("room", "table"), [(scoup.uplift, of_uplift), (scoup.extract, of_extract)], ids=["uplift", "extract"]
+    ("room", "table"),
+    [(scoup.uplift, of_uplift), (scoup.extract, of_extract), (scoup.query, of_query)],
+    ids=["uplift", "extract", "query"],
 )
 def test_no_module_keeps_a_copy(room: ModuleType, table: ModuleType) -> None:
     """Which would stay as it is when a constant is left out."""
