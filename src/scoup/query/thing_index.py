@@ -38,6 +38,7 @@ HUB_SHARE = 0.5
 FEW_REGIONS, UNSTABLE, LEAST_STABILITY = 2.0, 0.25, 0.02
 """The fit of a thing of R regions is lowered by the first / sqrt(R), as the error of a mean falls, and by the second
 times the logarithm of 1 / its stability."""
+NUMBERS_AT_A_TIME = 1 << 15  # that PyTorch converts in one thread
 THINGS_AT_A_TIME = 512  # whose fits to all everyday words are in memory together
 
 
@@ -146,7 +147,7 @@ class ThingIndex:
         Each scene has a product of its own: of several together, the last bits would differ from those of one alone.
         """
         queries = queries.float().cpu().T
-        return torch.cat([each.float() @ queries for each in self.vectors])
+        return torch.cat([_float(each) @ queries for each in self.vectors])
 
     def fits(self, queries: Tensor) -> Tensor:
         """Return the fits [N, Q] float32 of all things to unit vectors [Q, D], in units of the scene's spread."""
@@ -230,6 +231,17 @@ class ThingIndex:
             present = is_present(own, int(sum(islice(counts, len(choice.things)))), least)
             verdicts[scene] = Verdict(choice.things, choice.level, own, present, runners_up.get(scene))
         return verdicts
+
+
+def _float(vectors: Tensor) -> Tensor:
+    """Return vectors as float32, converted in parts that one thread takes: of thousands of scenes, waiting for other
+    threads would take longer than the work."""
+    if vectors.dtype == torch.float32:
+        return vectors
+    found, rows = torch.empty(vectors.shape), max(1, NUMBERS_AT_A_TIME // vectors.shape[1])
+    for mine, part in zip(found.split(rows), vectors.split(rows), strict=True):
+        mine.copy_(part)
+    return found
 
 
 def _doubt(n_regions: Tensor, stability: Tensor) -> Tensor:
