@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from scoup.query import constants
+
 if TYPE_CHECKING:
-    from scoup.query import constants
-from scoup.query.thing_index import ThingIndex
+    from scoup.query.thing_index import ThingIndex
 
 FITS_AT_A_TIME = 1 << 16
 

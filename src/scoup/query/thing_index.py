@@ -32,6 +32,7 @@ from scoup.query.presence import TextScore, is_present, text_scores
 from scoup.query.question import Question, TextVectors
 from scoup.scene.things import NO_THING, ThingTable
 
+NUMBERS_AT_A_TIME = 1 << 15  # that PyTorch converts in one thread
 THINGS_AT_A_TIME = 512  # whose fits to all everyday words are in memory together
 
 
@@ -142,7 +143,7 @@ class ThingIndex:
         Each scene has a product of its own: of several together, the last bits would differ from those of one alone.
         """
         queries = queries.float().cpu().T
-        return torch.cat([each.float() @ queries for each in self.vectors])
+        return torch.cat([_float(each) @ queries for each in self.vectors])
 
     def fits(self, queries: Tensor) -> Tensor:
         """Return the fits [N, Q] float32 of all things to unit vectors [Q, D], in units of the scene's spread."""
@@ -231,6 +232,17 @@ class ThingIndex:
                 choice.things, tuple(islice(alone, size)), choice.level, own, present, runners_up.get(scene)
             )
         return verdicts
+
+
+def _float(vectors: Tensor) -> Tensor:
+    """Return vectors as float32, converted in parts that one thread takes: of thousands of scenes, waiting for other
+    threads would take longer than the work."""
+    if vectors.dtype == torch.float32:
+        return vectors
+    found, rows = torch.empty(vectors.shape), max(1, NUMBERS_AT_A_TIME // vectors.shape[1])
+    for mine, part in zip(found.split(rows), vectors.split(rows), strict=True):
+        mine.copy_(part)
+    return found
 
 
 def _doubt(n_regions: Tensor, stability: Tensor) -> Tensor:
