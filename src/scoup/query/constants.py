@@ -1,8 +1,7 @@
 """The constants of this room that decide answers: value, unit, and where each comes from.
 
-Modules read them as ``constants.NAME`` when they need them, so that ``python -m benchmarks answers --without NAME`` can
-leave one out. Unless said otherwise, they were tuned on other renders of table, shelves, hall and yard, and on desk
-(docs/answers.md).
+Modules read them as ``constants.NAME`` when they need them, so that the study of answers can leave one out. Unless said
+otherwise, they were tuned on other renders of table, shelves, hall and yard, and on desk (docs/answers.md).
 """
 
 # Fits of things to texts.

@@ -53,7 +53,7 @@ class FieldSources:
 
     Example:
         >>> gaussians, cameras = scoup.load_gaussians("scene/point_cloud.ply"), scoup.load_cameras("scene")
-        >>> sources = scoup.FieldSources(words="scene/text.npz", geometry_path="scene/point_cloud.ply")
+        >>> sources = scoup.FieldSources(words="scene/words.npz", geometry_path="scene/point_cloud.ply")
         >>> field = scoup.build(gaussians, cameras, scoup.load_regions("scene", cameras), sources=sources)
         >>> field.answer("kettle").level in field.levels
         True
