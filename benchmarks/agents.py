@@ -79,8 +79,8 @@ class Agents(Study):
     What is on it: the three surest names of the graph, all true; of equally sure ones the largest things. Where: the
     position lies in the mask of the name in most labelled views. Which: only the true one of two phrases finds
     something. Things are named by names of what is in the scene and of 40 or more things that are not. This list and
-    "surest" were chosen after a first run, which had seven right. Objects: those of the graph, beside how many the
-    scene has names for and shows (``RealScene.counts``).
+    "surest" were chosen after a first run, which had seven right. How many: the things that answer. Objects: those of
+    the graph.
     """
 
     data: Path = field(default_factory=data_folder)
@@ -126,7 +126,7 @@ async def _asked(name: str, data: Path) -> Record:
             rows.append({"question": f"{kind}{comma} {asked}?", "answer": answer, "right": right})
         graph = await call("describe_scene", limit=1)
         objects = len(graph["things"]) + graph["more"]
-    return {"asked": rows, "objects": objects, "true_objects": sum(scene.counts.values()) or None}
+    return {"asked": rows, "objects": objects}
 
 
 async def _answer(call: Call, scene: RealScene, kind: str, asked: str, truth: Any) -> tuple[str, bool]:

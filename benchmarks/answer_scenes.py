@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -65,8 +65,6 @@ class AnswerScene:
     everyday: Tensor  # [B, D] unit vectors of everyday words, the labels among them
     words: tuple[str, ...]  # the everyday words
     absent: tuple[str, ...]  # those of them that nothing in the scene is called
-    # label -> how many instances are visible; empty where that is not known
-    counts: dict[str, int] = field(default_factory=dict)
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
@@ -130,8 +128,7 @@ def _kitchen_draw(data: Path, name: DrawName, scale: float) -> AnswerScene:
 def with_splat(scene: RealScene, name: str = "") -> AnswerScene:
     """Return a scene of real models with its Gaussians."""
     texts = Texts(scene.canonical, scene.words, scene.everyday, scene.absent)
-    found = prepared(name, scene.gaussians(), scene.cameras, scene.regions, scene.frames, texts)
-    return replace(found, counts=scene.counts)
+    return prepared(name, scene.gaussians(), scene.cameras, scene.regions, scene.frames, texts)
 
 
 class Texts(NamedTuple):

@@ -10,7 +10,6 @@ from pathlib import Path
 from statistics import mean
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 
 from benchmarks.answer_presence import MOST_ABSENT, presence_of_groups, presence_table
@@ -122,10 +121,9 @@ class Answers(Study):
         }
         by_seeds = {rule: [round(mean(of[rule]), 4) for of in by_seed] for rule in RULES if by_seed[0][rule]}
         seconds = round(time.perf_counter() - started, 1)
-        first = {key: by_seed[0][key] for key in ("presence", "counts")}
         return {
             **means,
-            **first,
+            "presence": by_seed[0]["presence"],
             "seeds": by_seeds,
             "bytes_per_gaussian": size,
             "seconds": seconds,
@@ -163,7 +161,6 @@ class Answers(Study):
                 if {first, second} <= set(self.ways)
             },
             "presence": presence_of_groups(scores, groups, self.ways),
-            "counts": counts_of_scenes(scores),
             "pairs": pairs,
             "scores": {name: {way: of[way] for way in self.ways if way in of} for name, of in scores.items()},
         }
@@ -199,34 +196,7 @@ def score(scene: AnswerScene, fitted: FittedMethod) -> Record:
         "present": [answers[label].score for label in labels],
         "absent": [answer.score for answer in of_absent.values()],
     }
-    counts = [
-        [scene.counts[label], answers[label].count]
-        for label in labels
-        if scene.counts.get(label) and answers[label].count
-    ]
-    return {**scores, "presence": presence, "counts": counts}
-
-
-def counts_of_scenes(scores: Record) -> Record:
-    """Return how many words with one instance were counted exactly, and of those with several how many exactly and
-    within 1, with the numbers of words: per scene and in all.
-    """
-    found: Record = {}
-    for name, ways in scores.items():
-        pairs = np.array(ways.get("default", {}).get("counts") or np.zeros((0, 2)))
-        if len(pairs):
-            one, off = pairs[:, 0] == 1, np.abs(pairs[:, 0] - pairs[:, 1])
-            found[name] = {
-                "one, exact": [int((off[one] == 0).sum()), int(one.sum())],
-                "several, exact": [int((off[~one] == 0).sum()), int((~one).sum())],
-                "several, within 1": [int((off[~one] <= 1).sum()), int((~one).sum())],
-            }
-    if found:
-        kinds = next(iter(found.values()))
-        found["all"] = {
-            kind: [sum(of[kind][place] for of in found.values()) for place in (0, 1)] for kind in kinds
-        }
-    return found
+    return {**scores, "presence": presence}
 
 
 def table_of(record: Record, key: str) -> str:
@@ -272,7 +242,7 @@ def _difference(
 
 @dataclass(frozen=True, kw_only=True)
 class Real(Answers):
-    """Score ways of building a field, presence and counts on scenes with real masks and real embeddings.
+    """Score ways of building a field, and presence, on scenes with real masks and real embeddings.
 
     The scenes are those of `benchmarks.real_scenes` whose data are at hand: desk, and rendered photographs of a table,
     shelves, a hall and a yard, with two poolings of the embeddings each. Rules and figures are those of `benchmarks
@@ -301,14 +271,4 @@ class Real(Answers):
         ]
         means = [mean(record["scenes"][way][cell]["always"] for cell in cells) for way in ways]
         body.append(["mean", *(f"{each:.3f}" for each in means)])
-        counts = [
-            [name, *("{} of {}".format(*pair) for pair in of.values())]
-            for name, of in record["counts"].items()
-        ]
-        heads = ["names counted", *next(iter(record["counts"].values()), {})]
-        tables = (
-            markdown(["scene, mIoU", *ways], body),
-            presence_table(record["presence"]),
-            markdown(heads, counts),
-        )
-        return "\n\n".join(tables)
+        return "\n\n".join([markdown(["scene, mIoU", *ways], body), presence_table(record["presence"])])

@@ -41,7 +41,7 @@ RIGHT_FROM = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Concepts(Study):
-    """Score answers, presence, counts and names with a detector that takes words.
+    """Score answers, presence and names with a detector that takes words.
 
     Detections were made by a script outside of the project, for all words of desk's table: DETECTIONS/SCENE/VIEW.npz
     with word [M] (position among the words), score [M], box [M, 4] in pixels and size [2].
@@ -107,17 +107,11 @@ class Concepts(Study):
             if way == "detector alone" and given is not None:
                 drawn = {text: voted(asked, table, given, text) for text in labels}
                 sure = dict(zip(given.texts, given.presence.tolist(), strict=True))
-            found = {each.text: each for each in answers}
             figures[way] = {
                 "mIoU": round(mean(mask_ious(scene, drawn)), 4),
                 "presence": round(
                     auc(*(np.array([sure[text] for text in some]) for some in (labels, absent))), 4
                 ),
-                "counts": [
-                    [scene.counts[label], len(found[label].things)]
-                    for label in labels
-                    if scene.counts.get(label, 1) > 1
-                ],
             }
         named = asked.changed(scene.gaussians, thing_table=replace(table, names=names))
         for title, words in {"words of the scene and absent ones": texts, "all words": scene.words}.items():
@@ -165,7 +159,7 @@ class Concepts(Study):
 
     @staticmethod
     def table(record: Record) -> str:
-        """Return mIoU per scene, and means, presence, counts and names."""
+        """Return mIoU per scene, and means, presence and names."""
         rows = record["rows"]
         body = [[name, *(f"{of[way]['mIoU']:.3f}" for way in ANSWERS)] for name, of in rows.items()]
         body += [
@@ -175,9 +169,6 @@ class Concepts(Study):
                 "AUC of presence": record["means"]["presence"],
             }.items()
         ]
-        body.append(
-            ["several instances, count within 1", *(counted_within(rows.values(), way) for way in ANSWERS)]
-        )
         for title in next(iter(rows.values()))["names"]:
             of = [each["names"][title] for each in rows.values()]
             total = sum(each["things"] for each in of)
@@ -186,12 +177,6 @@ class Concepts(Study):
             }
             body.append([f"names right, {title}", *(right.get(way, "") for way in ANSWERS)])
         return markdown(["scene, mIoU", *ANSWERS], body)
-
-
-def counted_within(rows: Any, way: str) -> str:
-    """Return how many names of several instances are counted within 1, of how many."""
-    pairs = [pair for of in rows for pair in of[way]["counts"]]
-    return f"{sum(abs(true - found) <= 1 for true, found in pairs)} of {len(pairs)}"
 
 
 def read_detections(path: Path) -> Detections:

@@ -26,7 +26,6 @@ class DrawnAnswer:
     mask: Tensor  # [N] boolean
     counting: Tensor  # [N] boolean, those whose contributions it must exceed half of
     score: float | None = None  # None of ways that are no field
-    count: int | None = None  # of things; None of ways without things
 
 
 def question_of(scene: AnswerScene, texts: Sequence[str], everyday: Tensor) -> Question:
@@ -48,8 +47,7 @@ def answers_of(
         field.attach(scene.gaussians, known=True)
         found = {}
         for answer in answer_scene(field, question):
-            counting, count = counting_gaussians(field, answer), len(answer.things) or None
-            found[answer.text] = DrawnAnswer(answer.mask, counting, answer.score, count)
+            found[answer.text] = DrawnAnswer(answer.mask, counting_gaussians(field, answer), answer.score)
         return found
     coded, found = fitted.coded(), {}
     for text, query in zip(texts, question.queries, strict=True):

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 import scoup
-from benchmarks.true_counts import true_counts
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians
@@ -47,22 +46,17 @@ class RealScene:
     everyday: Tensor  # [words, D] their unit text vectors
     canonical: Tensor  # [P, D]
     absent: tuple[str, ...]  # those words that nothing in the scene is called
-    counts: dict[str, int]  # label -> how many instances are visible; empty for desk, where it is not known
     encoder: scoup.TextEncoder  # desk's table
 
     @classmethod
     def open(cls, name: str, data: Path) -> RealScene:
         """Open a scene of ``REAL_SCENES`` from the folder of the data."""
         place, features = REAL_SCENES[name]
-        scene = cls.of_folder(data / place, features, data)
-        if name.startswith("desk"):
-            return scene
-        meanings = json.loads((scene.folder / "words.json").read_text())
-        return replace(scene, counts=true_counts(name.partition("-")[0], scene.cameras, meanings))
+        return cls.of_folder(data / place, features, data)
 
     @classmethod
     def of_folder(cls, folder: Path, features: str, data: Path, chosen: Cameras | None = None) -> RealScene:
-        """Open a scene that lies anywhere, of all or of chosen views, without counts; desk's table has its words."""
+        """Open a scene that lies anywhere, of all or of chosen views; desk's table has its words."""
         cameras = scoup.load_cameras(folder)
         held_out = folder / "held_out.json"
         labelled = scoup.load_cameras(held_out) if held_out.exists() else cameras
@@ -85,7 +79,6 @@ class RealScene:
             torch.nn.functional.normalize(encoder.encode(words), dim=1),
             encoder.canonical(),
             tuple(word for word in ABSENT.split(",") if word in words) if held_out.exists() else tuple(desk),
-            {},
             encoder,
         )
 

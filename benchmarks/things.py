@@ -1,4 +1,4 @@
-"""Things of fields against the truth: instances, counts and relations."""
+"""Things of fields against the truth: instances and relations."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ FACTS = {
 class Things(Study):
     """Compare `field.things` with the true objects of synthetic scenes, and with known facts of a real one.
 
-    Instances: IoU of Gaussians, weighted by opacity, of each true object with the best thing, and average precision of
-    the things of level m, ranked by their number of regions. Counts: instances of each name against the things that
-    answer it. Relations: phrases over pairs of names (for "between", triples) that are clearly true or clearly false by
-    their boxes, as many of one as of the other where there are; a phrase counts as found if any thing answers. The
-    truth is the meshes; in draws of the kitchen it is the Gaussians labelled by hand, along the field's own directions.
-    Desk: facts listed by hand, and their converses, which nothing may answer.
+    Instances: IoU of Gaussians, weighted by opacity, of each true object with the best thing, and average precision
+    of the things of level m, ranked by their number of regions. Relations: phrases over pairs of names (for
+    "between", triples) that are clearly true or clearly false by their boxes, as many of one as of the other where
+    there are; a phrase counts as found if any thing answers. The truth is the meshes; in draws of the kitchen it is
+    the Gaussians labelled by hand, along the field's own directions. Desk: facts listed by hand, and their
+    converses, which nothing may answer.
     """
 
     scenes: tuple[str, ...] = ("table-4", "shelves-2", "hall-3", "yard-3", "kitchen-21", "kitchen-22")
@@ -96,8 +96,6 @@ class Things(Study):
                 (f"AP at IoU {each:g}", lambda row, each=each: f"{row['ap'][f'{each:g}']:.3f}")
                 for each in IOUS
             ),
-            ("names counted right, one instance", lambda row: _share(row["counts"]["one"])),
-            ("names counted right, several", lambda row: _share(row["counts"]["several"])),
             *(
                 (f"{name}: precision / recall", lambda row, name=name: _quality(row["relations"][name]))
                 for name in (*PAIRS, "between")
@@ -144,16 +142,9 @@ def of_kitchen(data: Path, seed: int, most: int) -> Record:
 def of_scene(truth: Instances, built: scoup.LanguageField, frame: Frame, cases: Cases, most: int) -> Record:
     """Return all figures of a scene whose truth is known."""
     names = [name for name in dict.fromkeys(truth.names) if name and truth.counts[name]]
-    found, times = _asked(built, [f'"{name}"' for name in names])
-    right = {name: number == truth.counts[name] for name, number in zip(names, found, strict=True)}
-    several = [name for name in names if truth.counts[name] > 1]
-    exact = {
-        "one": [sum(right[name] for name in names if name not in several), len(names) - len(several)],
-        "several": [sum(right[name] for name in several), len(several)],
-    }
+    times = _asked(built, [f'"{name}"' for name in names])
     return {
         **instances(built, truth),
-        "counts": exact,
         "relations": relations(built, frame, cases, most),
         "bytes": bytes_per_gaussian(built),
         "text_ms": 1e3 * median(times),
@@ -241,7 +232,7 @@ def of_desk(data: Path) -> Record:
     built = desk.field()
     frame = built.frame(VIEWER)
     texts = sorted({label for labelled, _ in desk.frames for label in labelled.labels})
-    _, times = _asked(built, texts)
+    times = _asked(built, texts)
     missed = [fact for fact in FACTS if not built.things(built.question(fact, frame=frame))]
     wrong = [each for each in FACTS.values() if built.things(built.question(each, frame=frame))]
     return {
@@ -254,15 +245,15 @@ def of_desk(data: Path) -> Record:
     }
 
 
-def _asked(built: scoup.LanguageField, texts: Sequence[str]) -> tuple[list[int], list[float]]:
-    """How many things answer each text, and the seconds of each with one thread."""
-    counts, times = [], []
+def _asked(built: scoup.LanguageField, texts: Sequence[str]) -> list[float]:
+    """The seconds that each text takes with one thread."""
+    times = []
     with torch_threads(1):
         for text in texts:
             started = time.perf_counter()
-            counts.append(len(built.things(text)))
+            built.things(text)
             times.append(time.perf_counter() - started)
-    return counts, times
+    return times
 
 
 def bytes_per_gaussian(built: scoup.LanguageField) -> list[float]:
