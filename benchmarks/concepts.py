@@ -22,7 +22,7 @@ from benchmarks.ways import WAYS
 from scoup.base.errors import InputError
 from scoup.models.words import CANONICAL_PHRASES, with_everyday
 from scoup.query import constants
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.field_view import counting_gaussians
 from scoup.query.language_field import LanguageField
 from scoup.query.named import best_words, voted_names
@@ -101,7 +101,7 @@ class Concepts(Study):
         tables = {"field": None, "detector alone": on_demand, "on demand": on_demand, "at extraction": names}
         for way, given in tables.items():
             named = asked.changed(scene.gaussians, thing_table=replace(table, names=given))
-            answers = answer_scene(named, question_of(scene, texts, everyday))
+            answers = list(each_answer(named, question_of(scene, texts, everyday)))
             drawn = {each.text: DrawnAnswer(each.mask, counting_gaussians(named, each)) for each in answers}
             sure = {each.text: each.score or 0.0 for each in answers}
             if way == "detector alone" and given is not None:

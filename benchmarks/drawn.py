@@ -11,7 +11,7 @@ from torch import Tensor
 from benchmarks.answer_scenes import AnswerScene
 from scoup import raster
 from scoup.query import constants
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.field_view import counting_gaussians
 from scoup.query.question import Question
 from scoup.query.votes import select_by_relevancy
@@ -46,7 +46,7 @@ def answers_of(
         field = fitted.field
         field.attach(scene.gaussians, known=True)
         found = {}
-        for answer in answer_scene(field, question):
+        for answer in list(each_answer(field, question)):
             found[answer.text] = DrawnAnswer(answer.mask, counting_gaussians(field, answer), answer.score)
         return found
     coded, found = fitted.coded(), {}

@@ -13,7 +13,7 @@ from PIL import Image
 from query.conftest import ASKED, Queried
 from scoup.base.errors import InputError
 from scoup.query.answer import Answer, RunnerUp, answer_relevancy
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.view_answer import ViewAnswer
 from scoup.query.votes import select_each
 
@@ -22,7 +22,7 @@ from scoup.query.votes import select_each
 def test_answers_of_the_votes(voted: Queried, threshold: float | None) -> None:
     field, question = voted.field, replace(voted.texts, threshold=threshold)
     found = list(select_each(field, question))
-    for each, answer in zip(found, answer_scene(field, question), strict=True):
+    for each, answer in zip(found, list(each_answer(field, question)), strict=True):
         assert answer.mask.equal(each.mask)
         assert answer_relevancy(field, answer).equal(each.relevancy)
         assert (answer.level, answer.threshold) == (field.levels[each.level], each.threshold)

@@ -11,7 +11,7 @@ import torch
 from query.conftest import Queried
 from scoup.base.errors import InputError
 from scoup.query.answer import answer_relevancy
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.drawing import moving_cameras
 from scoup.query.edits import best_camera, edit_picture, edited
 from scoup.query.expression import parse_expression
@@ -60,7 +60,7 @@ def asked(texts: Question, *words: str) -> Question:
 
 def test_an_expression_is_answered_by_its_texts(queried: Queried) -> None:
     field, texts = queried.field, queried.texts
-    answers = answer_scene(field, texts)
+    answers = list(each_answer(field, texts))
     masks = {answer.text: answer.mask for answer in answers}
     two = [answer for answer in answers if answer.text in ("word 1", "word 2")]
     found = field.select(asked(texts, "word 1 and not word 2"))
@@ -109,7 +109,7 @@ def test_the_camera_that_sees_most_is_taken(queried: Queried) -> None:
 
 def test_a_turntable_needs_a_thing(queried: Queried) -> None:
     field = queried.field
-    answer = answer_scene(field, queried.texts)[0]
+    answer = next(iter(each_answer(field, queried.texts)))
     place = field.location(answer)
     assert field.cameras is not None
     moving = moving_cameras(field, place, field.cameras, "turntable", 6)

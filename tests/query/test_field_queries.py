@@ -18,7 +18,7 @@ from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.answer import answer_relevancy
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.view_answer import ViewAnswer
 from support import altered
@@ -227,15 +227,15 @@ def test_a_level_of_ones_own_answers(queried: Queried, table: dict[str, Tensor])
         assert answer.level == level
         relevancy = field.relevancy(queried.camera, texts.queries, texts.canonical)[number, 0]
         torch.testing.assert_close(answer.heat, relevancy, atol=1e-5, rtol=0)
-        place = answer_scene(field, replace(texts, level=number))[0]
+        place = next(iter(each_answer(field, replace(texts, level=number))))
         assert place.level == level
         own = field.gaussian_relevancy(texts.queries[:1], texts.canonical)[number, 0]
         assert torch.equal(answer_relevancy(field, place), own)
         asked = field.with_encoder(table).question(texts.queries, level=np.int64(number))  # pyright: ignore
         assert asked.level == number
-    best = answer_scene(field, texts)[0]
+    best = next(iter(each_answer(field, texts)))
     assert torch.equal(
-        best.mask, answer_scene(field, replace(texts, level=field.level_index(best.level)))[0].mask
+        best.mask, next(iter(each_answer(field, replace(texts, level=field.level_index(best.level))))).mask
     )
     with pytest.raises(InputError, match="no level"):
         field.with_encoder(TextEncoder.open(table)).question(texts.queries, level="x")

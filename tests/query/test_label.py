@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from query.conftest import ASKED, Queried
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.labels import NONE, labels_of_answers
 from support import examples
 
@@ -44,7 +44,7 @@ def test_of_words_for_one_gaussian_the_finest_level_counts_then_the_score(
 def test_labels_are_the_answers(queried: Queried, voted: Queried) -> None:
     for asked in (queried, voted):
         for question in (asked.texts, replace(asked.texts, threshold=0.3)):
-            answers, found = answer_scene(asked.field, question), asked.field.label(question)
+            answers, found = list(each_answer(asked.field, question)), asked.field.label(question)
             for name in ("level", "score", "presence", "things"):
                 each = tuple(getattr(answer, name) for answer in answers)
                 assert getattr(found, {"presence": name, "things": name}.get(name, f"{name}s")) == each
@@ -68,7 +68,7 @@ def test_labels_are_the_answers(queried: Queried, voted: Queried) -> None:
 def test_words_for_absent_things_label_nothing(queried: Queried, voted: Queried) -> None:
     for asked in (queried, voted):
         field, texts = asked.field, asked.texts
-        bound = sorted(answer.score or 0 for answer in answer_scene(field, texts))[6]
+        bound = sorted(answer.score or 0 for answer in list(each_answer(field, texts)))[6]
         judged = field.label(replace(texts, present_from=bound))
         present = [number for number, there in enumerate(judged.presence) if there]
         assert 0 < len(present) < len(judged.names)

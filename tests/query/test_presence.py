@@ -16,7 +16,7 @@ from query.planted_room import Box, planted_room
 from scoup.base.errors import InputError
 from scoup.models.words import LEAST_WORDS
 from scoup.query import constants
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.presence import TextScore, other_words, presence_threshold
 from scoup.query.question import Question
@@ -69,19 +69,19 @@ def literal_scores(field: LanguageField, question: Question) -> list[float]:
         ]
         best.append(max(allowed, default=-math.inf))
     scores = []
-    for answer, query in zip(answer_scene(field, question), question.queries, strict=True):
+    for answer, query in zip(list(each_answer(field, question)), question.queries, strict=True):
         fit = max(float(known.fits(query[None])[thing]) for thing in answer.things)
         scores.append(share_below(fit, best, literal_others(query, question.everyday)))
     return scores
 
 
 def test_scores_of_things(queried: Queried) -> None:
-    found = [answer.score for answer in answer_scene(queried.field, queried.texts)]
+    found = [answer.score for answer in list(each_answer(queried.field, queried.texts))]
     assert found == pytest.approx(literal_scores(queried.field, queried.texts))
     assert len(set(found)) > 3
     room = planted_room()
     question = room.question(["mug", "laptop", "unicorn", "word 3"], always=True)
-    found = [answer.score for answer in answer_scene(room, question)]
+    found = [answer.score for answer in list(each_answer(room, question))]
     assert found == pytest.approx(literal_scores(room, question))
     assert found[:2] == [1, 1]
     assert found[2] is not None
@@ -98,25 +98,25 @@ def test_scores_of_votes(voted: Queried) -> None:
 
     words = [fit(word) for word in texts.everyday]
     assert SampledVotes(field, texts).best_fits.tolist() == pytest.approx(words, abs=1e-6)
-    for answer, query in zip(answer_scene(field, texts), texts.queries, strict=True):
+    for answer, query in zip(list(each_answer(field, texts)), texts.queries, strict=True):
         expected = share_below(fit(query), words, literal_others(query, texts.everyday))
         assert answer.score == pytest.approx(expected)
 
 
 def test_votes_compared_with_other_phrases_are_other_votes(voted: Queried) -> None:
     field = voted.field.with_gaussians(voted.field.gaussians)
-    first = [answer.score for answer in answer_scene(field, voted.texts)]
+    first = [answer.score for answer in list(each_answer(field, voted.texts))]
     others = replace(voted.texts, canonical=random_vectors(2, 16, seed=7))
     fresh = voted.field.with_gaussians(voted.field.gaussians)
-    expected = [answer.score for answer in answer_scene(fresh, others)]
-    assert [answer.score for answer in answer_scene(field, others)] == expected != first
+    expected = [answer.score for answer in list(each_answer(fresh, others))]
+    assert [answer.score for answer in list(each_answer(field, others))] == expected != first
 
 
 def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Queried) -> None:
     texts = queried.texts
     few = replace(texts, everyday=texts.everyday[: LEAST_WORDS - 1])
     for field in (queried.field, voted.field):
-        for answer in answer_scene(field, few):
+        for answer in list(each_answer(field, few)):
             assert (answer.score, answer.certainty, answer.presence) == (None, None, True)
             assert answer.runner_up is None or answer.runner_up.score is None
             assert "presence not judged" in repr(answer)
@@ -134,11 +134,11 @@ def test_presence_is_judged_by_enough_words_only(queried: Queried, voted: Querie
 
 def test_a_text_is_present_from_the_threshold_on(queried: Queried, voted: Queried) -> None:
     for field in (queried.field, voted.field):
-        for number, answer in enumerate(answer_scene(field, queried.texts)):
+        for number, answer in enumerate(list(each_answer(field, queried.texts))):
             score, one = answer.score or 0.0, queried.texts.one(number)
             enough = int(answer.mask.sum()) >= 10
             at, above = (
-                answer_scene(field, replace(one, present_from=bound))[0]
+                next(iter(each_answer(field, replace(one, present_from=bound))))
                 for bound in (score, min(1.0, score + 1e-9))
             )
             assert at.presence == enough

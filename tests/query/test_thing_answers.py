@@ -17,7 +17,7 @@ from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
 from scoup.query import constants, matching
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import choose_things
 from scoup.query.thing_index import ThingIndex, thing_index
@@ -342,7 +342,7 @@ def test_things_answer_in_views(asked: Asked) -> None:
 @pytest.mark.parametrize("level", [None, *range(len(LEVELS))])
 def test_things_answer_in_the_scene(asked: Asked, level: int | None) -> None:
     question = replace(asked.wall.texts, present_from=0.9, level=level)
-    for number, answer in enumerate(answer_scene(asked.field, question)):
+    for number, answer in enumerate(list(each_answer(asked.field, question))):
         assert level in (None, LEVELS.index(answer.level))
         expected = asked.named(number, LEVELS.index(answer.level))
         assert sorted(answer.things) == expected.tolist()
@@ -361,8 +361,8 @@ def same_scene(one: Answer, other: Answer) -> None:
 def test_a_threshold_of_choice_is_for_the_votes(asked: Asked) -> None:
     for present_from in (None, 0.9):
         question = replace(asked.wall.texts, present_from=present_from, threshold=0.4)
-        votes = answer_scene(asked.bare, question)
-        for one, other in zip(answer_scene(asked.field, question), votes, strict=True):
+        votes = list(each_answer(asked.bare, question))
+        for one, other in zip(list(each_answer(asked.field, question)), votes, strict=True):
             same_scene(one, other)
             assert (one.threshold, one.things) == (0.4, ())
             shown = [field.at(1).show([each])[0] for field, each in ((asked.field, one), (asked.bare, other))]
@@ -379,9 +379,9 @@ def test_texts_are_answered_alike_alone_and_together(asked: Asked, monkeypatch: 
     monkeypatch.setattr(matching, "FITS_AT_A_TIME", 5 * len(asked.things))
     assert len(queries) > 6
     for field in (asked.field, asked.bare):
-        in_scene = answer_scene(field, texts)
+        in_scene = list(each_answer(field, texts))
         for number, (place, seen) in enumerate(zip(in_scene, field.at(3).answer(texts), strict=True)):
-            (alone,) = answer_scene(field, texts.one(number))
+            (alone,) = list(each_answer(field, texts.one(number)))
             same_scene(place, alone)
             (shown,) = field.at(3).show([alone])
             assert seen.mask.equal(shown.mask)

@@ -34,7 +34,7 @@ from scipy.ndimage import binary_dilation
 
 import scoup
 from scoup import raster
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.view.viewed_field import ViewedField
 from support import altered
 
@@ -81,7 +81,7 @@ def selected(
 ) -> torch.Tensor:
     """[N] what `scoup select` selects."""
     question = viewed.question([text], always=True, threshold=threshold, level=level)
-    return answer_scene(viewed.field, question)[0].mask
+    return next(iter(each_answer(viewed.field, question))).mask
 
 
 def test_things_light_up_until_a_threshold_is_set(visit: Visit, viewed: ViewedField) -> None:

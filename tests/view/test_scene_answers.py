@@ -16,7 +16,7 @@ from view_samples import DIM, WORDS, field_with_things, random_field, table, unp
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.models.text import everyday_vocabulary
 from scoup.query.answer import Answer
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.votes import level_thresholds
 from scoup.scene.things import NO_THING, TENSORS, ThingTable
@@ -51,11 +51,11 @@ def verdict(answer: Answer | PageAnswer) -> dict[str, object]:
 def test_level_threshold_presence_and_gaussians_are_those_of_select(viewed: ViewedField, text: str) -> None:
     answer = viewed.answers([text])[0]
     texts = viewed.question([text])
-    wanted = answer_scene(viewed.field, texts)[0]
+    wanted = next(iter(each_answer(viewed.field, texts)))
     assert viewed.field.levels[answer.level] == wanted.level
     assert answer.thresholds[answer.level] == pytest.approx(wanted.threshold)
     assert verdict(answer) == verdict(wanted)
-    anyway = answer_scene(viewed.field, viewed.question([text], always=True))[0]
+    anyway = next(iter(each_answer(viewed.field, viewed.question([text], always=True))))
     shown = selected(viewed, answer, answer.level, float(answer.thresholds[answer.level]))
     assert int((shown != anyway.mask).sum()) <= 1  # one on the threshold, by rounding
 
@@ -83,11 +83,11 @@ def test_things_of_each_level_are_those_of_select(of_things: ViewedField) -> Non
     for answer in of_things.answers(WORDS):
         for level, chosen in [(None, answer.chosen_things), *enumerate(answer.things)]:
             question = of_things.question([answer.text], always=True, level=level)
-            wanted = answer_scene(of_things.field, question)[0]
+            wanted = next(iter(each_answer(of_things.field, question)))
             assert chosen == list(wanted.things)
             assert torch.equal(members(of_things, chosen), wanted.mask)
     saved = of_things.selection(["thing 1"], 0, always=True)
-    wanted = answer_scene(of_things.field, of_things.question(["thing 1"], always=True, level=0))[0]
+    wanted = next(iter(each_answer(of_things.field, of_things.question(["thing 1"], always=True, level=0))))
     assert len(saved) == int(wanted.mask.sum())
 
 
@@ -170,7 +170,7 @@ def test_words_name_the_same_things() -> None:
 def test_a_level_and_a_threshold_of_ones_own(viewed: ViewedField) -> None:
     answer = viewed.answers(["thing 2"])[0]
     for level in (0, 1):
-        wanted = answer_scene(viewed.field, viewed.question(["thing 2"], always=True, level=level))[0]
+        wanted = next(iter(each_answer(viewed.field, viewed.question(["thing 2"], always=True, level=level))))
         assert wanted.level == viewed.field.levels[level]
         assert wanted.threshold == pytest.approx(float(answer.thresholds[level]))
         shown = selected(viewed, answer, level, float(answer.thresholds[level]))

@@ -111,7 +111,7 @@ class AskedScans:
     @cached_property
     def _verdicts(self) -> dict[str, list[Verdict]]:
         """For each text, of the scans."""
-        verdicts = self.index.judge(self.search.question, self._fits, self._named)
+        verdicts = self.index.judge(self.search.question, self._named, self._fits)
         return dict(zip(self.search.question.texts, verdicts, strict=True))
 
     def _of_text(self, values: Tensor, text: str) -> Tensor:

@@ -12,12 +12,12 @@ from scoup.query.answer import Answer
 from scoup.query.named import named_texts
 from scoup.query.presence import is_present, text_scores
 from scoup.query.question import Question
-from scoup.query.thing_index import ThingIndex, thing_index
+from scoup.query.thing_index import thing_index
 from scoup.query.votes import SampledVotes, select_each
 
 
-def answer_scene(field: Field, question: Question[Any]) -> list[Answer]:
-    """Answer each text in the scene; every way to ask (``scoup.query.ask``) calls this.
+def each_answer(field: Field, question: Question[Any]) -> Iterator[Answer]:
+    """Yield the answer of the scene to each text; every way to ask (``scoup.query.ask``) calls this.
 
     Things answer where the field has them. The votes of the Gaussians answer in other fields, and where the question
     has a threshold for them.
@@ -25,20 +25,11 @@ def answer_scene(field: Field, question: Question[Any]) -> list[Answer]:
     Raises:
         InputError: the vectors do not fit the field, or the threshold is not 0 to 1.
     """
-    return list(each_answer(field, question))
-
-
-def each_answer(field: Field, question: Question[Any]) -> Iterator[Answer]:
-    """Yield the answers of ``answer_scene`` one by one, for many texts about many Gaussians."""
-    index = None if question.threshold is not None else thing_index(field, question)
-    yield from _by_votes(field, question) if index is None else _by_things(field, index, question)
-
-
-def _by_things(field: Field, index: ThingIndex, question: Question[Any]) -> Iterator[Answer]:
-    table = field.thing_table
-    assert table is not None
-    verdicts = index.judge(question, index.fits(question.queries), named_texts(table, question))
-    for number, (verdict,) in enumerate(verdicts):
+    table, index = field.thing_table, thing_index(field, question) if question.threshold is None else None
+    if table is None or index is None:
+        yield from _by_votes(field, question)
+        return
+    for number, (verdict,) in enumerate(index.judge(question, named_texts(table, question))):
         things = verdict.things if verdict.presence else ()
         yield Answer(
             text=question.texts[number],

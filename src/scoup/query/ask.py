@@ -17,7 +17,7 @@ from torch import Tensor
 
 from scoup.field import Field
 from scoup.query.answer import Answer, ExpressionAnswer
-from scoup.query.answer_scene import answer_scene
+from scoup.query.answer_scene import each_answer
 from scoup.query.expression import Expression, Operation
 from scoup.query.frame import scene_frame
 from scoup.query.phrases import Phrase, texts_of
@@ -31,7 +31,7 @@ def answers_of(field: Field, question: Question[Any]) -> list[Answer]:
     """Return the answer to each text, phrase or expression from the cache of the field, as a copy for the caller."""
 
     def made() -> list[Answer]:
-        answers = answer_scene(field, question)
+        answers = list(each_answer(field, question))
         of_text = {answer.text: answer for answer in answers}
         return answers if not question.asked else [
             of_text[tree.root] if isinstance(tree.root, str) else evaluated(field, question, said, tree, of_text)
@@ -44,7 +44,7 @@ def answers_of(field: Field, question: Question[Any]) -> list[Answer]:
 def one_answer(field: Field, question: Question[Any]) -> ExpressionAnswer:
     """Return the answer to all texts, phrases and expressions of a question together, any of which may answer."""
     tree = Expression.of([tree.root for _, tree in question.asked] or list(question.texts))
-    answers = answer_scene(field, question) if question.asked else answers_of(field, question)
+    answers = list(each_answer(field, question)) if question.asked else answers_of(field, question)
     return evaluated(field, question, str(tree), tree, {answer.text: answer for answer in answers})
 
 

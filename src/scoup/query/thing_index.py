@@ -189,14 +189,19 @@ class ThingIndex:
         return found.view(*counted.shape, width)
 
     def judge(
-        self, question: Question[Any], fits: Tensor, named: Sequence[Mapping[int, Named]]
+        self,
+        question: Question[Any],
+        named: Sequence[Mapping[int, Named]],
+        known_fits: Tensor | None = None,
     ) -> Iterator[list[Verdict]]:
         """Yield the answer of each scene to each text of a question.
 
         Args:
-            fits: [N, Q] of its texts.
+            question: of Q texts.
             named: for each text, by scene, what a model with words said of it (``named_texts``).
+            known_fits: [N, Q] of its texts, if they were asked for before.
         """
+        fits = self.fits(question.queries) if known_fits is None else known_fits
         scores = text_scores(question, self.best_fits, named)
         for number, choices in enumerate(choose_things(self, fits, question.level)):
             mine = fits[:, number]
