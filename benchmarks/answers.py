@@ -161,14 +161,18 @@ class Answers(Study):
                 if {first, second} <= set(self.ways)
             },
             "presence": presence_of_groups(scores, groups, self.ways),
-            "pairs": pairs,
-            "scores": {name: {way: of[way] for way in self.ways if way in of} for name, of in scores.items()},
+            **({} if self.without else {"pairs": pairs, "scores": scores_of(scores, self.ways)}),
         }
 
     @staticmethod
     def table(record: Record) -> str:
         keys = next(iter(record["ways"].values()))
         return "\n".join(f"\n{key}\n\n" + table_of(record, key) for key in keys)
+
+
+def scores_of(scores: Record, ways: Sequence[str]) -> Record:
+    """Return the scores of each scene in the order of the ways."""
+    return {name: {way: of[way] for way in ways if way in of} for name, of in scores.items()}
 
 
 def score(scene: AnswerScene, fitted: FittedMethod) -> Record:

@@ -164,7 +164,7 @@ function unknown(text: string, names: string[]): string {
     .sort((a, b) => a.distance - b.distance)
     .slice(0, 4)
     .map(({ name }) => `“${name}”`);
-  const phrases = /\s/.test(wanted) ? " Relations, counts, “and”, “or” and “not” need the field itself, in scoup view." : "";
+  const phrases = /\s/.test(wanted) ? " Relations, “and”, “or” and “not” need the field itself, in scoup view." : "";
   return `This page knows ${names.length} words, and “${text}” is not among them. Nearest: ${near.join(", ")}.${phrases}`;
 }
 

@@ -243,7 +243,7 @@ class Field:
 
         Args:
             camera: of the view, or its name or position among ``cameras``. For many queries of one camera, use
-                ``at(camera).relevancy``.
+                ``LanguageField.at(camera).relevancy``.
             queries: [Q, D] or [D] text embeddings; scaled to unit norm.
             canonical: [P, D] embeddings of the canonical phrases. Rows longer than 1 are scaled to unit norm; shorter
                 ones stay, as the mean of everyday words does (``scoup.models.words.with_everyday``).
@@ -341,6 +341,7 @@ class Field:
         Raises:
             InputError: the field has no things.
         """
+        check_arguments("with_names", names=(names, NameTable))
         table = self.thing_table
         if table is None:
             raise InputError(
@@ -370,7 +371,11 @@ class Field:
         made = type(self)(**{**self._arguments(), **parts})
         if known is not None:
             made.attach(known, known=True)
-        return made
+        return made._like(self)
+
+    def _like(self: Own, other: Field) -> Own:
+        """Return this field, which shares what another has opened."""
+        return self
 
     def _arguments(self) -> dict[str, Any]:
         """Return the arguments of its constructor, but for the geometry."""
@@ -415,18 +420,22 @@ class Field:
         self.path = Path(path)
 
     @classmethod
-    def load(cls: type[Own], path: str | Path, gaussians: Gaussians | None = None, **options: Any) -> Own:
+    def load(cls: type[Own], path: str | Path, gaussians: Gaussians | None = None) -> Own:
         """Read a ``.scoup`` file.
 
         Args:
             path: the file.
             gaussians: its geometry; by default the one embedded or referenced, loaded when first needed.
-            options: further arguments of the constructor.
 
         Raises:
             FileFormatError: the file is not a language field, or damaged.
             GeometryMismatchError: ``gaussians`` are not those it was built on.
         """
+        return cls._loaded(path, gaussians)
+
+    @classmethod
+    def _loaded(cls: type[Own], path: str | Path, gaussians: Gaussians | None, **options: Any) -> Own:
+        """Return ``load`` with further arguments of the constructor."""
         optional = (Gaussians, type(None))
         check_arguments("LanguageField.load", path=(path, PATH), gaussians=(gaussians, optional))
         path = Path(path)

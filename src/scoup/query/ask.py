@@ -27,8 +27,9 @@ from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing, best_part, things_of_answer
 
 
-def answers_of(field: Field, question: Question[Any]) -> list[Answer]:
-    """Return the answer to each text, phrase or expression from the cache of the field, as a copy for the caller."""
+def answers_of(field: Field, question: Question[Any], keep: bool = True) -> list[Answer]:
+    """Return the answer to each text, phrase or expression, from the cache of the field as a copy for the caller; with
+    ``keep`` false, without the cache: for questions that nobody will ask again."""
 
     def made() -> list[Answer]:
         answers = list(each_answer(field, question))
@@ -38,7 +39,7 @@ def answers_of(field: Field, question: Question[Any]) -> list[Answer]:
             for said, tree in question.asked
         ]  # fmt: skip
 
-    return copy.deepcopy(field.kept((Answer, question), made))
+    return copy.deepcopy(field.kept((Answer, question), made)) if keep else made()
 
 
 def one_answer(field: Field, question: Question[Any]) -> ExpressionAnswer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
+from numbers import Integral
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
 
@@ -40,6 +41,7 @@ from scoup.uplift.build import build as uplift_build
 
 Asked = TypeVar("Asked", bound="str | Several | Expression")
 Parameters = ParamSpec("Parameters")
+_WORDS = (TextEncoder, Mapping, str, Path, type(None))
 
 
 class LanguageField(Field):
@@ -65,8 +67,7 @@ class LanguageField(Field):
 
     def __init__(self, *codes: Any, words: Encoder | None = None, **others: Any) -> None:
         super().__init__(*codes, **others)
-        kinds = (TextEncoder, Mapping, str, Path, type(None))
-        check_arguments("LanguageField", words=(words, kinds))
+        check_arguments("LanguageField", words=(words, _WORDS))
         self.words = words
         self._encoder, self._is_checked = words if isinstance(words, TextEncoder) else None, False
 
@@ -76,7 +77,6 @@ class LanguageField(Field):
         path: str | Path,
         gaussians: Gaussians | None = None,
         words: Encoder | None = None,
-        **options: Any,
     ) -> LanguageField:
         """Read a ``.scoup`` file.
 
@@ -84,29 +84,36 @@ class LanguageField(Field):
             path: the file.
             gaussians: its geometry; by default the one embedded or referenced, loaded when first needed.
             words: what encodes texts; by default what the field names.
-            options: further arguments of the constructor.
 
         Raises:
             FileFormatError: the file is not a language field, or damaged.
             GeometryMismatchError: ``gaussians`` are not those it was built on.
         """
-        return super().load(path, gaussians, words=words, **options)
+        check_arguments("LanguageField.load", words=(words, _WORDS))
+        return cls._loaded(path, gaussians, words=words)
 
     @classmethod
     def of(cls, field: Field, words: Encoder | None = None) -> LanguageField:
         """Return a field that shares the tensors of another, and answers questions."""
+        check_arguments("LanguageField.of", field=(field, Field), words=(words, _WORDS))
         made = cls(**{**field._arguments(), **({} if words is None else {"words": words})})
         made.path = field.path
         if field.has_geometry:
             made.attach(field.gaussians, known=True)
-        return made
+        return made._like(field)
 
     def with_encoder(self, words: Encoder) -> LanguageField:
         """Return a field that shares the tensors of this one, and whose texts are encoded by other words."""
+        check_arguments("LanguageField.with_encoder", words=(words, _WORDS[:-1]))
         return type(self).of(self, words)
 
     def _arguments(self) -> dict[str, Any]:
-        return {**super()._arguments(), "words": self._encoder or self.words}
+        return {**super()._arguments(), "words": self.words}
+
+    def _like(self, other: Field) -> LanguageField:
+        if isinstance(other, LanguageField) and self.words is other.words:
+            self._encoder, self._is_checked = other._encoder, other._is_checked
+        return self
 
     def _repr_html_(self) -> str:
         return field_card(self)
@@ -156,6 +163,7 @@ class LanguageField(Field):
     def naming_question(self, words: Sequence[str] = ()) -> Question[Any]:
         """Return the question of the words that name things, each as it is; by default all names of the word table, or
         everyday words and the names that a model gave to things."""
+        check_arguments("LanguageField.naming_question", words=(words, (list, tuple)))
         return naming_question(self, self.encoder, words)
 
     # ---- questions
@@ -194,7 +202,17 @@ class LanguageField(Field):
             >>> field.question("kettle", level="m", always=True).level
             1
         """
+        check_arguments(
+            "question", frame=(frame, (Frame, type(None))), level=(level, (str, Integral, type(None)))
+        )
         if isinstance(texts, Question):
+            if always or any(each is not None for each in (present_from, threshold, level, frame)):
+                raise InputError("a question has its options; pass them when it is made, or its texts here")
+            if texts.queries.shape[1] != self.dim:
+                raise InputError(
+                    f"a question of {texts.queries.shape[1]} dimensions, but the field contains embeddings of "
+                    f"{self.dim}; make it with this field"
+                )
             warn_of_another_model(texts.model, self.embedding_model, texts.source)
             return texts
         return make_question(self, self.encoder, texts, always, present_from, threshold, level, frame)
@@ -291,7 +309,7 @@ class LanguageField(Field):
             >>> catalog.to_dict()["format"], len(catalog.things) == len(catalog.names)
             ('scoup scene graph', True)
         """
-        return make_catalog(self, self.question(literal(question)), frame)
+        return copy.deepcopy(make_catalog(self, self.question(literal(question)), frame))
 
     def frame(self, camera: Camera | str | int | None = None, up: Sequence[float] | None = None) -> Frame:
         """Return what left, front and up mean in phrases such as "mug left of the laptop".
@@ -305,7 +323,7 @@ class LanguageField(Field):
             >>> field.frame("view_00.png").seen_from
             'view_00.png'
         """
-        return scene_frame(self, camera, up)
+        return copy.deepcopy(scene_frame(self, camera, up))
 
     def select(
         self, question: Question | str | Several, reshaping: Reshaping | None = None
@@ -321,7 +339,7 @@ class LanguageField(Field):
             >>> found.mask.shape, [part.text for part in found.parts]
             (torch.Size([150]), ['kettle', 'wooden table'])
         """
-        if not isinstance(question, (Question, str, list, tuple)):
+        if not isinstance(question, (Question, Expression, str, list, tuple)):
             raise InputError(
                 f"expected an expression, got {type(question).__name__}; a part of a field is field[mask]"
             )

@@ -205,6 +205,8 @@ def naming_question(field: Field, encoder: TextEncoder, words: Sequence[str] = (
         if not words and given is not None and encoder.names is None:  # a table has no more than its names
             folded = {word.casefold() for word in every}
             every = (*every, *(text for text in given.texts if text.casefold() not in folded))
+        if not every:
+            raise InputError(f"{encoder.source}: has no word that may name things; pass `words`")
         return make_question(field, encoder, literal([*dict.fromkeys(every)]))
 
     return field.kept((naming_question, tuple(words)), made)

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
 from scoup.field import Field
 from scoup.io import load_image
@@ -85,12 +86,15 @@ def refine(
         (('kettle',), None)
     """
     started = time.perf_counter()
+    check_arguments("refine", field=(field, LanguageField))
     words, table = field.question(texts if isinstance(texts, str) else list(texts)).texts, field.thing_table
     if table is None or not len(table):
         raise InputError(
             f"{field.path or 'this field'}: contains no things to name; build it again with things"
         )
     cameras = photographed_cameras(field) if cameras is None else cameras
+    if not len(cameras):
+        raise InputError("there is no camera to look through; pass those of the photographs")
     model = open_concepts(model, device=field.codebook.device) if isinstance(model, str) else model
     views: list[tuple[Camera, Detections]] = []
     rendered = 0

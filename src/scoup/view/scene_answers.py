@@ -80,7 +80,9 @@ def _some_answers(field: Field, question: Question) -> Iterator[PageAnswer]:
             f"{question.asked[0][0]}: this field has no things, so pages answer single texts only"
         )
     of_levels = [
-        answers_of(field, replace(question, present_from=None, level=level)) if by_things else answers
+        answers_of(field, replace(question, present_from=None, level=level), keep=False)
+        if by_things
+        else answers
         for level in (None, *range(len(field.levels)))
     ]
     for answer, of_any, *others in zip(answers, *of_levels, strict=True):
