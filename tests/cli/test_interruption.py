@@ -142,7 +142,7 @@ def test_an_interrupted_extraction_says_how_to_go_on(monkeypatch: pytest.MonkeyP
     ("verb", "inside"),
     [
         (("query", "f.scoup", "kettle", "--out", "new/answers"), "scoup.query.field_view.FieldView.show"),
-        (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.ask.answer_scene"),
+        (("select", "f.scoup", "kettle", "--out", "new/a.ply"), "scoup.query.ask.each_answer"),
         (("render", "f.scoup", "--out", "new/a.gif"), "scoup.pictures.animation.save_animation"),
         (("views", "scene/point_cloud.ply", "--width", "24", "--height", "18", "--up", "0", "-1", "0",
           "--out", "new/own"),

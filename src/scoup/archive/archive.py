@@ -209,15 +209,15 @@ class Archive:
         index = thing_index(field, encode_texts(encoder, []))
         if index is None:
             raise InputError(f"{path}: has no things; build it again")
-        if not self._about():
-            with suppress(OutputExistsError):  # another process has added its first scan
-                write_text(self.folder / ABOUT, json.dumps(about, indent=1) + "\n", wait=WAIT)
-            self._check_model(field)
         table = field.thing_table.to("cpu")
         things = things_of_table(field, range(len(table)))
         placed = torch.zeros(len(table), dtype=torch.bool)
         placed[[thing.number or 0 for thing in things]] = True
         vectors = vector_bytes(table.embeddings)
+        if not self._about():
+            with suppress(OutputExistsError):  # another process has added its first scan
+                write_text(self.folder / ABOUT, json.dumps(about, indent=1) + "\n", wait=WAIT)
+            self._check_model(field)
         with self._kept.writing() as scans:
             if (old := scans.get(name)) is not None:
                 if old.field_path != path and old.field_path.exists():
@@ -273,6 +273,12 @@ class Archive:
             InputError: the question or condition cannot be used, or nothing is found and a field cannot be asked.
             FileFormatError: a file is damaged; the error names it.
         """
+        check_arguments(
+            "Archive.find",
+            top=(top, int),
+            at_least=(at_least, (int, type(None))),
+            where=(where, (str, type(None))),
+        )
         for name, number in (("top", top), ("at_least", at_least)):
             if number is not None and number < 1:
                 raise InputError(f"`{name}` must be 1 or more, got {number}")

@@ -11,6 +11,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import count as count_from
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 MATRIX = "vectors.f16"
+MOST_TRIED = 3  # times that all scans have to be as they were
 Stamp: TypeAlias = "tuple[int, int]"
 """Time and size of a file."""
 Found = TypeVar("Found")
@@ -65,6 +67,7 @@ class KeptScans:
         self._parts: dict[Scan, ThingIndex] = {}
         self._index: ThingIndex | None = None  # of these parts
         self._digest = ""  # of their words
+        self._mapped = 0  # bytes of the matrix
 
     def ask(
         self,
@@ -72,18 +75,20 @@ class KeptScans:
         used: Callable[[Found], Iterable[str]] = lambda found: (),
     ) -> Found:
         """Return ``use(scans)`` of the scans as they are now, by name; again if those ``used`` have changed meanwhile,
-        or those that an error may be about: others may be added all the time."""
-        while True:
+        or those that an error may be about, and a few times if any has, whose rows another may have got: others may be
+        added all the time."""
+        for tried in count_from(1):
             stamps = self._listed()
             try:
                 found = use(self._read(stamps))
-                if not self._changed(stamps, used(found)):
+                if not self._changed(stamps, used(found) if tried > MOST_TRIED else stamps):
                     return found
             except Exception as error:  # DuckDB has its own
                 path = getattr(error, "path", None)
                 named = [each for each in stamps if file_of(self._folder, each) == path]
                 if not self._changed(stamps, named or stamps):
                     raise
+        raise AssertionError  # the count does not end
 
     def index(self, scans: Mapping[str, Scan], words: Tensor, digest: str) -> ThingIndex:
         """Return the things of scans, one at least, compared with words of a digest, or with whatever they were
@@ -91,6 +96,10 @@ class KeptScans:
         with self._lock:
             if digest and digest != self._digest:
                 self._parts, self._digest = {}, digest
+            if (
+                self._parts and self._matrix_size() < self._mapped
+            ):  # reading what was cut off would end the process
+                self._parts, self._index = {}, None
             if self._index is None or [*scans.values()] != [*self._parts]:
                 new = [scan for scan in scans.values() if scan not in self._parts]
                 parts = self._parts | dict(zip(new, self._compared(new, words), strict=True))
@@ -146,9 +155,14 @@ class KeptScans:
             self._scans = known
             return {name: known[name][1] for name in stamps}
 
+    def _matrix_size(self) -> int:
+        path = self._folder / MATRIX
+        return path.stat().st_size if path.is_file() else 0
+
     def _compared(self, scans: Sequence[Scan], words: Tensor) -> Iterator[ThingIndex]:
         path, data = self._folder / MATRIX, np.empty(0, np.uint8)
-        if path.is_file() and path.stat().st_size:
+        self._mapped = self._matrix_size()
+        if self._mapped:
             data = np.memmap(path, np.uint8, "c")  # private, for torch warns of what it may not write
         size = 2 * words.shape[1]
         for scan in scans:

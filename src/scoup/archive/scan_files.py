@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -137,6 +138,8 @@ def _scan(file: Path, header: Mapping[str, Any]) -> Scan:
         remedy = "add its field again, or remove the file"
         raise FileFormatError(file, "is a Parquet file, but not a scan of an archive", remedy)
     check_format_version(file, header["version"], VERSION)
+    if "arrays" not in header:
+        raise FileFormatError(file, "is a scan of an earlier version of SCOUP", "add its field again")
     if _checksum(header) != header["checksum"]:
         raise ValueError("checksum")
     plain = {name: kind(header[name]) for name, kind in _PLAIN.items()}
@@ -292,6 +295,8 @@ def check_columns(columns: Any) -> OwnColumns:
             )
         if type(value) not in _OWN_TYPES:
             raise InputError(f"column {name}: expected a text or a number, got {type(value).__name__}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"column {name}: expected a finite number, got {value}")
         if isinstance(value, int) and not -(2**63) <= value < 2**63:
             raise InputError(f"column {name}: expected an integer of at most 64 bits")
         if isinstance(value, str) and value.encode(errors="ignore").decode() != value:

@@ -26,13 +26,8 @@ _CHECKPOINTS = (".pth", ".ckpt")  # of LangSplat
 class RegionOptions:
     """Options for region features."""
 
-    to: Annotated[
-        Literal["compact", "langsplat"] | None,
-        arg(metavar="{compact,langsplat}"),
-    ] = None
-    """Layout to write. Default: the one that SOURCE does not have."""
     bits: Literal[16, 32] = 16
-    """Bits of a stored embedding number in the compact layout."""
+    """Bits of a stored embedding number."""
     autoencoder: OptionalPath = None
     """LangSplat's best_ckpt.pth, which decodes language_features_dim3 and its checkpoints."""
 

@@ -323,7 +323,7 @@ class LanguageField(Field):
             >>> field.frame("view_00.png").seen_from
             'view_00.png'
         """
-        return copy.deepcopy(scene_frame(self, camera, up))
+        return scene_frame(self, camera, up)
 
     def select(
         self, question: Question | str | Several, reshaping: Reshaping | None = None

@@ -78,7 +78,10 @@ def build(
     check_arguments("build", codebook=(codebook, (Field, type(None))))
     settings = build_settings(settings)
     if codebook is not None:
-        settings = replace(settings, n_atoms=codebook.n_atoms)
+        n_atoms = codebook.n_atoms
+        settings = replace(
+            settings, n_atoms=n_atoms, k=min(settings.k, n_atoms), keep=min(settings.keep, n_atoms)
+        )
     model = recorded_model(sources.embedding_model, sources.words)  # a mistake shows before the long work
     with temporary_folder() as folder:
         if sums is None:
