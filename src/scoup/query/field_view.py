@@ -34,8 +34,8 @@ class FieldView:
 
     Example:
         >>> view = field.at("view_00.png", scale=0.5)
-        >>> [seen.mask.shape for seen in view.show(field.answer(["kettle", "wooden table"]))]
-        [torch.Size([15, 20]), torch.Size([15, 20])]
+        >>> {seen.mask.shape for seen in view.show(field.answer(["kettle", "wooden table"]))}
+        {torch.Size([15, 20])}
     """
 
     def __init__(
