@@ -25,7 +25,7 @@ def open_npy(path: str | Path, what: str) -> np.ndarray:
     except OSError as error:
         raise refused_read(path, error) from error
     except Exception as error:  # damaged headers raise nearly everything inside numpy
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]  # numpy repeats the header
         problem = f"is not a .npy file of plain numbers, or is damaged ({reason})"
         raise FileFormatError(path, problem, _REMEDY) from error
     if array.dtype.kind not in "iuf":
