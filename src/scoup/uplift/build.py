@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 from torch import Tensor
@@ -76,12 +75,7 @@ def build(
         "build", gaussians=(gaussians, Gaussians), cameras=(cameras, Cameras), regions=(regions, Regions)
     )
     check_arguments("build", codebook=(codebook, (Field, type(None))))
-    settings = build_settings(settings)
-    if codebook is not None:
-        n_atoms = codebook.n_atoms
-        settings = replace(
-            settings, n_atoms=n_atoms, k=min(settings.k, n_atoms), keep=min(settings.keep, n_atoms)
-        )
+    settings = build_settings(settings, n_atoms=None if codebook is None else codebook.n_atoms)
     model = recorded_model(sources.embedding_model, sources.words)  # a mistake shows before the long work
     with temporary_folder() as folder:
         if sums is None:
