@@ -11,7 +11,6 @@ import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import count as count_from
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
@@ -77,7 +76,9 @@ class KeptScans:
         """Return ``use(scans)`` of the scans as they are now, by name; again if those ``used`` have changed meanwhile,
         or those that an error may be about, and a few times if any has, whose rows another may have got: others may be
         added all the time."""
-        for tried in count_from(1):
+        tried = 0
+        while True:
+            tried += 1
             stamps = self._listed()
             try:
                 found = use(self._read(stamps))
@@ -88,7 +89,6 @@ class KeptScans:
                 named = [each for each in stamps if file_of(self._folder, each) == path]
                 if not self._changed(stamps, named or stamps):
                     raise
-        raise AssertionError  # the count does not end
 
     def index(self, scans: Mapping[str, Scan], words: Tensor, digest: str) -> ThingIndex:
         """Return the things of scans, one at least, compared with words of a digest, or with whatever they were
