@@ -261,3 +261,20 @@ def test_errors_name_no_folders(tools: SceneTools, folder: Path):
 
     said = anyio.run(talk)
     assert said == "Error executing tool broken: a.ply: is not f.scoup, and/or https://a.b/c/d"
+
+
+def test_errors_say_that_a_table_is_missing(tmp_path: Path, folder: Path):
+    mcp = pytest.importorskip("mcp", reason="the package mcp is not installed")
+    from scoup.view.mcp_server import make_server
+
+    field = LanguageField.load(folder / "f.scoup", words=tmp_path / "my words" / "gone.npz")
+    server = make_server(SceneTools({"f": field}))
+
+    async def talk() -> list[str]:
+        async with mcp.Client(server) as client:
+            replies = [await client.call_tool("find", {"scene": scene, "text": "kettle"}) for scene in "fg"]
+            return [reply.content[0].text.removeprefix("Error executing tool find: ") for reply in replies]
+
+    missing, unknown = anyio.run(talk)
+    assert missing.startswith("gone.npz: ")
+    assert unknown == "no scene named 'g'; nearest names: 'f'"

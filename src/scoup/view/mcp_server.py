@@ -190,8 +190,10 @@ def _problem(parameters: Mapping[str, inspect.Parameter], error: Mapping[str, An
 def _without_folders(message: str, tools: SceneTools) -> str:
     """Take out of a message in which folders of this machine files are."""
     for field in tools.fields.values():  # whose folders may have spaces in their names
-        for place in (field.path, field.geometry_path, field.encoder.source):
-            if place:
+        # Not the encoder's: an error may be that none can be opened.
+        words = field.info.words or field.embedding_model if field.words is None else field.words
+        for place in (field.path, field.geometry_path, words):
+            if place and isinstance(place, (str, Path)):
                 message = message.replace(str(place), Path(place).name)
     return re.sub(r"(?<![\w.:/])/(?:[\w.@+~-]+/)+", "", message)
 
