@@ -96,8 +96,7 @@ class Extract:
     scene: Annotated[tyro.conf.Positional[Path | None], arg(metavar="SCENE")] = None
     """Folder with cameras and photographs, or of photographs alone."""
     out: OptionalPath = None
-    """Folder for the regions, which scoup convert turns into LangSplat's files. Default: SCENE/language_features, where
-    scoup build looks."""
+    """Folder for the regions. Default: SCENE/language_features, where scoup build looks."""
     part: OptionalText = None
     """I/N, such as 1/4: extract only every N-th photograph from the I-th on. Parts may be made in any order, on any
     machine that sees the folder."""
