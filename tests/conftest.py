@@ -17,6 +17,7 @@ from subprocess import DEVNULL
 import pytest
 from hypothesis import HealthCheck, settings
 
+import messages
 from children import child
 from scoup.base import native
 from support import examples
@@ -31,6 +32,24 @@ if native.missing_reason() is not None:
     # Tests turn warnings into errors; that the core is missing is said by the tests that skip for it.
     os.environ["SCOUP_NATIVE"] = "off"
     native.load_core.cache_clear()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--write-messages", action="store_true", help="write tests/messages.json again; without -n"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.option.write_messages:
+        os.environ["SCOUP_WRITE_MESSAGES"] = "1"
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    options = session.config.option
+    if options.write_messages and not session.testsfailed:
+        whole_files = not options.keyword and not any("::" in argument for argument in session.config.args)
+        messages.write({item.nodeid for item in session.items}, whole_files)
 
 
 @pytest.fixture(scope="session", autouse=True)
