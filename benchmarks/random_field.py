@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from scoup.field.field_info import FieldInfo
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, EVERYDAY_WORDS
 from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Cameras
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.synthetic.random_scene import clip_like, random_scene_codes
 

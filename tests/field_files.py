@@ -15,9 +15,9 @@ from torch import Tensor
 from scoup.base.digests import sealed
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import METADATA_KEY
+from scoup.field.field_info import FieldInfo
 from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 
 COUNT, LEVELS, K, ATOMS, DIM = 6, 3, 2, 4, 8

@@ -33,7 +33,7 @@ _HOMES = {
     "find_things": "scoup.uplift.things",
     "vote": "scoup.uplift.vote",
     "LanguageField": "scoup.query.language_field",
-    "FieldInfo": "scoup.scene.field_info",
+    "FieldInfo": "scoup.field.field_info",
     "build": "scoup.query.language_field",
     "RegionEmbeddings": "scoup.uplift.region_codes",
     "code_regions": "scoup.uplift.region_codes",
@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from scoup.coding import fit_codes as fit_codes
     from scoup.extract.own_views import choose_cameras as choose_cameras
     from scoup.extract.own_views import save_views as save_views
+    from scoup.field.field_info import FieldInfo as FieldInfo
     from scoup.io import load_cameras as load_cameras
     from scoup.io import load_gaussians as load_gaussians
     from scoup.io import load_image as load_image
@@ -87,7 +88,6 @@ if TYPE_CHECKING:
     from scoup.scene.cameras import Camera as Camera
     from scoup.scene.cameras import Cameras as Cameras
     from scoup.scene.codes import SparseCodes as SparseCodes
-    from scoup.scene.field_info import FieldInfo as FieldInfo
     from scoup.scene.gaussians import Gaussians as Gaussians
     from scoup.scene.regions import RegionMap as RegionMap
     from scoup.scene.regions import Regions as Regions

@@ -18,7 +18,7 @@ from scoup.io import load_cameras, load_regions, write_colmap
 from scoup.io.detections import find_detections
 from scoup.io.regions.manifest import MANIFEST
 from scoup.query.language_field import LanguageField
-from scoup.scene.names import Detections
+from scoup.scene.detections import Detections
 from scoup.uplift.naming import things_in_view
 
 pytestmark = pytest.mark.usefixtures("here")

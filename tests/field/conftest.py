@@ -10,9 +10,9 @@ import torch
 from field_files import parts_of, small_field
 from scoup.field.content import TENSORS
 from scoup.field.facts import read_facts
+from scoup.field.name_table import NameTable
+from scoup.field.thing_table import NO_THING
 from scoup.query.language_field import LanguageField
-from scoup.scene.names import NameTable
-from scoup.scene.things import NO_THING
 from support import altered, things_of, unit
 
 

@@ -8,9 +8,9 @@ from safetensors.torch import save_file
 
 import scoup
 from scoup.base.errors import FileFormatError, GeometryMismatchError, InputError, OutputExistsError
+from scoup.field.field_info import FieldInfo
 from scoup.query.language_field import LanguageField, build
 from scoup.scene.codes import index_dtype
-from scoup.scene.field_info import FieldInfo
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.provenance import FieldSources
 from support import altered, random_gaussians, small_scene, unit

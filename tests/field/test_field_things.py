@@ -14,9 +14,9 @@ from field_files import parts_of
 from planted_wall import SETTINGS, planted_wall
 from scoup.base.errors import InputError
 from scoup.field import Field
+from scoup.field.checks import MOST_THINGS
+from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.query.language_field import LanguageField
-from scoup.scene.field_checks import MOST_THINGS
-from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift.build import build
 from support import altered
 

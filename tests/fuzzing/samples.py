@@ -50,8 +50,8 @@ from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
 from scoup.io.splats.ply import table_from_gaussians
 from scoup.models.word_table import save_table
 from scoup.query.language_field import LanguageField
+from scoup.scene.detections import Detections
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.names import Detections
 from scoup.uplift.rasterise import region_sums
 from scoup_lab.data.labelled_points import LabelledPoints, write_labelled_ply
 

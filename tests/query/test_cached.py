@@ -20,8 +20,9 @@ from scoup.models.text import TextEncoder
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.query.answer import answer_relevancy
 from scoup.query.language_field import LanguageField
+from scoup.raster.decoding import cosines_from_codes
 from scoup.scene.cameras import Cameras
-from scoup.scene.codes import SparseCodes, cosines_from_codes
+from scoup.scene.codes import SparseCodes
 from support import altered
 
 

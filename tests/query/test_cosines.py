@@ -13,8 +13,8 @@ from torch import Tensor
 
 from raster.parity import BACKENDS
 from scoup import raster
+from scoup.field.field_info import FieldInfo
 from scoup.query.language_field import LanguageField
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from support import KINDS, examples, make_camera, random_gaussians, scenes, unit
 

@@ -16,7 +16,7 @@ from scoup.field import Field
 from scoup.models.text import TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.language_field import LanguageField
-from scoup.scene.names import Detections
+from scoup.scene.detections import Detections
 
 LAMP = 4  # of the room
 

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
+from scoup.query.connected_parts import LONGEST_LINK, NEIGHBOURS
 from scoup.query.select import Reshaping, reshaped
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS
 from support import examples, gaussians_at, random_gaussians
 
 

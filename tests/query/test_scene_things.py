@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from planted_wall import COUNT, SETTINGS, planted_wall
 from query.conftest import ASKED, without_things
 from query.planted_room import ABSENT, ROOM, Box, planted_room
+from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer
 from scoup.query.boxes import PointSets
@@ -21,7 +22,6 @@ from scoup.query.expression import parse_expression
 from scoup.query.language_field import LanguageField, build
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from support import altered, examples
 
 

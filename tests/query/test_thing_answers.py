@@ -15,13 +15,13 @@ from torch import Tensor
 
 from planted_wall import COUNT, DIM, LEVELS, SETTINGS, Wall, planted_wall
 from query.conftest import random_vectors, without_things
+from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.query import constants, matching
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField, build
 from scoup.query.matching import choose_things
 from scoup.query.thing_index import ThingIndex, thing_index
-from scoup.scene.things import NO_THING, ThingTable
 from support import altered, examples, things_of, unit
 
 # The choice.

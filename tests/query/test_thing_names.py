@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from query.planted_room import ABSENT, ROOM, planted_room, with_whole
+from scoup.field.thing_table import NO_THING
 from scoup.query import constants
 from scoup.query.boxes import OrientedBox
 from scoup.query.thing_names import best_of_trees, find_objects, thing_names
 from scoup.query.things import Thing
-from scoup.scene.things import NO_THING
 
 LAMP = 4  # of ROOM
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scoup.base.errors import InputError
-from scoup.scene.codes import SparseCodes, cosines_from_codes, index_dtype
+from scoup.raster.decoding import cosines_from_codes
+from scoup.scene.codes import SparseCodes, index_dtype
 from support import unit
 
 

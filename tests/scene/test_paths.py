@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
+from scoup.query.paths import MOST_STOPS, camera_path, turntable
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.paths import MOST_STOPS, camera_path, turntable
 
 UP = np.array([0.2, -0.9, 0.4]) / np.linalg.norm([0.2, -0.9, 0.4])
 

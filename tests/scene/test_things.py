@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from scoup.base.errors import InputError
-from scoup.scene.field_checks import MOST_THINGS
-from scoup.scene.things import LEAST_SPREAD, NO_THING, SURE_REGIONS, TENSORS, ThingTable
+from scoup.field.checks import MOST_THINGS
+from scoup.field.thing_table import LEAST_SPREAD, NO_THING, SURE_REGIONS, TENSORS, ThingTable
 
 
 def parts(**changes: Any) -> dict[str, Any]:

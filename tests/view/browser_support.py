@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
+from scoup.field.field_info import FieldInfo
+from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture
 from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import SH_C0, Gaussians
-from scoup.scene.things import NO_THING, ThingTable
 from scoup.view.page import PAGE_FOLDER
 from support import unit
 

@@ -14,12 +14,12 @@ import torch
 from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
 
 from scoup.base.errors import InputError, UnknownNameError
+from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
 from scoup.models.text import everyday_vocabulary
 from scoup.query.answer import Answer
 from scoup.query.answer_scene import each_answer
 from scoup.query.language_field import LanguageField
 from scoup.query.votes import level_thresholds
-from scoup.scene.things import NO_THING, TENSORS, ThingTable
 from scoup.view.scene_answers import VERDICT, PageAnswer, scene_answers
 from scoup.view.scene_tools import SceneTools
 from scoup.view.viewed_field import ViewedField

@@ -25,11 +25,11 @@ from scoup.base.errors import FileFormatError, InputError, MissingFileError, Sco
 from scoup.base.existing import refuse_pointer
 from scoup.base.locks import WAIT
 from scoup.field.container import place_of
+from scoup.field.name_table import NameTable
+from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.query.boxes import OrientedBox
 from scoup.query.thing_index import Shares, ThingIndex
 from scoup.query.things import Thing
-from scoup.scene.names import NameTable
-from scoup.scene.things import NO_THING, ThingTable
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

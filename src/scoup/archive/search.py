@@ -15,6 +15,8 @@ from torch import Tensor
 
 from scoup.archive.scan_files import Scan
 from scoup.base.errors import InputError, MissingFileError
+from scoup.field.name_table import NameTable
+from scoup.field.thing_table import ThingTable
 from scoup.models.text import TextEncoder
 from scoup.query.ask import things_of_question
 from scoup.query.expression import Expression, parse_expression
@@ -24,8 +26,6 @@ from scoup.query.phrases import texts_of
 from scoup.query.presence import TextScore, presence_threshold, text_scores
 from scoup.query.question import Question, encode_texts, make_question, near_names
 from scoup.query.thing_index import ThingIndex, Verdict, compared_words
-from scoup.scene.names import NameTable
-from scoup.scene.things import ThingTable
 
 Encode: TypeAlias = "Callable[[tuple[str, ...]], Tensor]"
 LEAD = 0.5

@@ -60,3 +60,19 @@ def _crc32(text: str) -> str:
 
 def _replaced(text: str, checksum: str, other: str) -> str:
     return text.replace(f'"checksum": "{checksum}"', f'"checksum": "{other}"', 1)
+
+
+def geometry_fingerprint(
+    means: NDArray[Any],  # [N, 3] float32
+    quats: NDArray[Any],  # [N, 4] float32
+    scales: NDArray[Any],  # [N, 3] float32
+    opacities: NDArray[Any],  # [N] float32
+) -> str:
+    """Return the SHA-256 of the columns that decide all blending weights.
+
+    Colour is left out: a recoloured scene keeps its language field.
+    """
+    digest = hashlib.sha256(f"scoup-geometry-1:{len(means)}".encode())
+    for array in (means, quats, scales, opacities):
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()

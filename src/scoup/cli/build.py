@@ -30,8 +30,8 @@ from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath, arg, titled
 if TYPE_CHECKING:
     from scoup.field import Field
     from scoup.scene.cameras import Cameras
+    from scoup.scene.detections import Detections
     from scoup.scene.gaussians import Gaussians
-    from scoup.scene.names import Detections
     from scoup.scene.regions import Regions
     from scoup.uplift.build_settings import BuildSettings
     from scoup.uplift.region_sums import RegionSums

@@ -13,13 +13,13 @@ from torch import Tensor
 from scoup.base.atomic import atomic_path, check_output
 from scoup.base.digests import array_checksum, sealed
 from scoup.base.errors import InputError, WriteError
+from scoup.field.checks import MOST_THINGS
 from scoup.field.container import METADATA_KEY, SCHEMA, VERSION, place_of, read_content, relative_place
+from scoup.field.field_info import FieldInfo
+from scoup.field.name_table import NameTable
+from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.field_checks import MOST_THINGS
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.names import NameTable
-from scoup.scene.things import NO_THING, TENSORS, ThingTable
 
 _GEOMETRY = ("means", "quats", "scales", "opacities", "sh")
 _NAMES = ("presence", "rows", "things", "votes")

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from scoup.scene.field_checks import (
+from scoup.base.digests import geometry_fingerprint
+from scoup.field.checks import (
     CODES,
     NAMES,
     THINGS,
@@ -23,7 +24,6 @@ from scoup.scene.field_checks import (
     check_shapes,
     check_things,
 )
-from scoup.scene.fingerprint import geometry_fingerprint
 
 SH_BASES = (1, 4, 9, 16, 25)
 LEAST_GAUSSIANS = 10

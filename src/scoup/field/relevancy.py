@@ -14,7 +14,7 @@ from torch import Tensor
 
 from scoup import raster
 from scoup.base.errors import InputError
-from scoup.scene.code_sums import (
+from scoup.field.code_sums import (
     atom_products,
     best_code_cosines,
     code_relevancy,

@@ -17,7 +17,7 @@ from scoup.base.json_node import JsonNode
 from scoup.base.locks import WAIT
 from scoup.io.reading import read_json
 from scoup.io.regions.compact import stem_of
-from scoup.scene.names import Detections
+from scoup.scene.detections import Detections
 
 FOLDER_NAME = "concepts"
 """Of the folder, inside that of the region features."""

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from scoup.base.errors import InputError, ScoupWarning
 from scoup.field import Field
 from scoup.field.renders import render_depth
+from scoup.field.thing_table import NO_THING
 from scoup.query import constants
 from scoup.query.boxes import PointSets
 from scoup.query.language_field import LanguageField
 from scoup.query.thing_names import find_objects, named_things
 from scoup.query.things import Thing
-from scoup.scene.things import NO_THING
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree

@@ -30,11 +30,11 @@ from scoup.pictures.colors import Picture
 from scoup.query.ask import answers_of
 from scoup.query.edits import best_camera
 from scoup.query.field_view import FieldView
+from scoup.query.paths import camera_path, turntable
 from scoup.query.place import Place
 from scoup.query.question import Question
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import SparseCodes
-from scoup.scene.paths import camera_path, turntable
 from scoup.scene.up import estimate_up
 
 AXES = 8  # directions of embedding space among which the three colours are chosen

@@ -13,11 +13,11 @@ from scoup import raster
 from scoup.base.errors import InputError, UnknownNameError
 from scoup.base.html import card
 from scoup.field import Field
+from scoup.field.thing_table import NO_THING
 from scoup.pictures import contact_sheet, stacked, swatch_legend
 from scoup.pictures.colors import Picture, label_colors
 from scoup.query.answer import Answer
 from scoup.query.field_view import FieldView
-from scoup.scene.things import NO_THING
 
 NONE = -1
 """The id of a Gaussian that no word fits."""

@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 
 from scoup.field import Field
+from scoup.field.name_table import NameTable
+from scoup.field.thing_table import ThingTable
 from scoup.query import constants
 from scoup.query.matching import Choice
 from scoup.query.question import Question
-from scoup.scene.names import NameTable
-from scoup.scene.things import ThingTable
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,13 +16,13 @@ from scoup.base.brief import brief
 from scoup.base.counts import counted
 from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
 from scoup.field import Field
+from scoup.field.name_table import number_of
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday
 from scoup.query import constants
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.presence import check_share, presence_threshold
 from scoup.scene.directions import query_vectors
-from scoup.scene.names import number_of
 from scoup.scene.regions import LEAST_EMBEDDING
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from scoup.query.language_field import LanguageField
 from scoup.query.question import literal
 from scoup.query.thing_index import thing_index
 from scoup.scene.cameras import Camera, Cameras
-from scoup.scene.names import Detections
+from scoup.scene.detections import Detections
 from scoup.uplift.naming import name_things
 
 
@@ -76,7 +76,7 @@ def refine(
         InputError: the field has no things or no cameras.
 
     Example:
-        >>> from scoup.scene.names import Detections
+        >>> from scoup.scene.detections import Detections
         >>> class Finder:  # finds the first text everywhere; in place of "owlv2"
         ...     def detect(self, image, texts):
         ...         box = torch.tensor([[0.0, 0.0, image.shape[1], image.shape[0]]])

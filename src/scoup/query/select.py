@@ -15,9 +15,10 @@ from scoup.base.errors import InputError
 from scoup.field import Field
 from scoup.query.answer import ExpressionAnswer, answer_relevancy
 from scoup.query.ask import one_answer
+from scoup.query.connected_parts import LONGEST_LINK, NEIGHBOURS, connected_parts
 from scoup.query.question import Question
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.neighbours import LONGEST_LINK, NEIGHBOURS, connected_parts, nearest_points
+from scoup.scene.neighbours import nearest_points
 
 MOST_STEPS = 1000
 

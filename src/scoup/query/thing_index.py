@@ -24,13 +24,13 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from scoup.field import Field
+from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.query import constants
 from scoup.query.answer import RunnerUp
 from scoup.query.matching import Choice, choose_things
 from scoup.query.named import Named, joined
 from scoup.query.presence import TextScore, is_present, text_scores
 from scoup.query.question import Question, TextVectors
-from scoup.scene.things import NO_THING, ThingTable
 
 NUMBERS_AT_A_TIME = 1 << 15  # that PyTorch converts in one thread
 THINGS_AT_A_TIME = 512  # whose fits to all everyday words are in memory together

@@ -16,6 +16,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from scoup.field import Field
+from scoup.field.thing_table import ThingTable
 from scoup.query import constants
 from scoup.query.answer_scene import each_answer
 from scoup.query.named import less_common, voted_names
@@ -23,7 +24,6 @@ from scoup.query.presence import text_scores
 from scoup.query.question import Question
 from scoup.query.thing_index import ThingIndex, compared_words, shared_gaussians, thing_index
 from scoup.query.things import Thing, all_things
-from scoup.scene.things import ThingTable
 
 
 class ThingName(NamedTuple):

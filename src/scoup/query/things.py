@@ -18,13 +18,13 @@ from scoup.field import Field
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy
 from scoup.query.boxes import OrientedBox, PointSets
+from scoup.query.connected_parts import connected_parts
 from scoup.query.named import named_texts, voted_names
 from scoup.query.presence import LEAST_GAUSSIANS, text_scores
 from scoup.query.question import Question
 from scoup.query.thing_index import thing_index
 from scoup.query.votes import true_rows
 from scoup.raster import morton_codes
-from scoup.scene.neighbours import connected_parts
 from scoup.scene.up import estimate_up
 
 MOST_LINKED = 8192

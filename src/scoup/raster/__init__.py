@@ -34,10 +34,10 @@ from scoup.raster.presets import RASTER_PRESETS as RASTER_PRESETS
 from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceProjection
+from scoup.raster.view_colors import view_colors as view_colors
 from scoup.raster.view_sums import ViewSums as ViewSums
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.harmonics import view_colors as view_colors
 
 if TYPE_CHECKING:
     from scoup.raster.triton.projection import TritonProjection

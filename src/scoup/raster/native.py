@@ -15,9 +15,10 @@ from torch import Tensor
 from scoup.base.native import refusals, require_core
 from scoup.base.scratch import MOST_ROWS_IN_MEMORY
 from scoup.raster.combinations import CombinedLabels
+from scoup.raster.decoding import decoded
 from scoup.raster.presets import RasterPreset
 from scoup.scene.cameras import Camera
-from scoup.scene.codes import check_atoms, code_arrays, decoded, index_dtype, stable_products
+from scoup.scene.codes import check_atoms, code_arrays, index_dtype, stable_products
 from scoup.scene.gaussians import Gaussians
 
 

@@ -15,11 +15,12 @@ from torch import Tensor
 
 from scoup.raster.binning import Bins, bin_to_tiles
 from scoup.raster.combinations import CombinedLabels
+from scoup.raster.decoding import cosines_and_norms, decoded
 from scoup.raster.presets import ALPHA_MIN, RasterPreset
 from scoup.raster.projection import ProjectedGaussians, project_gaussians
 from scoup.raster.view_sums import merge
 from scoup.scene.cameras import Camera
-from scoup.scene.codes import check_atoms, cosines_and_norms, decoded, rows_of
+from scoup.scene.codes import check_atoms, rows_of
 from scoup.scene.gaussians import Gaussians
 
 PREPARES = False  # the order of the rows makes no difference to the speed

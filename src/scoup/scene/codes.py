@@ -20,14 +20,6 @@ def index_dtype(n_atoms: int) -> torch.dtype:
     return torch.uint8 if n_atoms <= 256 else torch.uint16
 
 
-def tensor_array(tensor: Tensor) -> np.ndarray:
-    """Return a tensor as an array, on the CPU a view of it."""
-    try:
-        return tensor.detach().cpu().numpy()
-    except TypeError:
-        raise InputError(f"tensors of {tensor.dtype} cannot be used") from None
-
-
 def signed(indices: Tensor) -> Tensor:
     """Return uint16 as a view of int16: torch neither sets rows of uint16 nor, before 2.10, selects them."""
     return indices.view(torch.int16) if indices.dtype == torch.uint16 else indices
@@ -113,45 +105,12 @@ class SparseCodes:
         return cls(indices.to(index_dtype(n_atoms)), weights.contiguous(), n_atoms)
 
 
-def cosines_from_codes(weights: Tensor, codebook: Tensor, queries: Tensor) -> Tensor:
-    """Cosines between decoded codes and queries, without decoding (docs/method.md, stage 3).
-
-    cos(W C, t) = (W A) / sqrt(W G W^T) with A = C T^T and G = C C^T.
-
-    Args:
-        weights: [..., L] coefficients over the atoms, in any scale.
-        codebook: [L, D].
-        queries: [Q, D], unit norm.
-
-    Returns:
-        [..., Q]; zero where the coefficients are all zero.
-    """
-    return cosines_and_norms(weights, codebook @ queries.T, codebook @ codebook.T)[0]
-
-
-def cosines_and_norms(weights: Tensor, scores: Tensor, gram: Tensor) -> tuple[Tensor, Tensor]:
-    """Return ``cosines_from_codes`` of coefficients [..., P, L], and the norms of the decoded codes [..., P],
-    sqrt(W G W^T), from two products of codebook and queries: ``scores`` [..., L, Q], A = C T^T, and ``gram``
-    [..., L, L], G = C C^T."""
-    squared_norm = ((weights @ gram) * weights).sum(-1, keepdim=True)
-    norm = torch.sqrt(squared_norm.clamp(min=torch.finfo(weights.dtype).tiny))
-    cosines = torch.where(squared_norm > 0, (weights @ scores) / norm, 0.0)
-    return cosines, torch.where(squared_norm > 0, norm, 0.0)[..., 0]
-
-
 def code_arrays(indices: Tensor, weights: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Codes for the compiled core: indices as they are, weights as float32 or the bits of float16."""
     table = indices.detach().cpu().contiguous().numpy()
     if weights.dtype == torch.float16:
         return table, weights.detach().cpu().contiguous().numpy().view(np.uint16)
     return table, weights.detach().to("cpu", torch.float32).contiguous().numpy()
-
-
-def decoded(weights: Tensor, codebook: Tensor) -> Tensor:
-    """Return [..., D] decoded codes of unit norm from coefficients [..., L] and a codebook [L, D]; zero where all
-    coefficients are zero.
-    """
-    return torch.nn.functional.normalize(weights @ codebook, dim=-1)
 
 
 def float32_products(rows: Tensor, others: Tensor) -> Tensor:

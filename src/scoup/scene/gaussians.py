@@ -9,8 +9,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from scoup.base.digests import geometry_fingerprint
 from scoup.base.errors import InputError
-from scoup.scene.fingerprint import geometry_fingerprint
 
 MAX_SH_DEGREE = 4
 TENSORS = ("means", "quats", "scales", "opacities", "sh")

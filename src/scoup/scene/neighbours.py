@@ -12,10 +12,6 @@ from numpy.typing import NDArray
 from scoup.base.native import native_core
 
 _CHUNK = 65536
-NEIGHBOURS = 8
-"""Each point is linked to so many of its nearest others."""
-LONGEST_LINK = 3.0
-"""Links longer than this times the median are cut, so that strays fall off."""
 
 
 def nearest_points(points: NDArray[np.float64], count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -50,18 +46,6 @@ def plain_nearest_points(
         numbers.append(found[~itself].reshape(-1, count))
         lengths.append(far[~itself].reshape(-1, count))
     return np.concatenate(numbers).astype(np.int64), np.concatenate(lengths)
-
-
-def connected_parts(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the number [M] of the connected part of each point [M, 3].
-
-    Each point is linked to its nearest others, and links much longer than usual are cut.
-    """
-    count = min(NEIGHBOURS, len(points) - 1)
-    if count < 1:
-        return np.zeros(len(points), np.int64)
-    nearest, lengths = nearest_points(points, count)
-    return linked_parts(nearest, lengths, LONGEST_LINK * float(np.median(lengths[:, -1])))
 
 
 def linked_parts(

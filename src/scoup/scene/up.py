@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base.errors import InputError
 from scoup.scene.cameras import Camera
-from scoup.scene.gaussians import Gaussians
-from scoup.scene.rotations import rotation_matrices
 
 UPRIGHT = 0.01  # how much the cameras' own up counts beside their right sides being level
-
-FLAT = 0.3  # shortest by middle standard deviation, below which a Gaussian lies in a surface
-CONE = math.cos(math.radians(12))  # normals within it face the same way
-REACH = math.cos(math.radians(26))  # how far from an axis of the file its surfaces may be tilted
-LEVELLED = 0.7  # of the normals that face a tilted direction: an axis of the file that has as many is kept
-LEVEL = 2.5  # times chance: normals in a cone that mark the floors of a scene
-PLAIN = 8.0  # times chance: normals along z that overrule the usual frame, where they are
-AHEAD = 1.2  # times those along y, and more in the lowest quarter of the scene than in the highest
 
 
 def checked_direction(up: Sequence[float]) -> Tensor:
@@ -55,70 +43,3 @@ def estimate_up(cameras: Iterable[Camera]) -> Tensor:
     # Cameras that look straight down have no up of their own in the scene, but look down.
     upright = own_up - UPRIGHT * rotations[:, 2].mean(0)
     return up if float(up @ upright) >= 0 else -up
-
-
-def estimate_up_of_splat(gaussians: Gaussians, rows: Tensor) -> Tensor:
-    """Return [3] float64, the direction along which floors, tables and shelves face.
-
-    Trainers leave -y up (axes right, down, forward), or +z. Surfaces decide between them, and how far up is tilted:
-    flat Gaussians have their shortest axis across the surface. A floor lies at the bottom of a scene; a wall that
-    faces the cameras, which also lies across z, at its far end.
-
-    Args:
-        rows: [M] int64, the Gaussians that count.
-
-    Warns:
-        ScoupWarning: there are no such surfaces, so that -y is a guess.
-    """
-    normals, weights = _normals(gaussians, rows)
-    down, high = (torch.tensor(axis, dtype=torch.float64) for axis in ((0, -1, 0), (0, 0, 1)))
-    (along_y, y), (along_z, z) = (_facing(normals, weights, axis) for axis in (down, high))
-    if z > PLAIN and z > AHEAD * y and _is_floor(gaussians.means[rows].double(), normals, weights, along_z):
-        return along_z
-    if y > LEVEL:
-        return along_y
-    warnings.warn(
-        "the splat shows neither floors nor tables, so that up is a guess: -y. If its views are upside down, make them "
-        "with scoup views and `up` (such as 0 1 0), or `keep_axes` for an .spz or glTF with the axes of a PLY",
-        ScoupWarning,
-        stacklevel=3,
-    )
-    return down
-
-
-def _facing(normals: Tensor, weights: Tensor, axis: Tensor) -> tuple[Tensor, float]:
-    """Return the direction near an axis that most surfaces face, and how many times more than by chance."""
-    if not float(weights.sum()) > 0:
-        return axis, 0.0
-    found = axis
-    for cone in (REACH, CONE, CONE, CONE):
-        near = (normals @ found).abs() > cone
-        spread = (normals[near] * weights[near, None]).T @ normals[near]
-        found = torch.linalg.eigh(spread).eigenvectors[:, 2]
-        found = found if float(found @ axis) > 0 else -found
-    if float(found @ axis) < REACH:
-        return axis, 0.0
-    tilted, level = (
-        float(weights[(normals @ each).abs() > CONE].sum() / weights.sum()) / (1 - CONE)
-        for each in (found, axis)
-    )
-    return (axis, level) if level >= LEVELLED * tilted else (found, tilted)
-
-
-def _is_floor(means: Tensor, normals: Tensor, weights: Tensor, axis: Tensor) -> bool:
-    """Tell whether more of the surfaces that face an axis are in the lowest quarter along it than in the highest."""
-    heights = means @ axis
-    low, high = heights[:: max(1, len(heights) // 100_000)].quantile(heights.new_tensor([0.03, 0.97]))
-    facing = weights * ((normals @ axis).abs() > CONE)
-    place = (heights - low) / (high - low)
-    return float(facing[place < 0.25].sum()) > float(facing[place > 0.75].sum())
-
-
-def _normals(gaussians: Gaussians, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the shortest axes [M, 3] of Gaussians, and the area of the flat ones, 0 for others, [M] float64."""
-    scales, turned = gaussians.scales[rows].double(), rotation_matrices(gaussians.quats[rows].double())
-    shortest = scales.argmin(1)[:, None, None].expand(-1, 3, 1)
-    sizes = scales.sort(1).values
-    area = sizes[:, 1] * sizes[:, 2] * (sizes[:, 0] < FLAT * sizes[:, 1])
-    most = area[:: max(1, len(area) // 100_000)].quantile(0.95)
-    return turned.gather(2, shortest)[:, :, 0], area.clamp(max=float(most))

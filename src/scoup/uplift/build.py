@@ -13,12 +13,12 @@ from scoup.base.native import release_memory
 from scoup.base.progress import Progress, no_progress
 from scoup.base.scratch import temporary_folder
 from scoup.field import Field
+from scoup.field.field_info import FieldInfo
+from scoup.field.thing_table import ThingTable
 from scoup.scene.cameras import Cameras
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
 from scoup.scene.sanity_checks import sanity_problems
-from scoup.scene.things import ThingTable
 from scoup.uplift import fit
 from scoup.uplift.build_settings import BuildSettings, build_settings
 from scoup.uplift.provenance import FieldSources, build_record, recorded_model

@@ -20,13 +20,13 @@ from scoup.coding import fit_codes
 from scoup.coding.codebook import encode
 from scoup.coding.report import decoded_cosines
 from scoup.field import Field
+from scoup.field.field_info import FieldInfo
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.npy import open_npy
 from scoup.io.regions.langsplat_autoencoder import Decoder
 from scoup.io.torch_file import load_torch
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
-from scoup.scene.field_info import FieldInfo
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import LEAST_EMBEDDING
 from scoup.uplift.provenance import recorded_model

@@ -34,7 +34,7 @@ def merge_regions(
 
     Returns:
         [R] int64 the cluster of each region, from 0, in the order of first regions; and [C] float64 the stability of
-        each cluster (``scoup.scene.things.ThingTable``), 0..1.
+        each cluster (``scoup.field.thing_table.ThingTable``), 0..1.
     """
     from scipy.sparse import csr_array
 

@@ -15,10 +15,11 @@ import torch
 from torch import Tensor
 
 from scoup import raster
+from scoup.field.name_table import NameTable
+from scoup.field.thing_table import ThingTable
 from scoup.scene.cameras import Camera
+from scoup.scene.detections import Detections
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.names import Detections, NameTable
-from scoup.scene.things import ThingTable
 from scoup.uplift import constants
 
 if TYPE_CHECKING:

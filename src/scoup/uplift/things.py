@@ -18,10 +18,10 @@ from torch import Tensor
 from scoup.base.counts import spread
 from scoup.base.errors import InputError
 from scoup.base.progress import Progress, no_progress
+from scoup.field.checks import MOST_THINGS
+from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.scene.directions import normalise_embeddings
-from scoup.scene.field_checks import MOST_THINGS
-from scoup.scene.things import NO_THING, ThingTable
 from scoup.uplift import constants
 from scoup.uplift.merging import Matrix, merge_regions
 from scoup.uplift.region_sums import RegionSums

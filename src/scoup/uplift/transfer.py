@@ -12,9 +12,9 @@ from torch import Tensor
 from scoup.base.arguments import check_arguments
 from scoup.base.errors import InputError
 from scoup.field.field import Field, Own
+from scoup.field.thing_table import NO_THING
 from scoup.scene.codes import signed
 from scoup.scene.gaussians import Gaussians
-from scoup.scene.things import NO_THING
 from scoup.uplift import constants
 
 

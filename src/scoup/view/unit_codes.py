@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from scoup.field import Field
-from scoup.scene.code_sums import inverse_code_norms
+from scoup.field.code_sums import inverse_code_norms
 from scoup.scene.codes import rows_of
 
 

@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from scoup.coding import fit_codes
+from scoup.field.thing_table import ThingTable
 from scoup.scene.cameras import Cameras
 from scoup.scene.codes import SparseCodes
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.regions import Regions
-from scoup.scene.things import ThingTable
 from scoup.uplift.build_settings import BuildSettings
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.things import find_things

@@ -18,6 +18,7 @@ import triton
 from torch import Tensor
 
 from scoup.raster.combinations import CombinedLabels
+from scoup.raster.decoding import cosines_and_norms
 from scoup.raster.triton.kernels.blending import LOW_SCALE
 from scoup.raster.triton.kernels.channels import channels_kernel
 from scoup.raster.triton.kernels.codes import SLOTS, codes_kernel, pack_kernel
@@ -25,7 +26,7 @@ from scoup.raster.triton.kernels.products import products_kernel
 from scoup.raster.triton.projection import FUSED, TILE, Precision, TritonProjection, product_precision
 from scoup.raster.triton.projection import project as project
 from scoup.raster.triton.region_sums import region_sums as sum_regions
-from scoup.scene.codes import cosines_and_norms, float32_products
+from scoup.scene.codes import float32_products
 
 PREPARES = False  # rows in another order have not been seen to pay here
 # Coefficients of a pixel that stay on the chip; with more, products leave no registers.

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from scoup.base.errors import InputError
 
@@ -122,3 +123,11 @@ def check_names(arrays: Arrays, sides: dict[str, int]) -> None:
             raise InputError(f"{name} is beyond the {count}")
     for name in ("names.presence", "names.votes"):
         check_finite(name, arrays[name])
+
+
+def tensor_array(tensor: Tensor) -> np.ndarray:
+    """Return a tensor as an array, on the CPU a view of it."""
+    try:
+        return tensor.detach().cpu().numpy()
+    except TypeError:
+        raise InputError(f"tensors of {tensor.dtype} cannot be used") from None

@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from scoup.base.brief import brief
-from scoup.scene.codes import tensor_array
-from scoup.scene.field_checks import THINGS_IN_MEMORY, check_things
-from scoup.scene.names import NameTable
+from scoup.field.checks import THINGS_IN_MEMORY, check_things, tensor_array
+from scoup.field.name_table import NameTable
 
 NO_THING = -1
 """The owner of a Gaussian that belongs to no thing of a level; also the parent of a thing without one."""

@@ -9,9 +9,8 @@ from typing import Any
 from torch import Tensor
 
 from scoup.base.errors import InputError
-from scoup.scene.codes import tensor_array
-from scoup.scene.field_checks import CODES, check_codes
-from scoup.scene.things import ThingTable
+from scoup.field.checks import CODES, check_codes, tensor_array
+from scoup.field.thing_table import ThingTable
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Names of things: what models that take words found in photographs, and which things they voted for."""
+"""Names of things: the texts that a model looked for, and its votes for things."""
 
 from __future__ import annotations
 
@@ -10,21 +10,7 @@ from torch import Tensor
 
 from scoup.base.brief import brief
 from scoup.base.errors import InputError
-from scoup.scene.codes import tensor_array
-from scoup.scene.field_checks import MOST_THINGS, NAMES, check_names
-
-
-@dataclass(frozen=True, eq=False)
-class Detections:
-    """What a model found in one photograph: M places, each for one of several texts."""
-
-    texts: Tensor  # [M] int64, position of the text
-    scores: Tensor  # [M] float32, 0 to 1
-    boxes: Tensor  # [M, 4] float32, x0, y0, x1, y1 in pixels
-    size: tuple[int, int]  # width and height of the photograph
-    masks: Tensor | None = None  # [M, H, W] boolean; None of models that find boxes
-
-    __repr__ = brief
+from scoup.field.checks import MOST_THINGS, NAMES, check_names, tensor_array
 
 
 def number_of(texts: Iterable[str], text: str) -> int | None:
