@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks.study import Study, run
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.cli.family import Family
 from scoup.cli.parsing import parse
 

@@ -18,7 +18,7 @@ from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.real_scenes import REAL_SCENES, RealScene
 from benchmarks.scenes import scene_of
 from scoup import raster
-from scoup.base.errors import looked_up
+from scoup.base import looked_up
 from scoup.models.words import CANONICAL_PHRASES
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians

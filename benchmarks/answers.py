@@ -20,7 +20,7 @@ from benchmarks.left_out import SETTINGS, TABLES, WITHOUT, left_out, table_of_co
 from benchmarks.real_scenes import REAL_SCENES
 from benchmarks.study import Record, Study
 from benchmarks.ways import DRAWS, LAYOUTS, WAYS, groups_of, scale_of
-from scoup.base.errors import looked_up
+from scoup.base import looked_up
 from scoup.models.words import with_everyday
 from scoup.query import constants
 from scoup.uplift.build_settings import BuildSettings

@@ -19,7 +19,7 @@ from benchmarks.drawn import DrawnAnswer, mask_ious, question_of
 from benchmarks.real_scenes import FOLDERS, REAL_SCENES, RealScene, place_of
 from benchmarks.study import Record, Study
 from benchmarks.ways import WAYS
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.name_table import NameTable
 from scoup.field.thing_table import ThingTable
 from scoup.models.words import CANONICAL_PHRASES, with_everyday

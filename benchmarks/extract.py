@@ -15,8 +15,7 @@ from torch import Tensor
 
 from benchmarks.data import data_folder
 from benchmarks.study import Record, Study
-from scoup.base.counts import spread
-from scoup.base.errors import InputError
+from scoup.base import InputError, spread
 from scoup.extract import Masks, mask_settings
 from scoup.extract.automatic_masks import automatic_masks
 from scoup.models.sam import EncodedImage, PointModel, open_sam

@@ -15,7 +15,7 @@ import torch
 from benchmarks.processes import SCOUP, run_python
 from benchmarks.scenes import scene_of
 from benchmarks.study import Record, Study, report
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.bench import markdown
 from scoup_lab.synthetic.folder import write_demo_scene
 

@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
-from scoup.base.errors import looked_up
+from scoup.base import looked_up
 from scoup.query import constants as of_query
 from scoup.uplift import constants as of_uplift
 

@@ -15,7 +15,7 @@ from benchmarks.data import data_folder
 from benchmarks.drawn import answers_of, mask_ious
 from benchmarks.real_scenes import RealScene
 from benchmarks.study import Record, Study
-from scoup.base.counts import spread
+from scoup.base import spread
 from scoup.extract import choose_photographs, find_photographs
 from scoup.models.words import with_everyday
 from scoup.scene.cameras import Camera, Cameras

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 SCOUP = "from scoup.cli.app import entry; entry()"
 """A program: the command line."""

@@ -12,7 +12,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from scoup.base.digests import sealed
+from scoup.base import sealed
 from scoup.field.artefact import tensor_checksum
 from scoup.field.container import METADATA_KEY
 from scoup.field.field_info import FieldInfo

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 SNAPSHOT = Path(__file__).parent / "messages.json"
 # Folders of pytest, in a message.

@@ -19,7 +19,8 @@ import frozen_formats
 from cli_support import run
 from frozen_formats import CODES, FORMATS, answers, gaussians_of_formats
 from scoup.archive.archive import Archive
-from scoup.base.errors import FieldVersionError, FileFormatError
+from scoup.base import FileFormatError
+from scoup.base.errors import FieldVersionError
 from scoup.field.container import METADATA_KEY
 from scoup.io import read_ply_table, write_ply_table
 from scoup.query.language_field import LanguageField

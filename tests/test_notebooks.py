@@ -14,7 +14,7 @@ import pytest
 from tools.run_notebooks import FOLDER, LEFT_OUT, executed
 
 from cli_support import RUN
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.view.page import page_files
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))

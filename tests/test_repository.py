@@ -14,8 +14,8 @@ import pytest
 import yaml
 from tools import check_distributions
 
+from scoup.base import VERSION
 from scoup.base.errors import FieldVersionError
-from scoup.base.version import VERSION
 from scoup.view.viewer import PORT
 
 ROOT = Path(__file__).resolve().parents[1]

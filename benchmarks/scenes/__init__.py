@@ -6,7 +6,7 @@ from benchmarks.scenes.hall import HALL
 from benchmarks.scenes.shelves import SHELVES
 from benchmarks.scenes.yard import YARD
 from scoup import LanguageField, build
-from scoup.base.errors import looked_up
+from scoup.base import looked_up
 from scoup_lab.synthetic import TABLE, Layout
 from scoup_lab.synthetic.scene import DemoScene, make_demo_scene
 

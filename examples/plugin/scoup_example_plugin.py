@@ -10,7 +10,7 @@ import torch
 from PIL import ImageColor
 
 import scoup
-from scoup.base.atomic import atomic_file
+from scoup.base import atomic_file
 from scoup.extract import Masks
 from scoup.io.splats.splat_format import SplatFormat
 from scoup.models.entry import ModelEntry

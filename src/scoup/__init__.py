@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from scoup.base.version import VERSION as __version__
+from scoup.base import VERSION as __version__
 
 _HOMES = {
     "Gaussians": "scoup.scene.gaussians",
@@ -60,8 +60,8 @@ __all__ = ["__version__", *_HOMES]  # pyright: ignore[reportUnsupportedDunderAll
 
 if TYPE_CHECKING:
     from scoup.archive.archive import Archive as Archive
-    from scoup.base.errors import ScoupError as ScoupError
-    from scoup.base.errors import ScoupWarning as ScoupWarning
+    from scoup.base import ScoupError as ScoupError
+    from scoup.base import ScoupWarning as ScoupWarning
     from scoup.coding import Codebook as Codebook
     from scoup.coding import fit_codes as fit_codes
     from scoup.extract.own_views import choose_cameras as choose_cameras

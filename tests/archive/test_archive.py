@@ -24,7 +24,7 @@ from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import FoundThing
 from scoup.archive.results_page import results_page
 from scoup.archive.search import look_alikes, rank_of
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning
 from scoup.extract.plain_colors import PlainColors
 from scoup.field.name_table import NameTable
 from scoup.models.image import open_image_model

@@ -22,7 +22,7 @@ from scoup.archive import archive as archive_module
 from scoup.archive import kept_scans
 from scoup.archive.kept_scans import MATRIX, KeptScans
 from scoup.archive.scan_files import Scan, read_scans
-from scoup.base.errors import FileFormatError, InputError, UnknownNameError
+from scoup.base import FileFormatError, InputError, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.query.language_field import LanguageField
 

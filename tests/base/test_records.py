@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.base.records import record_text, rounded_vector
+from scoup.base.records import rounded_vector
+from scoup_lab.bench.report import record_text
 from support import examples
 
 values = st.recursive(

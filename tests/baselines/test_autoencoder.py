@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.baselines.autoencoder import (
     LANGSPLAT,
     AutoencoderSettings,

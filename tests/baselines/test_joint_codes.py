@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.regions import RegionMap, Regions
 from scoup_lab.baselines.fitted import FittedField
 from scoup_lab.baselines.joint_codes import (

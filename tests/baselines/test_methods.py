@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup.field.relevancy import relevancy
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import RegionMap, Regions

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.rasterise import region_sums

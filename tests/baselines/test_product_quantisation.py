@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.baselines.product_quantisation import fit_product_quantiser
 
 

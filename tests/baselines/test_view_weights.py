@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.baselines.rasterised_scene import RasterisedScene
 from scoup_lab.baselines.view_weights import rendered, weights_of_views
 from support import small_scene

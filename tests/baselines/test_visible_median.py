@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.uplift.region_sums import RegionSums
 from scoup_lab.baselines.fitted import FittedChannels
 from scoup_lab.baselines.methods import METHODS

@@ -16,7 +16,7 @@ from benchmarks.left_out import TABLES
 from benchmarks.study import run
 from benchmarks.ways import WAYS
 
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from scoup.coding.exact import EFFORTS, ExactSettings
 from scoup.uplift import constants
 from scoup.uplift.build_settings import BUILD_PRESETS

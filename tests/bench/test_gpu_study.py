@@ -15,7 +15,7 @@ from benchmarks.gpu_rows import QUERIES, TESTS, answers_row
 from benchmarks.study import run
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.bench import random_workload
 
 TINY = Gpu(n_gaussians=60, width=30, height=20, large=(32, 24), n_atoms=(8,), views=3, repeats=1)

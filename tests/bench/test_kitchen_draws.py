@@ -12,7 +12,7 @@ from benchmarks.embedding_kinds import KINDS, draw_hosts, draw_prototypes
 from benchmarks.kitchen_draws import Truth, make_draw
 from benchmarks.ways import groups_of
 
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup.models.words import CANONICAL_PHRASES
 from scoup_lab.synthetic.words import unit
 

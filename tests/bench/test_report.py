@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base.errors import OutputExistsError
+from scoup.base import OutputExistsError
 from scoup_lab.bench.environment import describe_environment, in_one_line
 from scoup_lab.bench.measure import Timing
 from scoup_lab.bench.report import markdown, milliseconds, write_json

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from scoup_lab.bench.stages import STAGES, random_workload, stage_runs, usable_backends
 
 BACKENDS = usable_backends()[0]

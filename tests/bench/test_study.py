@@ -12,7 +12,7 @@ import pytest
 from benchmarks import __main__ as program
 from benchmarks.study import Record, Study, run
 
-from scoup.base.errors import InputError, OutputExistsError
+from scoup.base import InputError, OutputExistsError
 from scoup.cli.family import Family
 
 

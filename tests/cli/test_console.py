@@ -13,9 +13,7 @@ import pytest
 import scoup
 from children import finished
 from cli_support import run
-from scoup.base.errors import InputError, ScoupWarning
-from scoup.base.file_names import slug, unique_slugs
-from scoup.base.html import html
+from scoup.base import InputError, ScoupWarning, html, slug, unique_slugs
 from scoup.cli.console import Console, run_verb
 from scoup.cli.options import Common
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cli_support import BUILD, printed, refused, run_json, write_scene
-from scoup.base.registry import Registry
+from scoup.base import Registry
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import formats
 from scoup.io.splats.ply import FORMAT, read_ply

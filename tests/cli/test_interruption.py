@@ -14,8 +14,7 @@ import pytest
 
 from children import child, finished
 from cli_support import BUILD, FREE, RUN, plain_photographs, printed, refused, run, run_json
-from scoup.base.atomic import reserved_output
-from scoup.base.locks import locked
+from scoup.base import locked, reserved_output
 from scoup.cli.stop import stop_on_signals
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.regions.store import RegionStore

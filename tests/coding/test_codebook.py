@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.coding import Codebook, fit_codes
 from scoup.coding.report import decoded_cosines, explained_from
 

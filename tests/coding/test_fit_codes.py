@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.coding import fit_codes
 from scoup.coding.codebook import encode
 from scoup.coding.report import report_on

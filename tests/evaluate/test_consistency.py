@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.coding import fit_codes
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians

@@ -8,7 +8,7 @@ from statistics import mean
 
 import pytest
 
-from scoup.base.errors import OutputExistsError
+from scoup.base import OutputExistsError
 from scoup_lab.evaluate.pixel_report import (
     PixelScores,
     overall_table,

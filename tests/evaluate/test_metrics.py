@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.evaluate.metrics import Interval, any_inside, bootstrap_interval, iou
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.relevancy import relevancy
 from scoup.uplift.build import build
 from scoup.uplift.build_settings import BuildSettings

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from evaluate.known_methods import NothingRendered
-from scoup.base.errors import InputError, MissingFileError, UnknownNameError
+from scoup.base import InputError, MissingFileError, UnknownNameError
 from scoup.io import load_gaussians
 from scoup.query.language_field import LanguageField
 from scoup.uplift.build_settings import build_settings

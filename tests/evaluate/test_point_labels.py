@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from evaluate.known_methods import NothingRendered
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.question import TextVectors
 from scoup_lab.evaluate.protocols.points import (
     NO_CLASS,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluate import literal
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.evaluate.relevancy_maps import box_mean, choose_level, localize, segment
 from scoup_lab.evaluate.rules import MASK_RULES, Border, LevelChoice, MaskRule
 from support import examples

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.labelled_points import NYU40, LabelledPoints
 from scoup_lab.evaluate.protocols import scannet

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import lerf_ovs

@@ -13,7 +13,7 @@ import torch
 
 from evaluate.study_scenes import LABELS, study_scene
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.question import TextVectors
 from scoup.scene.codes import SparseCodes
 from scoup.scene.regions import Regions

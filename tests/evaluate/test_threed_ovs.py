@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io import save_png
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols import threed_ovs

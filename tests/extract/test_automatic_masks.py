@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from literal_rules import Generator, cut_off, mask_rule
 from mask_samples import smooth_image
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.extract.automatic_masks import SamSegmenter, automatic_masks
 from scoup.extract.grids import coarse_to_fine, crop_boxes, point_grid, touches_inner_edge
 from scoup.extract.masks import Masks

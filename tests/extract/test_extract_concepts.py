@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 
 from mask_samples import smooth_image
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base import FileFormatError, InputError
 from scoup.extract import find_photographs
 from scoup.extract.concepts import boxes_as_stored, extract_concepts
 from scoup.extract.photographs import Pixels

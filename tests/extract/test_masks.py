@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from literal_rules import box_of, box_suppression, clean_up, mask_rule, painted
 from mask_samples import mask_stacks, random_masks
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.extract.masks import Masks, paint
 from scoup.extract.overlaps import intersections, keep_by_boxes, keep_by_masks
 from scoup.extract.small_parts import without_small_parts

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning
 from scoup.extract.own_views import choose_cameras, save_views
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_choice import Scores, not_from_behind

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mask_samples import smooth_image
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.extract.photograph_choice import (
     points_as_gaussians,
     rank_views,

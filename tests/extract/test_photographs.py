@@ -13,7 +13,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from mask_samples import smooth_image
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.extract.photographs import Photograph, find_photographs, read_ahead, read_photograph
 from scoup.io import load_image, write_colmap
 from scoup.scene.cameras import Cameras

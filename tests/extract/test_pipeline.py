@@ -14,8 +14,7 @@ from PIL import Image
 import scoup
 from cli_support import snapshot
 from mask_samples import smooth_image
-from scoup.base.errors import InputError, ScoupError, ScoupWarning
-from scoup.base.parts import Part
+from scoup.base import InputError, Part, ScoupError, ScoupWarning
 from scoup.extract import (
     Masks,
     MaskSettings,

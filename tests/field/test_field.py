@@ -7,7 +7,8 @@ import torch
 from safetensors.torch import save_file
 
 import scoup
-from scoup.base.errors import FileFormatError, GeometryMismatchError, InputError, OutputExistsError
+from scoup.base import FileFormatError, InputError, OutputExistsError
+from scoup.field.field import GeometryMismatchError
 from scoup.field.field_info import FieldInfo
 from scoup.query.language_field import LanguageField, build
 from scoup.scene.codes import index_dtype

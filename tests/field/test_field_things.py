@@ -12,7 +12,7 @@ import torch
 
 from field_files import parts_of
 from planted_wall import SETTINGS, planted_wall
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field import Field
 from scoup.field.checks import MOST_THINGS
 from scoup.field.thing_table import NO_THING, ThingTable

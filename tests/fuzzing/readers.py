@@ -14,7 +14,7 @@ from tests.fuzzing.containers import Container
 from tests.fuzzing.samples import KEPT, OTHER_SPLATS, PICTURES, SIZE
 
 from scoup.archive.archive import Archive
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base import FileFormatError, InputError, MissingFileError
 from scoup.base.native import missing_reason
 from scoup.field.facts import read_facts
 from scoup.field.part_sizes import part_sizes

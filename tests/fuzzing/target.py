@@ -24,7 +24,7 @@ from pathlib import Path
 from tests.fuzzing.containers import join_parts
 from tests.fuzzing.readers import Reader
 
-from scoup.base.errors import ScoupError, ScoupWarning
+from scoup.base import ScoupError, ScoupWarning
 
 SECONDS = 10.0
 """Of the processor that one file may take."""

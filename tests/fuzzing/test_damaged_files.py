@@ -18,7 +18,7 @@ from tests.fuzzing.readers import READERS, Memory, Reader
 from tests.fuzzing.samples import write_samples
 from tests.fuzzing.target import Misbehaviour, file_of, pack_parts, seeds_of, target_of, unpack_parts
 
-from scoup.base.errors import FileFormatError, ScoupWarning
+from scoup.base import FileFormatError, ScoupWarning
 from support import examples
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits are those of Linux")

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from gltf_samples import spz_in_gltf
 from io_samples import covariances, same_gaussians, some_cameras, some_gaussians
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError
 from scoup.io.splats.axes import Axis, turned
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.rotation import rotated_sh
 from scoup.io.splats.spz import read_spz
-from scoup.raster import view_colors
+from scoup.raster import colors as view_colors
 from scoup.scene.cameras import Camera
 
 TURNS: dict[Axis, list[float]] = {"x": [1, -1, -1], "y": [-1, 1, -1], "z": [-1, -1, 1]}

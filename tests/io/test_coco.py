@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError, OutputExistsError
+from scoup.base import InputError, OutputExistsError
 from scoup.io.coco import CocoAnnotations, run_lengths
 
 mask_tools = pytest.importorskip("pycocotools.mask", reason="pycocotools is the oracle")

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from io_samples import camera_difference, save_images, some_cameras, write_colmap_text
-from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError
 from scoup.io import load_cameras
 from scoup.io.cameras.colmap import read_colmap, read_points, write_colmap
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io import load_cameras, read_points, read_tracks
 
 NAMES = {7: "b.png", 3: "sub/a.png"}

@@ -18,7 +18,7 @@ from safetensors.numpy import load_file, save_file
 
 from cli_support import snapshot
 from io_samples import save_langsplat, some_cameras, some_regions, stored_view
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
+from scoup.base import FileFormatError, InputError, MissingFileError, OutputExistsError, ScoupWarning
 from scoup.io import convert_regions, load_regions
 from scoup.io.regions.compact import open_view, write_view
 from scoup.io.regions.manifest import MANIFEST, RegionManifest, read_manifest, write_manifest

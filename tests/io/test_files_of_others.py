@@ -22,7 +22,7 @@ from io_samples import (
     write_colmap_text,
     write_inria_cameras,
 )
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.extract import find_photographs
 from scoup.io import (
     as_stored,

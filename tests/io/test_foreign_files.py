@@ -13,7 +13,7 @@ from torch import nn
 
 from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
 from io_samples import some_gaussians
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base import FileFormatError, InputError
 from scoup.io.langsplat_checkpoint import read_langsplat
 from scoup.io.regions.langsplat_autoencoder import read_autoencoder
 

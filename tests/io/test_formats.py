@@ -11,7 +11,7 @@ import torch
 
 from foreign_samples import save_run
 from io_samples import some_gaussians
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, OutputExistsError
+from scoup.base import FileFormatError, InputError, MissingFileError, OutputExistsError
 from scoup.field.content import TENSORS
 from scoup.io import load_gaussians, save_gaussians, splat_source, written_format
 from scoup.io.splats.formats import FORMATS, format_of

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from io_samples import some_gaussians
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats import gaussforge_formats
 from scoup.scene.gaussians import Gaussians

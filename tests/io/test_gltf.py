@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gltf_samples import SPLATS, check_rules, features_of, opened, packed
 from io_samples import same_gaussians, some_gaussians
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.gltf_write import GaussianFeatures, write_gltf
 from scoup.scene.gaussians import Gaussians

@@ -10,7 +10,7 @@ import torch
 
 from gltf_samples import SPLATS, columns_of, foreign, packed, read_in_its_axes
 from io_samples import same_gaussians, some_gaussians
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 
 
 def test_interleaved_rows_and_several_primitives(tmp_path):

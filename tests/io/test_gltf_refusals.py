@@ -7,7 +7,7 @@ import pytest
 
 from gltf_samples import SPLATS, columns_of, foreign, packed
 from io_samples import some_gaussians
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io.splats.gltf import read_gltf
 from scoup.io.splats.gltf_write import write_gltf
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from io_samples import save_checkpoint, some_gaussians
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io.splats.gsplat_checkpoint import latest_ranks, read_gsplat_checkpoint
 
 

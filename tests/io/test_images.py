@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base import FileFormatError, InputError, MissingFileError
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear, sample_nearest
 from scoup.io.image_folder import ImageFolder, find_beside
 from scoup.io.images import image_size, load_image, read_mask, save_png

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from io_samples import camera_difference, save_images, some_cameras, write_inria_cameras
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.cameras.inria import latest_point_cloud, read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms, write_transforms
 from scoup.scene.cameras import Cameras

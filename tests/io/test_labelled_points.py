@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from scoup.base.errors import FileFormatError, MissingFileError, OutputExistsError
+from scoup.base import FileFormatError, MissingFileError, OutputExistsError
 from scoup_lab.data.labelled_points import LabelledPoints, read_labelled_ply, write_labelled_ply
 
 HEADER = """ply

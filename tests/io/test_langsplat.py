@@ -8,13 +8,7 @@ import pytest
 import torch
 
 from io_samples import some_cameras
-from scoup.base.errors import (
-    FileFormatError,
-    InputError,
-    MissingFileError,
-    ScoupWarning,
-    UnknownNameError,
-)
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
 from scoup.io import load_regions
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.langsplat_rows import level_blocks

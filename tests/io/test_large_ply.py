@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from io_samples import same_gaussians
-from scoup.base.errors import ScoupWarning, WriteError
+from scoup.base import ScoupWarning, WriteError
 from scoup.io import load_gaussians, read_ply_table, write_ply, write_ply_table
 from scoup.io.splats import ply, ply_rows
 from support import random_gaussians

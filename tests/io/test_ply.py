@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from io_samples import same_gaussians, save_spz, some_gaussians
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io import load_gaussians, save_gaussians
 from scoup.io.splats.activation import (
     logits_from_opacities,

@@ -12,7 +12,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from io_samples import angles, save_compressed_ply, some_gaussians
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base import FileFormatError, InputError
 from scoup.io import save_gaussians
 from scoup.io.splats.ply import gaussians_from_table, read_ply, read_ply_table
 from scoup.io.splats.ply_compressed import write_compressed_ply

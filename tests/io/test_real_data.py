@@ -11,7 +11,7 @@ import torch
 
 from children import finished
 from io_samples import angles, camera_difference, same_gaussians
-from scoup.base.errors import ScoupWarning
+from scoup.base import ScoupWarning
 from scoup.io import (
     load_cameras,
     load_gaussians,

@@ -18,7 +18,7 @@ from io_samples import (
     some_gaussians,
     write_inria_cameras,
 )
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.extract import find_photographs
 from scoup.io import (
     as_stored,

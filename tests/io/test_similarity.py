@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError
 from scoup.io.similarity import read_similarity
 
 TURNED = np.array([[0, -2.0, 0, 1], [2, 0, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]])

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from io_samples import same_gaussians, some_gaussians
-from scoup.base.errors import FileFormatError, ScoupWarning
+from scoup.base import FileFormatError, ScoupWarning
 from scoup.io.splats.splat import read_splat, write_splat
 
 

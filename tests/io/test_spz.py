@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from io_samples import angles, same_gaussians, save_spz, some_gaussians
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.base import FileFormatError, InputError, ScoupWarning
 from scoup.io import load_gaussians, write_ply
 from scoup.io.splats.spz import MOST_BITS, read_spz, write_spz
 from scoup.io.splats.spz_container import _unpacked

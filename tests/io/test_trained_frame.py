@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from io_samples import camera_difference, some_cameras
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io import load_cameras, write_colmap, write_transforms
 from scoup.io.cameras.trained_frame import in_trained_frame
 from scoup.scene.cameras import Cameras

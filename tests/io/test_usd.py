@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from io_samples import some_gaussians
-from scoup.base.errors import InputError, ScoupError, WriteError
+from scoup.base import InputError, ScoupError, WriteError
 from scoup.io import save_gaussians
 from scoup.io.splats import usd
 from scoup.io.splats.axes import turned

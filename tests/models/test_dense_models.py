@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.models.dense import DenseModel, open_dense_model
 from scoup.models.image import open_image_model
 from scoup.models.normalization import CLIP, HALF

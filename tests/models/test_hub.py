@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from scoup.base.errors import FileFormatError, InputError, ScoupError
+from scoup.base import FileFormatError, InputError, ScoupError
 from scoup.models import hub
 from scoup.models.hub import ModelRequest, Pretrained, load_open_clip, load_pretrained
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from mask_samples import smooth_image
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.models.image import open_clip_image_model, open_image_model
 from tiny_models import saved, tiny_clip, tiny_sam, tiny_siglip, tiny_tips
 

@@ -14,7 +14,7 @@ import transformers
 from torch import Tensor
 
 from mask_samples import smooth_image
-from scoup.base.errors import MissingFileError, ScoupError
+from scoup.base import MissingFileError, ScoupError
 from scoup.models.mobile_sam import _empty_model
 from scoup.models.sam import Sam, SamImage, open_sam
 from scoup.models.sam_decoder import SharedDecoder

@@ -12,7 +12,7 @@ import torch
 from torch.nn import functional
 
 from mask_samples import smooth_image
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.models.sam import open_sam
 from tiny_models import TINY_SAMS, saved, tiny_clip, tiny_sam, tiny_sam2, tiny_sam2_video
 

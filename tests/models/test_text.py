@@ -11,10 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from scoup.base.errors import (
-    ScoupError,
-    ScoupWarning,
-)
+from scoup.base import ScoupError, ScoupWarning
 from scoup.models.text import TextEncoder
 from tiny_models import WORDS, save_text_clip, saved, tiny_siglip, tiny_tips, tiny_tokenizer
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from children import workers
-from scoup.base.npz import write_npz
+from scoup.base import write_npz
 from scoup.models import text, word_cache
 from scoup.models.hub import ModelIdentity, file_states
 from scoup.models.text import TextEncoder

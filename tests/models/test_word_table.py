@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from scoup.base.errors import (
-    FileFormatError,
-    InputError,
-    MissingFileError,
-    OutputExistsError,
-    UnknownNameError,
-)
+from scoup.base import FileFormatError, InputError, MissingFileError, OutputExistsError, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import load_table, save_table
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import ImageDraw
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.pictures import (
     answer_overlay,
     captioned,

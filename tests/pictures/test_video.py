@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scoup.base.errors import InputError, ScoupError
+from scoup.base import InputError, ScoupError
 from scoup.pictures.video import check_video_writer, save_video
 
 ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from query.conftest import ASKED, Queried
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.answer import Answer, RunnerUp, answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.view_answer import ViewAnswer

@@ -13,7 +13,7 @@ from torch import Tensor
 from query.conftest import WORDS, random_vectors
 from query.planted_room import BACK, FRONT, planted_room
 from query.test_named import LAMP, MUG, named_room
-from scoup.base.native import native_core
+from scoup.base import native_core
 from scoup.field.cache import ENTRY_BYTES, Cache
 from scoup.field.relevancy import PixelCosines, pixel_relevancy, relevancy
 from scoup.models.text import TextEncoder

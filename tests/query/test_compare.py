@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning
 from scoup.query.compare import compare
 from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras

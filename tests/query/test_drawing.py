@@ -10,7 +10,7 @@ import torch
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.pictures import as_picture, heat_map, heat_overlay
 from scoup.query.drawing import code_drawing, color_drawing, relevancy_drawing
 from scoup.query.field_view import FieldView

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from query.conftest import Queried
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.answer import answer_relevancy
 from scoup.query.answer_scene import each_answer
 from scoup.query.drawing import moving_cameras

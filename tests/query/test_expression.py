@@ -9,7 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.expression import Expression, parse_expression
 
 NAMES = ("mug", "wooden table", "cup")

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from query.conftest import Queried
 from scoup import raster
-from scoup.base.errors import InputError, MissingFileError, UnknownNameError
+from scoup.base import InputError, MissingFileError, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES

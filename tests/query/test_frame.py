@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from query.planted_room import FRONT, Box, planted_room
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.cameras import Camera
 from scoup.scene.up import estimate_up
 from support import examples

@@ -13,7 +13,7 @@ import torch
 
 from cli_support import run
 from query.planted_room import BACK, FRONT, ROOM, Box, planted_room
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.name_table import NameTable
 from scoup.models.text import TextEncoder, everyday_vocabulary
 from scoup.query import constants

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from query.test_expression import joined
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.expression import Expression, parse_expression
 from scoup.query.phrases import ORDINALS, RELATIONS, SIDES, SIZES, Phrase, parse_phrase
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from query.conftest import WORDS, random_vectors
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.query.answer import Answer, answer_relevancy

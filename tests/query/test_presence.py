@@ -13,7 +13,7 @@ from torch import Tensor
 
 from query.conftest import Queried, random_vectors
 from query.planted_room import Box, planted_room
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.models.words import LEAST_WORDS
 from scoup.query import constants
 from scoup.query.answer_scene import each_answer

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from query.planted_room import BACK, FRONT, ROOM, Box, Similarity, planted_room, with_whole
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from scoup.query.ask import apart
 from scoup.query.language_field import LanguageField
 from scoup.query.phrases import parse_phrase

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.relevancy import relevancy
 from support import examples
 

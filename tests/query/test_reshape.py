@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.connected_parts import LONGEST_LINK, NEIGHBOURS
 from scoup.query.select import Reshaping, reshaped
 from scoup.scene.gaussians import Gaussians

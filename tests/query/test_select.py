@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.question import Question
 from scoup.query.votes import MOST_TEXTS, level_thresholds, select_by_relevancy, select_each
 from support import examples

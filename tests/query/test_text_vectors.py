@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from query.conftest import Queried, random_vectors
-from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
+from scoup.base import InputError, ScoupWarning, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.models.word_table import save_table
 from scoup.models.words import CANONICAL_PHRASES, LEAST_WORDS, with_everyday

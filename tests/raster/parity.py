@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.native import missing_reason, native_core
+from scoup.base import native_core
+from scoup.base.native import missing_reason
 from scoup.raster.presets import raster_preset
 from scoup.raster.projection import project_gaussians
 from scoup.raster.view_sums import ViewSums

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from raster.brute_force import blending_weights
 from raster.parity import ABSOLUTE, BACKENDS, RELATIVE, same_bytes
 from scoup import raster
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from support import KINDS, examples, make_camera, random_gaussians, random_labels, scenes
 
 pytestmark = pytest.mark.parametrize("backend", BACKENDS)

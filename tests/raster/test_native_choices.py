@@ -11,7 +11,7 @@ import torch
 from raster.hard_scenes import HARD_KINDS, hard_scene
 from raster.parity import assert_close, assert_same_sums, both, needs_native, same_bytes, sure_pixels
 from scoup import raster
-from scoup.base.native import require_core
+from scoup.base import require_core
 from support import make_camera, random_gaussians, random_labels, threads_of_torch, unit
 
 pytestmark = needs_native

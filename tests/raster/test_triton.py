@@ -17,7 +17,7 @@ from machine_code import unwritten
 from raster import gpu_checks
 from raster.gpu_checks import KINDS_OF_SCENES
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from support import examples, make_camera, random_gaussians, scenes
 
 # Bytes a thread, nearly all of it behind the loop over Gaussians, where the coefficients of one level wait for those of

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from raster.parity import needs_native
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field import code_sums
 from scoup.field.code_sums import best_code_cosines, code_relevancy, code_scores, inverse_code_norms
 from scoup.field.relevancy import relevancy

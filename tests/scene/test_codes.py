@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.raster.decoding import cosines_from_codes
 from scoup.scene.codes import SparseCodes, index_dtype
 from support import unit

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.directions import normalise_embeddings, query_vectors, unit_rows
 from scoup.scene.regions import RegionMap, Regions
 from scoup.uplift.build import build

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from raster.parity import needs_native
-from scoup.base.native import require_core
+from scoup.base import require_core
 from scoup.scene import neighbours
 from scoup.scene.neighbours import linked_parts, nearest_points
 from support import examples

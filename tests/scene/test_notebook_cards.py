@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from scoup.base.html import PREVIEW, card
+from scoup.base import PREVIEW, card
 from scoup.models.text import TextEncoder
 from scoup.query.language_field import build
 from scoup.scene.cameras import Camera, Cameras

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.paths import MOST_STOPS, camera_path, turntable
 from scoup.scene.cameras import Camera, Cameras
 

@@ -10,7 +10,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scoup.base.errors import InputError, UnknownNameError, nearest_names
+from scoup.base import InputError, UnknownNameError
+from scoup.base.errors import nearest_names
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import RegionMap, Regions, resize_labels
 from support import make_camera, random_gaussians, small_scene, unit

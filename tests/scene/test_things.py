@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.checks import MOST_THINGS
 from scoup.field.thing_table import LEAST_SPREAD, NO_THING, SURE_REGIONS, TENSORS, ThingTable
 

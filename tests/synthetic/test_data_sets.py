@@ -10,7 +10,7 @@ import torch
 from benchmarks.scenes import find_layout
 from PIL import Image
 
-from scoup.base.errors import InputError, OutputExistsError, UnknownNameError
+from scoup.base import InputError, OutputExistsError, UnknownNameError
 from scoup.io import load_cameras, load_gaussians, load_regions, read_points
 from scoup.models.word_table import load_table
 from scoup_lab.data.labels import read_labels

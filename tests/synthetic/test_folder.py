@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image, ImageDraw
 
-from scoup.base.errors import OutputExistsError
+from scoup.base import OutputExistsError
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.models.word_table import load_table
 from scoup.scene.regions import LEVELS

@@ -12,7 +12,7 @@ import pytest
 import torch
 from benchmarks.scenes import LAYOUTS
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.regions import LEVELS
 from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene
 from scoup_lab.synthetic.art.things import Parts, Surface, Thing

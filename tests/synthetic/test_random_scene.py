@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.regions import LEVELS
 from scoup_lab.synthetic.random_scene import (
     SIZE,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from scoup.raster import project, render_channels, render_colors
 from scoup.scene.regions import LEVELS
 from scoup_lab.synthetic import TABLE, DemoScene, make_demo_scene

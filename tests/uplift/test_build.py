@@ -14,8 +14,7 @@ import torch
 
 import scoup
 from cli_support import snapshot
-from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
-from scoup.base.parts import Part
+from scoup.base import InputError, Part, ScoupWarning, UnknownNameError
 from scoup.field import Field
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import RegionMap, Regions

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from tests.fuzzing.containers import SUMS
 
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base import FileFormatError, InputError
 from scoup.base.native import missing_reason
 from scoup.coding.codebook import SparseCodes
 from scoup.uplift.rasterise import region_sums

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from planted_wall import COUNT, LEVELS, SETTINGS, Wall, planted_wall
-from scoup.base.counts import spread
+from scoup.base import spread
 from scoup.field import Field
 from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.scene.cameras import Cameras

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import scoup
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning
 from scoup.io import save_png
 from scoup.raster import render_colors
 from scoup.scene.cameras import Camera

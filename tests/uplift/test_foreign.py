@@ -10,7 +10,7 @@ import torch
 
 from foreign_samples import LangSplatAutoencoder, captured, save_langsplatv2
 from io_samples import some_gaussians
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base import FileFormatError, InputError
 from scoup.field.relevancy import relevancy
 from scoup.io import load_gaussians
 from scoup.io.langsplat_checkpoint import read_langsplat

@@ -15,7 +15,7 @@ from safetensors.numpy import load_file
 import scoup
 from cli_support import snapshot
 from scoup import raster
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
+from scoup.base import FileFormatError, InputError, MissingFileError
 from scoup.raster import RASTER_PRESETS, ViewSums, reference
 from scoup.uplift.rasterise import read_labels, region_sums
 from scoup.uplift.region_sums import RegionSums

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.region_sums import RegionSums
 from scoup.uplift.reweighting import scene_sharpness

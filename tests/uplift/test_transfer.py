@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.thing_table import NO_THING
 from scoup.io import load_gaussians, save_gaussians
 from scoup.query.language_field import LanguageField, build

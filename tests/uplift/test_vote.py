@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from raster.parity import assert_close, needs_native
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.codes import SparseCodes
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.vote_backends.native import Vote as NativeVote

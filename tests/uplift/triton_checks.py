@@ -8,7 +8,7 @@ from unittest.mock import patch
 import pytest
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from uplift.random_votes import Sizes, buckets_of, check_rounds, damaged, random_vote, usual_deviation
 
 

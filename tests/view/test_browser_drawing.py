@@ -25,7 +25,7 @@ from browser_support import (
 )
 from view_samples import unpacked
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.pictures.colors import Picture
 from scoup.query.language_field import LanguageField
 from scoup.scene.cameras import Camera, Cameras

@@ -8,7 +8,7 @@ import torch
 from view_samples import WORDS, random_field, table, viewed_field
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.pictures import as_picture
 from scoup.pictures.overlays import heat_overlay, texts_overlay
 from scoup.scene.cameras import Camera

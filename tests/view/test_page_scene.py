@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from view_samples import field_with_things, random_field, splat_of, table, unpacked, viewed_field
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import SH_C0
 from scoup.view.decimation import decimate

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from view_samples import field_with_things, random_field, splat_of, table, unpacked
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.language_field import LanguageField
 from scoup.view import parts
 from scoup.view.decimation import cover, drawable

@@ -13,7 +13,7 @@ import pytest
 import torch
 from view_samples import DIM, WORDS, field_with_things, random_field, table, unpacked, viewed_field
 
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from scoup.field.thing_table import NO_THING, TENSORS, ThingTable
 from scoup.models.text import everyday_vocabulary
 from scoup.query.answer import Answer

@@ -18,7 +18,7 @@ from query.planted_room import CLUTTER, ROOM, planted_room
 from query.test_named import BALL, LAMP, MUG, named_room
 from scoup.archive.agent_tool import archive_tool
 from scoup.archive.archive import Archive
-from scoup.base.errors import InputError, ScoupError
+from scoup.base import InputError, ScoupError
 from scoup.field.facts import read_facts
 from scoup.io import load_gaussians
 from scoup.query.language_field import LanguageField

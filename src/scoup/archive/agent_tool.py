@@ -11,7 +11,7 @@ from typing import Any
 from PIL import Image
 
 from scoup.archive.archive import Archive
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.io.images import ANY_PIXELS
 from scoup.models.text import LONGEST
 

@@ -41,20 +41,21 @@ from scoup.archive.search import (
     look_alikes,
     words_digest,
 )
-from scoup.base.arguments import PATH, check_arguments
-from scoup.base.atomic import write_text
-from scoup.base.errors import (
+from scoup.base import (
+    PATH,
+    WAIT,
     FileFormatError,
     InputError,
     MissingFileError,
     OutputExistsError,
     ScoupError,
     ScoupWarning,
+    check_arguments,
     check_format_version,
     looked_up,
+    rounded_vector,
+    write_text,
 )
-from scoup.base.locks import WAIT
-from scoup.base.records import rounded_vector
 from scoup.field.container import place_of, relative_place
 from scoup.io.images import open_image, rgb_image
 from scoup.models.text import Encoder, TextEncoder

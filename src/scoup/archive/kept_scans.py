@@ -20,9 +20,7 @@ import torch
 from torch import Tensor
 
 from scoup.archive.scan_files import ENDING, Scan, read_scans
-from scoup.base.errors import FileFormatError, WriteError
-from scoup.base.existing import refuse_pointer
-from scoup.base.locks import WAIT, locked
+from scoup.base import WAIT, FileFormatError, WriteError, locked, refuse_pointer
 from scoup.query.thing_index import ThingIndex
 
 if TYPE_CHECKING:

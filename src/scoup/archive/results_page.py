@@ -10,8 +10,7 @@ from urllib.parse import quote
 import torch
 
 from scoup.archive.archive import FoundThing
-from scoup.base.errors import ScoupError, ScoupWarning
-from scoup.base.html import data_address, html
+from scoup.base import ScoupError, ScoupWarning, data_address, html
 from scoup.field.container import relative_place
 from scoup.query.catalog_files import draw_things
 from scoup.query.things import things_of_table

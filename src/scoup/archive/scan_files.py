@@ -20,10 +20,16 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from scoup.base.atomic import atomic_path
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupError, check_format_version
-from scoup.base.existing import refuse_pointer
-from scoup.base.locks import WAIT
+from scoup.base import (
+    WAIT,
+    FileFormatError,
+    InputError,
+    MissingFileError,
+    ScoupError,
+    atomic_path,
+    check_format_version,
+    refuse_pointer,
+)
 from scoup.field.container import place_of
 from scoup.field.name_table import NameTable
 from scoup.field.thing_table import NO_THING, ThingTable

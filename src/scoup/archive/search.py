@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup.archive.scan_files import Scan
-from scoup.base.errors import InputError, MissingFileError
+from scoup.base import InputError, MissingFileError
 from scoup.field.name_table import NameTable
 from scoup.field.thing_table import ThingTable
 from scoup.models.text import TextEncoder

@@ -14,11 +14,13 @@ import os
 import re
 from collections.abc import Mapping
 from types import ModuleType
-
-import torch
+from typing import TYPE_CHECKING
 
 from scoup.base.errors import InputError, UnknownNameError, warn_once
 from scoup.base.native import missing_reason, native_core, warn_if_missing
+
+if TYPE_CHECKING:
+    import torch
 
 OLDEST_TRITON = (3, 3)  # 3.0 to 3.2 end the process while they compile the kernels
 LEAST_CAPABILITY = (8, 0)  # older GPUs have too little shared memory for a program
@@ -77,6 +79,8 @@ def triton_problem(device: torch.device) -> str | None:
 
     Imports triton, if it is there.
     """
+    import torch
+
     try:
         import triton
     except ImportError:

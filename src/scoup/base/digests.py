@@ -8,12 +8,12 @@ import os
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from scoup.base.errors import MissingFileError, refused_read
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _BLOCK = 1 << 20  # bytes read at a time
 NO_CHECKSUM = "0" * 8
@@ -38,6 +38,8 @@ def array_checksum(array: NDArray[Any]) -> str:
 
     CRC-32 finds every error of a few bits, and is the fastest checksum of the standard library.
     """
+    import numpy as np
+
     described = f"{array.dtype} {list(array.shape)}\n".encode()
     content = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
     return f"{zlib.crc32(content, zlib.crc32(described)):08x}"
@@ -72,6 +74,8 @@ def geometry_fingerprint(
 
     Colour is left out: a recoloured scene keeps its language field.
     """
+    import numpy as np
+
     digest = hashlib.sha256(f"scoup-geometry-1:{len(means)}".encode())
     for array in (means, quats, scales, opacities):
         digest.update(np.ascontiguousarray(array).data)

@@ -121,10 +121,6 @@ class MissingFileError(FileFormatError, FileNotFoundError):
         return cls(path, f"there is no such {kind} ({what} was expected)", remedy)
 
 
-class GeometryMismatchError(InputError):
-    """A language field was given Gaussians other than those it was built on."""
-
-
 class OutputExistsError(ScoupError, FileExistsError):
     """An output is already there and overwriting was not allowed."""
 

@@ -26,16 +26,6 @@ def existing_file(path: str | Path, what: str, remedy: str = "check the path") -
     return path
 
 
-def existing_folder(path: str | Path, what: str, remedy: str = "check the path") -> Path:
-    """Return ``path`` if it is a folder; else raise a MissingFileError."""
-    path = Path(path)
-    if os.path.isfile(path):
-        raise MissingFileError(path, f"is a file, not {what}", remedy)
-    if not os.path.isdir(path):
-        raise MissingFileError(path, f"there is no such folder ({what} was expected)", remedy)
-    return path
-
-
 def refuse_pointer(path: Path) -> None:
     """Raise a FileFormatError for the pointer to a file that a clone without Git LFS has in its place."""
     with suppress(OSError):  # its reader raises that

@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from scoup.base.errors import FileFormatError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _EXACT = 2**53  # beyond it JSON numbers are not exact; no count or size of a file comes near
 
@@ -78,6 +79,8 @@ class JsonNode:
 
     def numbers(self, *shape: int) -> np.ndarray:
         """Return nested lists as a float64 array of this shape, all finite."""
+        import numpy as np
+
         return np.array(list(self._walk(shape)), np.float64).reshape(shape)
 
     def _walk(self, shape: tuple[int, ...]) -> Iterator[float]:

@@ -9,12 +9,12 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
-
-import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from typing import IO, TYPE_CHECKING, Any
 
 from scoup.base.errors import WriteError
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike, NDArray
 
 MOST_ROWS_IN_MEMORY = 8_000_000
 """Gaussians up to which everything about a scene is kept in memory; of more, most of it is in temporary files."""
@@ -47,6 +47,8 @@ def temporary_folder() -> Iterator[Path]:
 
 def scratch_array(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """Return zeros in a temporary file that is mapped into memory; the file disappears with the array."""
+    import numpy as np
+
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if not size:
         return np.zeros(shape, dtype)

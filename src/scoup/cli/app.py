@@ -62,7 +62,7 @@ SCOUP = Family(
 def run(arguments: list[str]) -> int:
     """Parse and run; returns the exit code."""
     if arguments in (["--version"], ["-V"]):
-        from scoup.base.version import VERSION
+        from scoup.base import VERSION
 
         print(f"scoup {VERSION}")
         return 0

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from scoup.base.atomic import check_output, write_text
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, check_output, counted, write_text
 from scoup.cli.console import Console
 from scoup.cli.options import (
     Model,

@@ -18,10 +18,7 @@ from typing import Annotated, Any, TypeAlias
 
 import tyro
 
-from scoup.base.atomic import reserved_output, write_text
-from scoup.base.counts import counted
-from scoup.base.errors import InputError, MissingFileError, ScoupError
-from scoup.base.html import html
+from scoup.base import InputError, MissingFileError, ScoupError, counted, html, reserved_output, write_text
 from scoup.cli.build_options import BuildOptions, passed_options
 from scoup.cli.console import Console, command, with_options
 from scoup.cli.options import AllCommon, Model, OptionalPath, OptionalText, arg, check_number, titled

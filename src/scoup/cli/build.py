@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from scoup.base.atomic import reserved_output, reserved_part
-from scoup.base.counts import counted
-from scoup.base.errors import InputError, ScoupWarning
-from scoup.base.parts import Part
+from scoup.base import InputError, Part, ScoupWarning, counted, reserved_output, reserved_part
 from scoup.cli.build_options import (
     BuildOptions,
     CodingOptions,

@@ -6,9 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from scoup.base.atomic import check_output
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalInteger, OptionalPath, OptionalText, arg
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from scoup.base.counts import counted
-from scoup.base.staging import staged
+from scoup.base import counted, staged
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, OptionalNumber, OptionalPath, titled
 from scoup.cli.query_options import FrameOptions, TextOptions, WordOptions, check_metres, output_folder

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from scoup.base.counts import counted
-from scoup.base.staging import staged
+from scoup.base import counted, staged
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, OptionalNumber, OptionalPath, arg, titled
 from scoup.cli.query_options import FieldOptions, TextOptions, WordOptions, check_metres, output_folder

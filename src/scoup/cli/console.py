@@ -14,9 +14,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-from scoup.base.errors import InputError, ScoupError, ScoupWarning, WriteError, remedy_of
-from scoup.base.printable import printable
-from scoup.base.progress import Progress, no_progress
+from scoup.base import (
+    InputError,
+    Progress,
+    ScoupError,
+    ScoupWarning,
+    WriteError,
+    no_progress,
+    printable,
+    remedy_of,
+)
 from scoup.cli.options import Common
 from scoup.cli.stop import exit_code
 

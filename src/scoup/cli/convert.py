@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base import FileFormatError, InputError, counted
 from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console
 from scoup.cli.options import Flag, OptionalPath, OptionalText, WritesCommon, arg, titled

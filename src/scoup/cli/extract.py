@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from scoup.base.atomic import reserved_part
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
-from scoup.base.parts import Part
+from scoup.base import InputError, Part, counted, reserved_part
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import (
     CLIP_MODEL,
@@ -27,8 +24,7 @@ from scoup.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scoup.base.parts import Part
-    from scoup.base.progress import Progress
+    from scoup.base import Part, Progress
     from scoup.extract import ExtractReport, MaskSettings
     from scoup.extract.photographs import Photograph
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.cli.console import Console
 from scoup.cli.options import Common, arg
 

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from scoup.base.counts import counted
-from scoup.base.file_names import unique_slugs
-from scoup.base.staging import staged
+from scoup.base import counted, staged, unique_slugs
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, Names, OptionalPath, arg, titled
 from scoup.cli.query_options import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.cli.console import Console
 from scoup.cli.options import (
     DeviceCommon,

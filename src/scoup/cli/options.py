@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 CLIP_MODEL = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """LangSplat's, which verbs assume where no other is named."""

@@ -8,11 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
-from scoup.base.file_names import unique_slugs
-from scoup.base.progress import Progress, reported
-from scoup.base.staging import check_outputs, staged
+from scoup.base import InputError, Progress, check_outputs, counted, reported, staged, unique_slugs
 from scoup.cli.console import Console
 from scoup.cli.options import (
     AllCommon,

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from scoup.base.counts import listed, share_of, verb
-from scoup.base.errors import InputError, MissingFileError, ScoupWarning, UnknownNameError
+from scoup.base import InputError, MissingFileError, ScoupWarning, UnknownNameError, listed, share_of, verb
 from scoup.cli.options import (
     Direction,
     Flag,

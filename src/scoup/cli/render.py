@@ -6,10 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
-from scoup.base.file_names import unique_slugs
-from scoup.base.staging import staged
+from scoup.base import InputError, counted, staged, unique_slugs
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalPath, OptionalText, titled
 from scoup.cli.query_options import CameraOptions, TextOptions, output_folder

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, counted
 from scoup.cli.console import Console
 from scoup.cli.options import (
     AllCommon,

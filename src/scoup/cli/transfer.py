@@ -8,8 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, counted
 from scoup.cli.build_options import check_field_output
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, OptionalPath, arg, titled

@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, counted
 from scoup.cli.console import Console
 from scoup.cli.options import AllCommon, FieldFile, Flag, OptionalInteger, OptionalPath, check_number, titled
 from scoup.cli.query_options import TextOptions

@@ -8,9 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
-from scoup.base.staging import check_outputs
+from scoup.base import InputError, check_outputs, counted
 from scoup.cli.console import Console, command, kept
 from scoup.cli.options import Direction, Flag, OptionalInteger, OptionalPath, WritesCommon, arg
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from scoup.base.atomic import check_output
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, check_output, counted
 from scoup.cli.console import Console, command
 from scoup.cli.options import CLIP_MODEL, AllCommon, OptionalPath
 

@@ -8,8 +8,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, no_progress
 from scoup.coding.adam import solve_adam
 from scoup.coding.codebook import Codebook, Encoded, Solution
 from scoup.coding.distinct import value_codes

@@ -20,7 +20,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 from scoup.coding.backends import CodingBackend, RowCodes, as_sparse_codes, coding_backend
 from scoup.coding.codebook import Solution
 from scoup.coding.kmeans import spherical_kmeans

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, cast
 import torch
 from torch import Tensor
 
-from scoup.base.backends import load_backend
+from scoup.base import load_backend
 from scoup.coding.arithmetic import ordered_sum
 from scoup.scene.codes import SparseCodes, index_dtype
 

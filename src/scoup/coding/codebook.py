@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.errors import InputError
+from scoup.base import InputError, brief
 from scoup.coding.backends import as_sparse_codes, coding_backend
 from scoup.coding.report import CodingReport, decoded_cosines
 from scoup.scene.codes import SparseCodes

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 from scoup.coding.arithmetic import ordered_sum, take_rows, unit
 from scoup.coding.backends import CodingBackend, RowCodes, as_sparse_codes, coding_backend
 from scoup.coding.codebook import Solution

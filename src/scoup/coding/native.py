@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from scoup.base.native import require_core
+from scoup.base import require_core
 from scoup.coding.backends import RowCodes
 
 

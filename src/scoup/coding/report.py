@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.counts import counted
+from scoup.base import counted
 from scoup.scene.codes import SparseCodes
 
 LEAST_EXPLAINED = 0.01  # cosine; rows without a code are badly explained whatever was learned

@@ -10,9 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from scoup.base.errors import ScoupError
-from scoup.base.parts import Part
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Part, Progress, ScoupError, no_progress
 from scoup.extract.photographs import Photograph, Pixels, read_ahead
 from scoup.extract.pipeline import MAX_HEIGHT, ExtractReport
 from scoup.io.detections import new_store

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.extract.masks import Masks
 from scoup.models.entry import ModelEntry
 

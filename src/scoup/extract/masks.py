@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 
 @dataclass(frozen=True, eq=False)

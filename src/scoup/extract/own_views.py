@@ -9,10 +9,7 @@ from pathlib import Path
 
 import torch
 
-from scoup.base.atomic import remove
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress, reported
-from scoup.base.staging import staged
+from scoup.base import InputError, Progress, no_progress, remove, reported, staged
 from scoup.extract import constants
 from scoup.extract.splat_up import estimate_up_of_splat
 from scoup.extract.view_candidates import candidate_cameras, find_matter, measure_matter, nearby_cameras

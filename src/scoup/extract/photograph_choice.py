@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from scoup.base.errors import InputError, ScoupError
-from scoup.base.progress import Progress, no_progress, reported
+from scoup.base import InputError, Progress, ScoupError, no_progress, reported
 from scoup.extract import constants
 from scoup.extract.photographs import Photograph, read_ahead
 from scoup.extract.view_candidates import find_matter, measure_matter

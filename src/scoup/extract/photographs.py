@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.ahead import worked_ahead
-from scoup.base.digests import file_sha256
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupError, ScoupWarning, file_sha256, worked_ahead
 from scoup.io import camera_photographs
 from scoup.io.camera_images import FACTORS
 from scoup.io.image_folder import DYNAMIC_MASK, EXTENSIONS, ImageFolder

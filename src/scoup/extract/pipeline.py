@@ -13,10 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.counts import counted, none_of
-from scoup.base.errors import ScoupError, ScoupWarning
-from scoup.base.parts import Part
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Part, Progress, ScoupError, ScoupWarning, counted, no_progress, none_of
 from scoup.extract.crops import mask_crops
 from scoup.extract.interfaces import CropEmbedder, Embedder, RegionEmbedder, Segmenter
 from scoup.extract.masks import Masks, paint

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from scoup.base.registry import Registry
+from scoup.base import Registry
 from scoup.extract import felzenszwalb, plain_colors
 from scoup.extract.automatic_masks import SamSegmenter
 from scoup.extract.dense import DenseEmbedder

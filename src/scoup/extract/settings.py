@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 Preset = Literal["langsplat", "fast"]
 

@@ -8,7 +8,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from scoup.base.errors import ScoupWarning
+from scoup.base import ScoupWarning
 from scoup.scene.gaussians import Gaussians
 from scoup.scene.rotations import rotation_matrices
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.extract import constants
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians

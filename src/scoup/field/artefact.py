@@ -10,9 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from scoup.base.atomic import atomic_path, check_output
-from scoup.base.digests import array_checksum, sealed
-from scoup.base.errors import InputError, WriteError
+from scoup.base import InputError, WriteError, array_checksum, atomic_path, check_output, sealed
 from scoup.field.checks import MOST_THINGS
 from scoup.field.container import METADATA_KEY, SCHEMA, VERSION, place_of, read_content, relative_place
 from scoup.field.field_info import FieldInfo

@@ -6,13 +6,15 @@ Arrays are named as in the file (docs/formats.md).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Arrays = Mapping[str, NDArray[Any]]
 Table = Mapping[str, tuple[str, str]]

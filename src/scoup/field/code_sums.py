@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.native import native_core, refusals
+from scoup.base import native_core, refusals
 from scoup.scene.codes import check_atoms, code_arrays, float32_products, stable_products
 
 

@@ -12,10 +12,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from scoup.base.digests import array_checksum, is_sealed
-from scoup.base.errors import FileFormatError, check_format_version
-from scoup.base.existing import existing_file
-from scoup.base.safetensors_damage import safetensors_damage_named
+from scoup.base import (
+    FileFormatError,
+    array_checksum,
+    check_format_version,
+    existing_file,
+    is_sealed,
+    safetensors_damage_named,
+)
 from scoup.field.content import check_content
 
 SCHEMA = "scoup.language_field"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.digests import geometry_fingerprint
+from scoup.base import geometry_fingerprint
 from scoup.field.checks import (
     CODES,
     NAMES,

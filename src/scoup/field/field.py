@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted
-from scoup.base.errors import GeometryMismatchError, InputError
+from scoup.base import PATH, InputError, check_arguments, counted
 from scoup.field import renders
 from scoup.field.artefact import FieldParts, read_field, write_field
 from scoup.field.cache import Cache
@@ -454,3 +452,7 @@ class Field:
         elif parts.gaussians is not None:
             loaded.attach(parts.gaussians, known=True)  # the file is checked: their fingerprint, too
         return loaded
+
+
+class GeometryMismatchError(InputError):
+    """A language field was given Gaussians other than those it was built on."""

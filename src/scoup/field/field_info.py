@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.checks import CODES, check_codes, tensor_array
 from scoup.field.thing_table import ThingTable
 

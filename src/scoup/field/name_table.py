@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.errors import InputError
+from scoup.base import InputError, brief
 from scoup.field.checks import MOST_THINGS, NAMES, check_names, tensor_array
 
 

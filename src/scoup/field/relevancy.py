@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.code_sums import (
     atom_products,
     best_code_cosines,

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field.relevancy import FieldCodes, relevancy
 from scoup.scene.cameras import Camera
 from scoup.scene.directions import query_vectors

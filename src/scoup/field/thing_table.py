@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.brief import brief
+from scoup.base import brief
 from scoup.field.checks import THINGS_IN_MEMORY, check_things, tensor_array
 from scoup.field.name_table import NameTable
 

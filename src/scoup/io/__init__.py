@@ -1,6 +1,6 @@
 """Readers and writers: one module per format; all give and take the dataclasses of ``scene/``."""
 
-from scoup.base.atomic import atomic_file, atomic_path, check_output, write_text
+from scoup.base import atomic_file, atomic_path, check_output, write_text
 from scoup.io.cameras.colmap import read_points, read_tracks, write_colmap
 from scoup.io.cameras.inria import read_cfg_args
 from scoup.io.cameras.nerfstudio import write_transforms

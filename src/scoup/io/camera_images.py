@@ -9,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from scoup.base.counts import counted, listed, none_of
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning, counted, listed, none_of
 from scoup.io.image_folder import ImageFolder
 from scoup.io.images import image_size
 from scoup.io.reading import sorted_cameras

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.base.registry import Entry, Registry
+from scoup.base import Entry, FileFormatError, MissingFileError, Registry
 from scoup.io.cameras.colmap import is_model, read_colmap
 from scoup.io.cameras.inria import read_cfg_args, read_inria_cameras
 from scoup.io.cameras.nerfstudio import read_transforms

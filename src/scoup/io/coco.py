@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.atomic import write_text
-from scoup.base.errors import InputError
+from scoup.base import InputError, write_text
 
 
 @dataclass(frozen=True)

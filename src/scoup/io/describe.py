@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, InputError, MissingFileError, ScoupWarning
 from scoup.io.camera_sources import find_cameras
 from scoup.io.images import image_fault
 from scoup.io.regions.load import load_regions

@@ -11,10 +11,15 @@ from typing import Any
 
 import torch
 
-from scoup.base.atomic import write_text
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, check_format_version
-from scoup.base.json_node import JsonNode
-from scoup.base.locks import WAIT
+from scoup.base import (
+    WAIT,
+    FileFormatError,
+    InputError,
+    JsonNode,
+    MissingFileError,
+    check_format_version,
+    write_text,
+)
 from scoup.io.reading import read_json
 from scoup.io.regions.compact import stem_of
 from scoup.scene.detections import Detections

@@ -11,8 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from scoup.base.counts import counted, listed
-from scoup.base.errors import ScoupWarning
+from scoup.base import ScoupWarning, counted, listed
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 DYNAMIC_MASK = "dynamic_mask_"

@@ -13,9 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, refused_read
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, InputError, MissingFileError, atomic_file, existing_file, refused_read
 from scoup.io.cameras.undistort import photograph_pixels, sample_bilinear
 from scoup.io.reading import MAX_IMAGE_PIXELS, MAX_IMAGE_SIDE, read_bytes
 from scoup.scene.cameras import Camera

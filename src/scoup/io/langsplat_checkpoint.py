@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError
 from scoup.io.splats.activation import trained_gaussians
 from scoup.io.torch_file import float_tensor, float_tensors, load_torch
 from scoup.scene.gaussians import Gaussians

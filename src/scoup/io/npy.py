@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError, refused_read
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, existing_file, refused_read
 
 _MOST_OF_HEADER = 1 << 16  # bytes; numpy takes fewer
 _REMEDY = "the file is cut short or damaged; write it again"

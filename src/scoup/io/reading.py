@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import unicodedata
 import warnings
@@ -16,9 +17,15 @@ from typing import Literal
 import numpy as np
 import torch
 
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
-from scoup.base.existing import existing_file
-from scoup.base.json_node import JsonNode
+from scoup.base import (
+    FileFormatError,
+    InputError,
+    JsonNode,
+    MissingFileError,
+    ScoupWarning,
+    existing_file,
+    refused_read,
+)
 from scoup.scene.cameras import Camera, Cameras
 
 Distorted = Literal["refuse", "undistort"]
@@ -158,3 +165,13 @@ def sorted_cameras(path: Path, cameras: list[Camera], remedy: str = "rename one 
         return Cameras(sorted(cameras, key=lambda camera: camera.name))
     except InputError as error:
         raise FileFormatError(path, str(error), remedy) from error
+
+
+def existing_folder(path: str | Path, what: str, remedy: str = "check the path") -> Path:
+    """Return ``path`` if it is a folder; else raise a MissingFileError."""
+    path = Path(path)
+    if os.path.isfile(path):
+        raise MissingFileError(path, f"is a file, not {what}", remedy)
+    if not os.path.isdir(path):
+        raise MissingFileError(path, f"there is no such folder ({what} was expected)", remedy)
+    return path

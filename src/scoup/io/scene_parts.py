@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io.camera_sources import camera_format, find_cameras, scene_folder
 from scoup.io.regions.views import FOLDER_NAME
 from scoup.io.splats.formats import SplatSource, splat_source

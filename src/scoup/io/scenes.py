@@ -10,9 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.base import PATH, FileFormatError, InputError, ScoupWarning, check_arguments, counted
 from scoup.io.camera_images import MissingImages, attach_images, image_files
 from scoup.io.camera_sources import CAMERA_FORMATS, CameraSource, find_cameras
 from scoup.io.cameras.gsplat_frame import in_gsplat_frame

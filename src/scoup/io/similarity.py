@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import FileFormatError
-from scoup.base.existing import existing_file
-from scoup.base.json_node import JsonNode
+from scoup.base import FileFormatError, JsonNode, existing_file
 from scoup.io.reading import is_orthogonal, read_text
 
 REMEDY = "the file should contain 4 rows of 4 numbers: a rotation times a scale, with a translation"

@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, existing_file
 from scoup.io.reading import read_bytes
 
 _PICKLE = b"\x80"

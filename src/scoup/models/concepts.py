@@ -11,8 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.errors import ScoupError
-from scoup.base.registry import Registry
+from scoup.base import Registry, ScoupError
 from scoup.models.entry import HubEntry, ModelEntry
 from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
 from scoup.models.normalization import CLIP, HALF, IMAGENET, Normalization

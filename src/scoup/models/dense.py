@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.models.hub import ModelRequest, Pretrained, load_pretrained
 from scoup.models.image import WITHOUT_MODEL, usual_dtype
 from scoup.models.normalization import Normalization

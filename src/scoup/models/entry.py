@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.registry import Entry
+from scoup.base import Entry
 from scoup.models.hub import ModelIdentity, is_cached
 
 Encode = Callable[[list[str]], Tensor]

@@ -18,8 +18,7 @@ from urllib.parse import urlsplit
 
 import torch
 
-from scoup.base.errors import InputError, ScoupError
-from scoup.base.existing import refuse_pointer
+from scoup.base import InputError, ScoupError, refuse_pointer
 from scoup.models.normalization import PLAIN, Normalization
 
 Loaded = TypeVar("Loaded")

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.models.tiny_vit import TinyViT
 
 HUB_ID, FILE = "dhkim2810/MobileSAM", "mobile_sam.pt"

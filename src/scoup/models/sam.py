@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from scoup.base.digests import file_sha256
-from scoup.base.errors import MissingFileError, ScoupError
-from scoup.base.existing import refuse_pointer
+from scoup.base import MissingFileError, ScoupError, file_sha256, refuse_pointer
 from scoup.models import mobile_sam
 from scoup.models.hub import ModelRequest, Pretrained, hub_file, load_pretrained
 from scoup.models.normalization import HALF, IMAGENET, Normalization

@@ -13,10 +13,17 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import counted, listed
-from scoup.base.errors import InputError, ScoupError, UnknownNameError, quoted
-from scoup.base.html import card
+from scoup.base import (
+    PATH,
+    InputError,
+    ScoupError,
+    UnknownNameError,
+    card,
+    check_arguments,
+    counted,
+    listed,
+    quoted,
+)
 from scoup.models import words
 from scoup.models.entry import Encode
 from scoup.models.hub import ModelIdentity

@@ -7,9 +7,7 @@ import warnings
 import torch
 from torch import Tensor
 
-from scoup.base.counts import counted
-from scoup.base.errors import ScoupError, ScoupWarning
-from scoup.base.registry import Registry
+from scoup.base import Registry, ScoupError, ScoupWarning, counted
 from scoup.models.entry import Device, HubEntry, ModelEntry, Texts
 from scoup.models.hub import (
     OPEN_CLIP,

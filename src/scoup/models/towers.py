@@ -8,7 +8,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.models.hub import Pretrained
 from scoup.models.normalization import CLIP, HALF, PLAIN, Normalization
 

@@ -18,9 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, ScoupError
-from scoup.base.file_names import slug
-from scoup.base.npz import write_npz
+from scoup.base import FileFormatError, ScoupError, slug, write_npz
 from scoup.models.hub import ModelIdentity
 from scoup.models.word_table import MODEL_KEY, WordTable, load_table
 

@@ -16,9 +16,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, InputError
-from scoup.base.existing import existing_file
-from scoup.base.npz import write_npz
+from scoup.base import FileFormatError, InputError, existing_file, write_npz
 
 TABLE_SUFFIXES = (".npz", ".json", ".safetensors")
 MODEL_KEY = "model"  # array, JSON entry or metadata entry that may name the embedding model; never a word

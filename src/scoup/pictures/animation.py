@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from scoup.base.atomic import atomic_file
+from scoup.base import atomic_file
 from scoup.pictures.colors import Picture
 from scoup.pictures.lettering import PAPER
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 Picture: TypeAlias = NDArray[np.uint8]
 """[H, W, 3] sRGB."""

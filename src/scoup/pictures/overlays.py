@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.pictures.colors import (
     BACKDROP,
     STRONGEST,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from scoup.base.counts import counted
+from scoup.base import counted
 from scoup.pictures.colors import ArrayOrTensor, Picture, as_array, as_picture
 from scoup.pictures.lettering import font, text_width
 from scoup.pictures.overlays import region_overlay

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import InputError, ScoupError, WriteError
+from scoup.base import InputError, ScoupError, WriteError
 from scoup.pictures.colors import Picture
 
 QUALITY = 7  # of imageio-ffmpeg, 0 to 10

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 from torch import Tensor
 
-from scoup.base.counts import listed
-from scoup.base.html import card
+from scoup.base import card, listed
 from scoup.field import Field
 from scoup.query.expression import Expression
 from scoup.query.presence import LEAST_GAUSSIANS, Certainty, certainty

@@ -12,10 +12,7 @@ import numpy as np
 from PIL import Image
 from torch import Tensor
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
-from scoup.base.file_names import unique_slugs
-from scoup.base.npz import write_npz
+from scoup.base import InputError, counted, unique_slugs, write_npz
 from scoup.io import save_png
 from scoup.io.coco import CocoAnnotations
 from scoup.pictures import answer_overlay, as_picture, contact_sheet, heat_legend, stacked

@@ -12,8 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.records import rounded_vector
+from scoup.base import brief, rounded_vector
 from scoup.query import constants
 from scoup.scene.gaussians import Gaussians
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.errors import InputError
-from scoup.base.html import card
+from scoup.base import InputError, card
 from scoup.field import Field
 from scoup.query.frame import Frame, scene_frame
 from scoup.query.question import Question

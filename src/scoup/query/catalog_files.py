@@ -14,10 +14,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from scoup.base.atomic import write_text
-from scoup.base.errors import InputError
-from scoup.base.html import html
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, html, no_progress, write_text
 from scoup.field import Field
 from scoup.pictures import as_picture, mask_overlay
 from scoup.pictures.colors import Picture

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning
 from scoup.field import Field
 from scoup.field.renders import render_depth
 from scoup.field.thing_table import NO_THING

@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from scoup.base.atomic import write_text
-from scoup.base.counts import counted
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, counted, no_progress, write_text
 from scoup.field import Field
 from scoup.pictures import as_picture
 from scoup.pictures.colors import Picture

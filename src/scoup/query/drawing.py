@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.counts import listed
-from scoup.base.errors import InputError
-from scoup.base.html import PREVIEW, card
+from scoup.base import PREVIEW, InputError, card, listed
 from scoup.field import Field
 from scoup.pictures import (
     as_picture,

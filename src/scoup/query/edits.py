@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.counts import counted, spread
-from scoup.base.errors import InputError
+from scoup.base import InputError, counted, spread
 from scoup.field import Field
 from scoup.io import PlyTable, gaussians_from_table, read_ply_table, splat_source
 from scoup.io.splats.ply import table_from_gaussians

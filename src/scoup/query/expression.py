@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from typing import TypeAlias, TypeVar
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.phrases import (
     OPERATORS,
     RESERVED,

@@ -9,8 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.records import rounded_vector
+from scoup.base import brief, rounded_vector
 from scoup.field import Field
 from scoup.scene.cameras import Camera
 from scoup.scene.up import checked_direction, estimate_up

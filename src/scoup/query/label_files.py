@@ -11,10 +11,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from scoup.base.atomic import atomic_file, write_text
-from scoup.base.counts import spread
-from scoup.base.file_names import unique_slugs
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, atomic_file, no_progress, spread, unique_slugs, write_text
 from scoup.field import Field
 from scoup.io import PlyTable, save_label_png, save_png, write_ply, write_ply_table
 from scoup.io.coco import CocoAnnotations

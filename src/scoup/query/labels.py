@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError, UnknownNameError
-from scoup.base.html import card
+from scoup.base import InputError, UnknownNameError, card
 from scoup.field import Field
 from scoup.field.thing_table import NO_THING
 from scoup.pictures import contact_sheet, stacked, swatch_legend

@@ -9,8 +9,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
 
-from scoup.base.arguments import check_arguments
-from scoup.base.errors import InputError, MissingFileError
+from scoup.base import InputError, MissingFileError, check_arguments
 from scoup.field.field import Field
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, Encoder, TextEncoder
 from scoup.query.answer import Answer, ExpressionAnswer

@@ -10,8 +10,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.counts import spread
-from scoup.base.errors import InputError
+from scoup.base import InputError, spread
 from scoup.scene.cameras import Camera, Cameras
 
 MOST_STOPS = 40  # cameras that a path leads through

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.models.text import ARTICLES
 
 RELATIONS: dict[str, tuple[str, ...]] = {

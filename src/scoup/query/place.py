@@ -8,9 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.counts import verb
-from scoup.base.html import card
-from scoup.base.records import rounded_vector
+from scoup.base import card, rounded_vector, verb
 from scoup.field import Field
 from scoup.query.answer import Answer
 from scoup.query.boxes import OrientedBox

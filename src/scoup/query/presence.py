@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import torch
 from torch import Tensor
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, counted
 from scoup.field.content import LEAST_GAUSSIANS
 from scoup.models.words import LEAST_WORDS
 from scoup.query import constants

@@ -12,9 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.counts import counted
-from scoup.base.errors import InputError, ScoupWarning, UnknownNameError
+from scoup.base import InputError, ScoupWarning, UnknownNameError, brief, counted
 from scoup.field import Field
 from scoup.field.name_table import number_of
 from scoup.models.text import COLORS, NO_WORDS_FOR_COLORS, TextEncoder, everyday_vocabulary

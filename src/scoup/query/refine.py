@@ -16,8 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
-from scoup.base.errors import InputError
+from scoup.base import InputError, check_arguments
 from scoup.field import Field
 from scoup.io import load_image
 from scoup.io.camera_images import attach_images

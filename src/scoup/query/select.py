@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field import Field
 from scoup.query.answer import ExpressionAnswer, answer_relevancy
 from scoup.query.ask import one_answer

@@ -12,8 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.html import card
-from scoup.base.records import rounded_vector
+from scoup.base import card, rounded_vector
 from scoup.field import Field
 from scoup.query import constants
 from scoup.query.answer import Answer, ExpressionAnswer, answer_relevancy

@@ -11,9 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.html import card
-from scoup.base.records import rounded_vector
+from scoup.base import InputError, card, rounded_vector
 from scoup.field import Field
 from scoup.field.renders import render_depth
 from scoup.pictures import as_picture, heat_map, mask_overlay

@@ -19,8 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.native import native_core
+from scoup.base import brief, native_core
 from scoup.field import Field
 from scoup.field.relevancy import FieldCodes, GaussianCosines
 from scoup.query import constants

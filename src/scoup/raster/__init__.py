@@ -19,10 +19,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 import torch
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
-from scoup.base.backends import load_backend
-from scoup.base.errors import InputError
-from scoup.base.scratch import MOST_ROWS_IN_MEMORY, scratch_array
+from scoup.base import MOST_ROWS_IN_MEMORY, InputError, check_arguments, load_backend, scratch_array
+from scoup.raster.colors import view_colors as view_colors
 from scoup.raster.combinations import CombinedLabels as CombinedLabels
 from scoup.raster.combinations import combine as combine
 from scoup.raster.native import NativeProjection
@@ -34,7 +32,6 @@ from scoup.raster.presets import RASTER_PRESETS as RASTER_PRESETS
 from scoup.raster.presets import RasterPreset as RasterPreset
 from scoup.raster.presets import raster_preset
 from scoup.raster.reference import ReferenceProjection
-from scoup.raster.view_colors import view_colors as view_colors
 from scoup.raster.view_sums import ViewSums as ViewSums
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians

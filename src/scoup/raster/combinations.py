@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base import InputError, native_core
 
 
 @dataclass(frozen=True, eq=False)

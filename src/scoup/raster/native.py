@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.native import refusals, require_core
-from scoup.base.scratch import MOST_ROWS_IN_MEMORY
+from scoup.base import MOST_ROWS_IN_MEMORY, refusals, require_core
 from scoup.raster.combinations import CombinedLabels
 from scoup.raster.decoding import decoded
 from scoup.raster.presets import RasterPreset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 
 ALPHA_MIN = 1.0 / 255.0  # a Gaussian contributes exactly to the pixels where its alpha reaches this
 LOW_PASS = 0.3  # added to the diagonal of the 2D covariance, in square pixels

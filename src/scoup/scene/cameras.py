@@ -19,9 +19,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.counts import counted, listed
-from scoup.base.errors import InputError, UnknownNameError
-from scoup.base.html import card
+from scoup.base import InputError, UnknownNameError, card, counted, listed
 
 _PARALLEL = 1e-9  # sine of the angle between view direction and up below which the camera has no defined roll
 

@@ -8,9 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.errors import InputError
-from scoup.base.native import native_core
+from scoup.base import InputError, brief, native_core
 
 
 def index_dtype(n_atoms: int) -> torch.dtype:

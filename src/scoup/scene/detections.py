@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from scoup.base.brief import brief
+from scoup.base import brief
 
 
 @dataclass(frozen=True, eq=False)

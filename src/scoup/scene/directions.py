@@ -6,7 +6,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 NEARLY_UNIT = 1e-5
 """Rows whose norm is this near to 1 are left as they are, to the last bit."""

@@ -9,8 +9,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.digests import geometry_fingerprint
-from scoup.base.errors import InputError
+from scoup.base import InputError, geometry_fingerprint
 
 MAX_SH_DEGREE = 4
 TENSORS = ("means", "quats", "scales", "opacities", "sh")
@@ -105,7 +104,7 @@ class Gaussians:
         return f"Gaussians({len(self):,}, SH degree {self.sh_degree}, {self.device})"
 
     def _repr_html_(self) -> str:
-        from scoup.base.html import card
+        from scoup.base import card
         from scoup.scene.previews import points_preview
 
         means = self.means[self.finite()]

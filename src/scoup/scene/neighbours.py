@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base.native import native_core
+from scoup.base import native_core
 
 _CHUNK = 65536
 

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.html import PREVIEW
+from scoup.base import PREVIEW
 
 MOST_POINTS = 200_000
 _MIDDLE = (0.02, 0.98)  # what lies beyond these quantiles of the means is not shown

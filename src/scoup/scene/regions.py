@@ -8,10 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.brief import brief
-from scoup.base.counts import counted, listed
-from scoup.base.errors import InputError, UnknownNameError
-from scoup.base.html import card
+from scoup.base import InputError, UnknownNameError, brief, card, counted, listed
 from scoup.scene.directions import unit_rows
 
 INTEGERS = (torch.int32, torch.int64, torch.int16, torch.int8, torch.uint8)  # types of labels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoup.base.counts import share_of, verb
+from scoup.base import share_of, verb
 from scoup.scene.gaussians import Gaussians
 
 LARGE = 100.0  # times the extent of the scene: more than the sky of any outdoor scene

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.cameras import Camera
 
 UPRIGHT = 0.01  # how much the cameras' own up counts beside their right sides being level

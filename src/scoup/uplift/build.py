@@ -7,11 +7,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
-from scoup.base.errors import ScoupWarning
-from scoup.base.native import release_memory
-from scoup.base.progress import Progress, no_progress
-from scoup.base.scratch import temporary_folder
+from scoup.base import Progress, ScoupWarning, check_arguments, no_progress, release_memory, temporary_folder
 from scoup.field import Field
 from scoup.field.field_info import FieldInfo
 from scoup.field.thing_table import ThingTable

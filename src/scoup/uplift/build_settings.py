@@ -6,8 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-from scoup.base.arguments import check_arguments
-from scoup.base.errors import InputError, looked_up
+from scoup.base import InputError, check_arguments, looked_up
 
 Scale: TypeAlias = float | Literal["auto"]
 """Size of the images that region sums are made of, relative to the cameras'."""

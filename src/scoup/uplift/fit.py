@@ -18,8 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.counts import listed, share_of, verb
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning, listed, share_of, verb
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians
 from scoup.uplift.similarity import (

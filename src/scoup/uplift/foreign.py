@@ -12,10 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, InputError
-from scoup.base.progress import Progress, no_progress
-from scoup.base.scratch import scratch_array
-from scoup.base.version import VERSION
+from scoup.base import VERSION, FileFormatError, InputError, Progress, no_progress, scratch_array
 from scoup.coding import fit_codes
 from scoup.coding.codebook import encode
 from scoup.coding.report import decoded_cosines

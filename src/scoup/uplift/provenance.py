@@ -11,8 +11,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.version import VERSION
+from scoup.base import VERSION, InputError
 from scoup.io.regions.manifest import read_manifest
 from scoup.models.text import check_model
 from scoup.models.word_table import is_table, load_table

@@ -11,13 +11,17 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.ahead import worked_ahead
-from scoup.base.arguments import check_arguments
-from scoup.base.counts import listed, none_of
-from scoup.base.errors import InputError
-from scoup.base.native import release_memory
-from scoup.base.parts import Part
-from scoup.base.progress import Progress, no_progress
+from scoup.base import (
+    InputError,
+    Part,
+    Progress,
+    check_arguments,
+    listed,
+    no_progress,
+    none_of,
+    release_memory,
+    worked_ahead,
+)
 from scoup.raster import CombinedLabels, ViewSums
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians

@@ -12,10 +12,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from scoup.base.counts import listed
-from scoup.base.errors import InputError, ScoupWarning
-from scoup.base.progress import Progress, no_progress
-from scoup.base.version import VERSION
+from scoup.base import VERSION, InputError, Progress, ScoupWarning, listed, no_progress
 from scoup.coding import CodingReport, fit_codes
 from scoup.coding.codebook import encode_rows
 from scoup.coding.report import report_on

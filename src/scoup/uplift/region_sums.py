@@ -18,8 +18,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.atomic import flush_names, flush_to_disk
-from scoup.base.errors import (
+from scoup.base import (
+    WAIT,
     FileFormatError,
     InputError,
     MissingFileError,
@@ -27,8 +27,9 @@ from scoup.base.errors import (
     ScoupWarning,
     WriteError,
     check_format_version,
+    flush_names,
+    flush_to_disk,
 )
-from scoup.base.locks import WAIT
 from scoup.raster import ViewSums, morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import Gaussians

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scoup import raster
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 from scoup.io.images import load_image
 from scoup.scene.cameras import Camera
 from scoup.scene.gaussians import SH_C0, Gaussians

@@ -15,9 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.counts import spread
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, no_progress, spread
 from scoup.field.checks import MOST_THINGS
 from scoup.field.thing_table import NO_THING, ThingTable
 from scoup.scene.codes import SparseCodes, index_dtype

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.arguments import check_arguments
-from scoup.base.errors import InputError
+from scoup.base import InputError, check_arguments
 from scoup.field.field import Field, Own
 from scoup.field.thing_table import NO_THING
 from scoup.scene.codes import signed

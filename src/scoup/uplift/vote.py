@@ -15,10 +15,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from scoup.base.backends import load_backend
-from scoup.base.counts import spread
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, load_backend, no_progress, spread
 from scoup.raster import restored
 from scoup.scene.codes import SparseCodes, index_dtype, signed, stable_products
 from scoup.uplift import constants

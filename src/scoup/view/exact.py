@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.counts import counted
-from scoup.base.errors import InputError
+from scoup.base import InputError, counted
 from scoup.field import Field
 from scoup.field.relevancy import relevancy
 from scoup.pictures import as_picture

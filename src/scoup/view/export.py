@@ -11,9 +11,7 @@ from typing import Any
 
 from PIL import Image
 
-from scoup.base.atomic import remove
-from scoup.base.progress import Progress, no_progress, reported
-from scoup.base.staging import check_outputs, staged
+from scoup.base import Progress, check_outputs, no_progress, remove, reported, staged
 from scoup.io import atomic_path, check_output
 from scoup.pictures.colors import Picture
 from scoup.view.page import page_files, script_text

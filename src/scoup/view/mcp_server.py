@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from PIL import Image as Pictures
 
-from scoup.base.errors import ScoupError
-from scoup.base.version import VERSION
+from scoup.base import VERSION, ScoupError
 from scoup.pictures.colors import Picture
 from scoup.view.scene_tools import SceneTools
 

@@ -11,7 +11,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from scoup.base.errors import ScoupError
+from scoup.base import ScoupError
 
 PAGE_FOLDER = Path(__file__).with_name("page")
 STYLE = '<link rel="stylesheet" href="viewer.css">'

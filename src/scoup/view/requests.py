@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.cameras import Camera
 from scoup.view.exact import LARGEST_SIDE
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field import Field
 from scoup.query.answer import ExpressionAnswer
 from scoup.query.ask import answers_of

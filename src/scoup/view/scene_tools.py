@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.errors import InputError, OutputExistsError, ScoupError, looked_up
+from scoup.base import InputError, OutputExistsError, ScoupError, looked_up
 from scoup.io import save_gaussians
 from scoup.models.text import LONGEST
 from scoup.pictures import as_picture, mask_overlay

@@ -19,7 +19,7 @@ from starlette.routing import Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
-from scoup.base.errors import ScoupError, UnknownNameError
+from scoup.base import ScoupError, UnknownNameError
 from scoup.field.cache import Cache
 from scoup.io import write_ply_table
 from scoup.view.connections import PART

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from scoup.base.errors import InputError, ScoupError
+from scoup.base import InputError, ScoupError
 from scoup.io import PlyTable
 from scoup.models.word_table import is_table
 from scoup.pictures import as_picture
@@ -87,7 +87,7 @@ class ViewedField:
 
     def settings(self, mode: str) -> dict[str, Any]:
         """Return the settings of a page: "live", "remote" or "exported"."""
-        from scoup.base.version import VERSION
+        from scoup.base import VERSION
 
         # Where a page is sent to, the folders of this machine mean nothing.
         path, table = (

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from scoup.base.errors import InputError, ScoupError
-from scoup.base.html import html
+from scoup.base import InputError, ScoupError, html
 from scoup.query.language_field import LanguageField
 from scoup.view.decimation import MOST_GAUSSIANS
 from scoup.view.guard import Guard

@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base.errors import InputError
-from scoup.base.existing import existing_file
+from scoup.base import InputError, existing_file
 from scoup.field import Field
 from scoup.io.reading import read_text
 from scoup.query.presence import Certainty

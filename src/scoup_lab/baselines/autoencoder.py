@@ -29,8 +29,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, no_progress
 from scoup.scene.directions import normalise_embeddings
 
 COSINE_WEIGHT = 1e-3

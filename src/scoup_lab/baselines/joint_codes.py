@@ -30,8 +30,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, no_progress
 from scoup.coding.backends import coding_backend
 from scoup.coding.kmeans import spherical_kmeans
 from scoup.scene.codes import index_dtype

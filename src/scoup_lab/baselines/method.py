@@ -11,8 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from scoup.base.progress import Progress, no_progress
-from scoup.base.registry import Entry
+from scoup.base import Entry, Progress, no_progress
 from scoup.uplift.build_settings import BUILD_PRESETS, BuildSettings
 from scoup_lab.baselines.autoencoder import LANGSPLAT, AutoencoderSettings
 from scoup_lab.baselines.fitted import FittedMethod

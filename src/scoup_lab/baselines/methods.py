@@ -6,7 +6,7 @@ of their scores here is a figure of a system's own code.
 
 from __future__ import annotations
 
-from scoup.base.registry import Registry
+from scoup.base import Registry
 from scoup_lab.baselines.dense import dense_mean_uplift, dense_uplift
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.pixel_rules import CentrePixel, TopContributors, VisibleInView

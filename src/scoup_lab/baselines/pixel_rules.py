@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.raster.view_sums import ViewSums, merge
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians

@@ -13,7 +13,7 @@ import torch
 from scipy.cluster.vq import kmeans2, vq
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 CENTROIDS = 256  # a byte a part
 ITERATIONS = 12  # of k-means

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.baselines.autoencoder import fit_autoencoder
 from scoup_lab.baselines.dense import weighted_means
 from scoup_lab.baselines.fitted import FittedChannels, FittedField, embedding_cosines, fitted_field

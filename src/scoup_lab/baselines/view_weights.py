@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.uplift.rasterise import cameras_with_regions
 from scoup_lab.baselines.pixel_rules import PixelWeights, pixel_weights
 

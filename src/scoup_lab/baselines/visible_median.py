@@ -15,7 +15,7 @@ import torch
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.directions import normalise_embeddings
 from scoup.uplift.region_sums import RegionSums
 from scoup_lab.baselines.dense import fitted_embeddings

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from scoup.base.native import native_core
-from scoup.base.version import VERSION
+from scoup.base import VERSION, native_core
 
 _CODE = (":/src", ":/native", ":/benchmarks")  # what can change a time; figures written into docs/ cannot
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 
 Key = TypeVar("Key", bound=Hashable)
 Result = TypeVar("Result")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scoup.base.records import record_text
 from scoup.io import write_text
 
 
@@ -36,3 +36,14 @@ def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]], left: int = 
 def write_json(path: str | Path, record: dict[str, Any], overwrite: bool = False) -> None:
     """Write a record, all or nothing."""
     write_text(path, record_text(record) + "\n", overwrite)
+
+
+def record_text(record: Mapping[str, Any], depth: int = 1) -> str:
+    """Return JSON (no NaN) with a line for each entry of a mapping; a list, however long, stays on one. ``depth`` is
+    that of the indentation."""
+    lines = []
+    for key, value in record.items():
+        nested = isinstance(value, Mapping) and value
+        text = record_text(value, depth + 1) if nested else json.dumps(value, allow_nan=False)
+        lines.append(f"{' ' * depth}{json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n" + " " * (depth - 1) + "}"

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.backends import serves
-from scoup.base.errors import InputError, ScoupError
+from scoup.base import InputError, ScoupError, serves
 from scoup.raster import morton_order
 from scoup.scene.cameras import Camera
 from scoup.scene.codes import SparseCodes

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scoup.base.counts import counted
-from scoup.base.staging import staged
+from scoup.base import counted, staged
 from scoup.cli.console import Console, command
 from scoup.cli.options import WritesCommon
 
@@ -76,7 +75,7 @@ class Demo:
 
 def _page_problem() -> str:
     """Return why no page can be written; empty if it can."""
-    from scoup.base.errors import ScoupError
+    from scoup.base import ScoupError
     from scoup.view.page import page_files
 
     try:

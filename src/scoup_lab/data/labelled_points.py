@@ -9,9 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.counts import listed
-from scoup.base.errors import FileFormatError
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, existing_file, listed
 from scoup.io.splats.ply import PlyTable, read_ply_table, write_ply_table
 
 _MAX_LABEL = 1 << 31

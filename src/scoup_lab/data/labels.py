@@ -12,9 +12,16 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from scoup.base.counts import counted, listed
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning, UnknownNameError
-from scoup.base.json_node import JsonNode
+from scoup.base import (
+    FileFormatError,
+    InputError,
+    JsonNode,
+    MissingFileError,
+    ScoupWarning,
+    UnknownNameError,
+    counted,
+    listed,
+)
 from scoup.io.reading import MAX_IMAGE_SIDE, read_json
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import resize_labels

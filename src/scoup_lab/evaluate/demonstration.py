@@ -10,7 +10,7 @@ from statistics import mean
 
 import torch
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 from scoup.io import load_cameras, load_gaussians, load_regions
 from scoup.query.language_field import LanguageField, build
 from scoup.query.question import Question, TextVectors

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from scoup.base.atomic import reserved_output
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, no_progress, reserved_output
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.query.language_field import LanguageField
 from scoup.scene.gaussians import Gaussians

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from scoup.models.text import TextEncoder
 from scoup.query.question import TextVectors
 from scoup_lab.evaluate.protocols.pixels import LabelledScene

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 
 _SAMPLES = 2000  # of a bootstrap
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 from scoup.io import save_png
 from scoup.query.language_field import LanguageField
 from scoup.query.question import TextVectors

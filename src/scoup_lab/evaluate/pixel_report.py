@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from statistics import mean
 from typing import Any
 
-from scoup.base.counts import counted
+from scoup.base import counted
 from scoup_lab.evaluate.published import PUBLISHED, SOURCE, Published
 from scoup_lab.evaluate.report import OURS, Report
 from scoup_lab.evaluate.scores import SceneScore, accuracy_interval, miou_interval, overall

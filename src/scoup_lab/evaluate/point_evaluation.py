@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 from scoup.io import load_gaussians, load_regions
 from scoup.query.question import TextVectors
 from scoup.scene.gaussians import Gaussians

@@ -9,8 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from scoup.base.counts import counted, listed
-from scoup.base.errors import InputError
+from scoup.base import InputError, counted, listed
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 from scoup_lab.evaluate.protocols import scannet
 from scoup_lab.evaluate.protocols.points import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.evaluate.rules import Border, LevelChoice, MaskRule, VoteBorder
 
 

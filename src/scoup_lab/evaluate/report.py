@@ -7,10 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from scoup.base.atomic import atomic_file
-from scoup.base.records import record_text
-from scoup.base.staging import check_outputs, staged
+from scoup.base import atomic_file, check_outputs, staged
 from scoup.io import check_output
+from scoup_lab.bench.report import record_text
 from scoup_lab.evaluate.tables import Table
 
 OURS = "this run"  # the name of our own row

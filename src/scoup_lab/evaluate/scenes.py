@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from scoup.base.errors import MissingFileError, UnknownNameError
+from scoup.base import MissingFileError, UnknownNameError
 from scoup.io import load_cameras, splat_source
 from scoup.io.regions.views import FOLDER_NAME
 from scoup.scene.cameras import Cameras

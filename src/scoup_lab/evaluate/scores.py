@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval
 
 

@@ -14,9 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import InputError, OutputExistsError, looked_up
-from scoup.base.progress import Progress, no_progress
-from scoup.base.staging import staged
+from scoup.base import InputError, OutputExistsError, Progress, looked_up, no_progress, staged
 from scoup.io import save_png, write_text
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.regions import Regions

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.progress import Progress, no_progress
-from scoup.base.staging import staged
+from scoup.base import Progress, no_progress, staged
 from scoup.io import save_gaussians, save_png, save_regions, write_colmap, write_text, write_transforms
 from scoup.models.word_table import save_table
 from scoup.raster import render_colors

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.codes import index_dtype
 from scoup.scene.gaussians import SH_C0, Gaussians

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError, UnknownNameError
+from scoup.base import InputError, UnknownNameError
 from scoup.query.view_answer import mask_box
 from scoup.scene.cameras import Cameras
 from scoup.scene.gaussians import Gaussians

@@ -9,14 +9,11 @@ from types import ModuleType
 import numpy as np
 import torch
 
-from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.base.existing import existing_folder
-from scoup.base.staging import staged
+from scoup.base import FileFormatError, MissingFileError, atomic_file, staged
 from scoup.io.cameras import colmap_binary, colmap_text
 from scoup.io.cameras.colmap_model import Lens, Shot
 from scoup.io.image_folder import warn_of_outside
-from scoup.io.reading import Distorted, check_finite, make_camera, sorted_cameras
+from scoup.io.reading import Distorted, check_finite, existing_folder, make_camera, sorted_cameras
 from scoup.scene.cameras import Cameras
 from scoup.scene.rotations import quats_of_rotations, rotation_matrices
 

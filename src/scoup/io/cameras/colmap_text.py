@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, existing_file
 from scoup.io.cameras.colmap_model import PARAMETER_COUNTS, Lens, Points, Shot
 from scoup.io.reading import read_text
 

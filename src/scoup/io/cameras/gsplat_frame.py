@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError
 from scoup.io.cameras.colmap import read_points
 from scoup.scene.cameras import Camera, Cameras
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError, MissingFileError
-from scoup.base.existing import existing_file, existing_folder
+from scoup.base import FileFormatError, MissingFileError, existing_file
 from scoup.io.image_folder import warn_of_outside
 from scoup.io.reading import (
     MAX_IMAGE_SIDE,
+    existing_folder,
     make_camera,
     numbered_files,
     read_json,

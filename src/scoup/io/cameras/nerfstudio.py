@@ -13,10 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import write_text
-from scoup.base.counts import counted, listed
-from scoup.base.errors import FileFormatError, ScoupWarning
-from scoup.base.json_node import JsonNode
+from scoup.base import FileFormatError, JsonNode, ScoupWarning, counted, listed, write_text
 from scoup.io.cameras.inria import CAMERAS_JSON, portable_name
 from scoup.io.image_folder import DYNAMIC_MASK, find_beside, warn_of_outside
 from scoup.io.images import image_size

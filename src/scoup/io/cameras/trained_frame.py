@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError, InputError
-from scoup.base.json_node import JsonNode
+from scoup.base import FileFormatError, InputError, JsonNode
 from scoup.io.reading import is_orthogonal, read_json
 from scoup.scene.cameras import Cameras
 

@@ -10,7 +10,7 @@ import os
 import re
 from pathlib import Path
 
-from scoup.base.errors import MissingFileError
+from scoup.base import MissingFileError
 from scoup.io.cameras.trained_frame import TRAINED_FRAME
 from scoup.io.reading import read_text
 

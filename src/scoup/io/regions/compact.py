@@ -19,12 +19,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.atomic import atomic_file
-from scoup.base.digests import array_checksum, is_sealed, sealed
-from scoup.base.errors import FileFormatError, check_format_version
-from scoup.base.existing import existing_file
-from scoup.base.json_node import JsonNode
-from scoup.base.safetensors_damage import safetensors_damage_named
+from scoup.base import (
+    FileFormatError,
+    JsonNode,
+    array_checksum,
+    atomic_file,
+    check_format_version,
+    existing_file,
+    is_sealed,
+    safetensors_damage_named,
+    sealed,
+)
 from scoup.io.image_folder import EXTENSIONS
 from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.manifest import SCHEMA, VERSION

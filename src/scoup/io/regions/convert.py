@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-from scoup.base.counts import listed
-from scoup.base.errors import InputError, MissingFileError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, MissingFileError, Progress, listed, no_progress
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.langsplat_autoencoder import Decoder
 from scoup.io.regions.manifest import MANIFEST, RegionManifest

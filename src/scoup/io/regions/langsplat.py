@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError
 from scoup.io.npy import open_npy
 from scoup.io.reading import MAX_IMAGE_SIDE
 from scoup.io.regions.langsplat_rows import FILE_LEVELS, copy_labels, level_blocks

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError, InputError
+from scoup.base import FileFormatError, InputError
 from scoup.io.torch_file import float_tensor, load_torch
 
 _WHAT = "LangSplat's autoencoder (best_ckpt.pth, a state_dict)"

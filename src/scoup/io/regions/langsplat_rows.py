@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError, counted
 from scoup.io.regions.views import REMEDY
 from scoup.scene.regions import LEVELS
 

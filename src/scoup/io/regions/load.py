@@ -10,9 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.arguments import PATH, check_arguments
-from scoup.base.counts import listed, none_of
-from scoup.base.errors import FileFormatError, InputError, MissingFileError, ScoupWarning
+from scoup.base import (
+    PATH,
+    FileFormatError,
+    InputError,
+    MissingFileError,
+    ScoupWarning,
+    check_arguments,
+    listed,
+    none_of,
+)
 from scoup.io.cameras.undistort import photograph_pixels, sample_nearest
 from scoup.io.regions.manifest import RegionManifest
 from scoup.io.regions.store import RegionStore, StoredView, staged_store

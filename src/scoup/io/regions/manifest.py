@@ -8,9 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scoup.base.atomic import write_text
-from scoup.base.errors import InputError, OutputExistsError, check_format_version
-from scoup.base.locks import WAIT
+from scoup.base import WAIT, InputError, OutputExistsError, check_format_version, write_text
 from scoup.io.reading import read_json
 
 MANIFEST = "regions.json"

@@ -12,10 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from scoup.base.atomic import check_output
-from scoup.base.errors import InputError, ScoupError
-from scoup.base.existing import existing_folder
-from scoup.base.staging import staged
+from scoup.base import InputError, ScoupError, check_output, staged
+from scoup.io.reading import existing_folder
 from scoup.io.regions import compact, langsplat
 from scoup.io.regions.compact import CompactView
 from scoup.io.regions.langsplat import LangSplatView

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning
+from scoup.base import FileFormatError, InputError, ScoupWarning, counted
 from scoup.scene.gaussians import MAX_SH_DEGREE, Gaussians
 
 SH_BASES = tuple((degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1))

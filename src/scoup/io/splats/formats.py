@@ -6,9 +6,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scoup.base.counts import listed
-from scoup.base.errors import FileFormatError, InputError, MissingFileError
-from scoup.base.registry import Registry
+from scoup.base import FileFormatError, InputError, MissingFileError, Registry, listed
 from scoup.io.splats import (
     gaussforge_formats,
     gltf,

@@ -18,9 +18,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError, ScoupError, ScoupWarning
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, ScoupError, ScoupWarning, atomic_file, existing_file
 from scoup.io.reading import read_json
 from scoup.io.splats.ply import gaussians_from_table, read_ply_table, write_ply
 from scoup.io.splats.splat_format import SplatFormat

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import ScoupWarning
-from scoup.base.json_node import JsonNode
+from scoup.base import JsonNode, ScoupWarning
 from scoup.io.splats.activation import keep_finite, unit_quats
 from scoup.io.splats.axes import Columns, half_turn
 from scoup.io.splats.gltf_document import (

@@ -12,10 +12,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError
-from scoup.base.existing import existing_file
-from scoup.base.json_node import JsonNode
+from scoup.base import FileFormatError, JsonNode, counted, existing_file
 from scoup.io.reading import read_bytes
 
 MAGIC = b"glTF"

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from scoup.base.atomic import atomic_file
-from scoup.base.errors import InputError, ScoupWarning
+from scoup.base import InputError, ScoupWarning, atomic_file
 from scoup.io.splats.activation import finite_arrays
 from scoup.io.splats.axes import Axis, Columns, half_turn
 from scoup.io.splats.gltf_document import (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io.cameras.training_run import is_gsplat_results
 from scoup.io.reading import numbered_files
 from scoup.io.splats.activation import trained_gaussians

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scoup.base.errors import FileFormatError, MissingFileError
+from scoup.base import FileFormatError, MissingFileError
 from scoup.io.cameras.training_run import is_nerfstudio_run
 from scoup.io.reading import numbered_files
 from scoup.io.splats.activation import opacities_from_logits, trained_gaussians

@@ -11,10 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 
-from scoup.base.atomic import atomic_file
-from scoup.base.counts import listed
-from scoup.base.errors import FileFormatError, ScoupWarning
-from scoup.base.scratch import MOST_ROWS_IN_MEMORY
+from scoup.base import MOST_ROWS_IN_MEMORY, FileFormatError, ScoupWarning, atomic_file, listed
 from scoup.io.cameras.inria import latest_point_cloud
 from scoup.io.splats.activation import (
     SH_BASES,

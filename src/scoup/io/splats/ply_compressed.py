@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError
+from scoup.base import FileFormatError, atomic_file
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
 from scoup.io.splats.ply_header import MIP, read_header, rest_names
 from scoup.io.splats.ply_rows import read_rows

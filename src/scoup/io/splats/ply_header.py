@@ -11,9 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError, InputError, ScoupWarning, refused_read
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, InputError, ScoupWarning, counted, existing_file, refused_read
 from scoup.io.splats.activation import SH_BASES
 
 MAX_HEADER_BYTES = 1 << 16

@@ -11,8 +11,7 @@ from contextlib import suppress
 import numpy as np
 import torch
 
-from scoup.base.errors import FileFormatError, refused_read
-from scoup.base.scratch import scratch_array
+from scoup.base import FileFormatError, refused_read, scratch_array
 from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_rows, warn_of_dropped
 from scoup.io.splats.ply_header import PlyHeader

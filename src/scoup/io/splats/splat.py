@@ -7,10 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import atomic_file
-from scoup.base.counts import counted, share_of
-from scoup.base.errors import FileFormatError, refused_read
-from scoup.base.existing import existing_file
+from scoup.base import FileFormatError, atomic_file, counted, existing_file, refused_read, share_of
 from scoup.io.splats.activation import finite_arrays, keep_finite, unit_quats
 from scoup.io.splats.splat_format import SplatFormat, kind_inside
 from scoup.scene.gaussians import SH_C0, Gaussians

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from scoup.base.registry import Entry
+from scoup.base import Entry
 from scoup.io.splats.axes import Axis
 from scoup.scene.gaussians import Gaussians
 

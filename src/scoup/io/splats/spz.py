@@ -15,10 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scoup.base.atomic import atomic_file
-from scoup.base.counts import share_of
-from scoup.base.errors import InputError, ScoupWarning
-from scoup.base.existing import existing_file
+from scoup.base import InputError, ScoupWarning, atomic_file, existing_file, share_of
 from scoup.io.reading import read_bytes
 from scoup.io.splats.activation import finite_arrays, keep_finite, scales_from_logs, unit_quats
 from scoup.io.splats.axes import Axis, Columns, flipped, half_turn

@@ -12,8 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scoup.base.counts import counted
-from scoup.base.errors import FileFormatError, ScoupWarning
+from scoup.base import FileFormatError, ScoupWarning, counted
 
 MAGIC = 0x5053474E  # "NGSP"
 _START = struct.Struct(

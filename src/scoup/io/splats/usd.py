@@ -19,8 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.atomic import atomic_path
-from scoup.base.errors import InputError, ScoupError, WriteError
+from scoup.base import InputError, ScoupError, WriteError, atomic_path
 from scoup.io.splats.activation import finite_arrays
 from scoup.io.splats.axes import Axis, half_turn, turned_direction
 from scoup.io.splats.splat_format import SplatFormat

@@ -13,7 +13,7 @@ import torch
 import triton
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.raster.binning import SLACK
 from scoup.raster.presets import ALPHA_MIN, LOW_PASS, RasterPreset
 from scoup.raster.projection import ray_limits, tile_counts

@@ -18,10 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scoup.base.atomic import atomic_file
-from scoup.base.errors import FileFormatError, InputError, refused_read
-from scoup.base.existing import refuse_pointer
-from scoup.base.file_names import slug
+from scoup.base import FileFormatError, InputError, atomic_file, refuse_pointer, refused_read, slug
 
 ENDING = ".safetensors"
 SCENE = "scene"  # stem of the file that is not a view

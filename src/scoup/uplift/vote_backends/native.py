@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.native import refusals, require_core
+from scoup.base import refusals, require_core
 from scoup.scene.codes import SparseCodes, index_dtype
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.codes import SparseCodes, check_atoms, index_dtype, signed
 from scoup.uplift import constants
 from scoup.uplift.reweighting import EarlierRound

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.scene.codes import SparseCodes, index_dtype, rows_of
 from scoup.uplift.reweighting import EarlierRound
 from scoup.uplift.storage.entries import BUCKET, Entries

@@ -68,7 +68,7 @@ class DataSetVerb:
 
     def open_labelled(self, console: Console, protocol: PixelProtocol) -> list[LabelledScene]:
         """Open the scenes of a data set of labelled frames, and say what they have."""
-        from scoup.base.counts import counted
+        from scoup.base import counted
 
         names = protocol.find(self.root, self.data.scenes)
         opened = [protocol.open(self.root, name, self.data.places()) for name in names]

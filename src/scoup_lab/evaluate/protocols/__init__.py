@@ -3,7 +3,7 @@ points."""
 
 from __future__ import annotations
 
-from scoup.base.registry import Registry
+from scoup.base import Registry
 from scoup_lab.evaluate.protocols import lerf_ovs, mipnerf360, threed_ovs
 from scoup_lab.evaluate.protocols.pixels import PixelProtocol
 

@@ -8,9 +8,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError, UnknownNameError
-from scoup.base.registry import Entry
+from scoup.base import Entry, InputError, UnknownNameError, counted
 from scoup.scene.cameras import Camera
 from scoup.scene.regions import LEVELS
 from scoup_lab.data.labels import LabelledFrame, match_frames

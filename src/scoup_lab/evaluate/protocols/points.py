@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.question import TextVectors
 from scoup_lab.baselines.fitted import FittedMethod
 

@@ -19,8 +19,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from scoup.base.counts import counted
-from scoup.base.errors import InputError, looked_up
+from scoup.base import InputError, counted, looked_up
 from scoup.scene.gaussians import Gaussians
 from scoup_lab.data.labelled_points import NYU40, LabelledPoints, read_labelled_ply
 from scoup_lab.evaluate.protocols.points import NO_CLASS, ClassList

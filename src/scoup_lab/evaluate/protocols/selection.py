@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.query.question import TextVectors
 from scoup.query.votes import select_by_relevancy
 from scoup.scene.cameras import Camera

@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from scoup.base.errors import FileFormatError, MissingFileError, ScoupWarning
+from scoup.base import FileFormatError, MissingFileError, ScoupWarning
 from scoup.io.images import read_mask
 from scoup_lab.data.labels import LabelledFrame
 from scoup_lab.evaluate.protocols.pixels import PixelProtocol

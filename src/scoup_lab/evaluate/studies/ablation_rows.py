@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from scoup.base.errors import UnknownNameError
+from scoup.base import UnknownNameError
 from scoup_lab.baselines.method import Method
 from scoup_lab.baselines.methods import METHODS
 from scoup_lab.baselines.sparse import Half, SparseUplift

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import mean
 from typing import Any, ClassVar
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 from scoup.uplift.build_settings import BuildSettings
 from scoup_lab.baselines.method import MethodSettings
 from scoup_lab.evaluate.metrics import Interval, bootstrap_interval

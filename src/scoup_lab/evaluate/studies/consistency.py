@@ -15,8 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from scoup.base.errors import InputError
-from scoup.base.progress import Progress, no_progress
+from scoup.base import InputError, Progress, no_progress
 from scoup.coding import fit_codes
 from scoup.scene.cameras import Cameras
 from scoup.scene.regions import Regions

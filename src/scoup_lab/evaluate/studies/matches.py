@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import MissingFileError
+from scoup.base import MissingFileError
 from scoup.io import read_tracks
 from scoup.scene.cameras import Camera, Cameras
 from scoup.scene.gaussians import Gaussians

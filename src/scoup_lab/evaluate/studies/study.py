@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
-from scoup.base.progress import Progress, no_progress
+from scoup.base import Progress, no_progress
 from scoup_lab.evaluate.report import Report
 from scoup_lab.evaluate.studies.study_scene import StudyScene
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from scoup import raster
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup.field import Field
 from scoup.io import load_gaussians, load_regions, splat_source
 from scoup.models.words import with_everyday

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scoup.base.errors import InputError
+from scoup.base import InputError
 from scoup_lab.synthetic.art.meshes import Floats, Mesh, merged
 from scoup_lab.synthetic.art.paints import Paint
 
